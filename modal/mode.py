@@ -1,0 +1,113 @@
+"""One mode and the set of them, with everything that is known about how far each can be trusted."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from okid.arrays import ComplexArray, FloatArray
+
+__all__ = ["ModalModel", "Mode", "ModeKind", "Verdict"]
+
+ModeKind = Literal["oscillatory", "real", "nyquist", "unstable"]
+Verdict = Literal["system", "doubtful", "noise"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Mode:
+    """A pole of the realisation (one of a conjugate pair) with its shape and every indicator; nan means not known.
+
+    Attributes:
+        pole: continuous-time pole s = ln(lambda) / dt [1/s], imaginary part >= 0.
+        kind: "oscillatory" (a pair), "real" (overdamped, drift), "nyquist" (negative real discrete pole: at half the
+            sampling frequency, no mode of the system) or "unstable" (grows in time).
+        frequency: |pole| / (2 pi) [Hz].
+        damping_ratio: -Re(pole) / |pole|, negative for an unstable pole.
+        frequency_std: standard deviation of the frequency [Hz].
+        damping_ratio_std: standard deviation of the damping ratio.
+        shape: (n_outputs,) complex, output units; largest component 1.
+        participation: (n_inputs,) complex; the residue matrix of the pulse response is outer(shape, participation), so
+            system[k] = 2 Re(shape participation' lambda^(k-1)) for a pair (without the 2 Re for a real pole).
+        amplitude_coherence: Juang-Pappa modal amplitude coherence, in [0, 1].
+        phase_collinearity: modal phase collinearity, in [0, 1]; 1 for a real shape.
+        emac_output: extended modal amplitude coherence over outputs.
+        emac_input: the same over inputs.
+        emac: their product.
+        cmi: consistent-mode indicator, emac * phase_collinearity.
+        msv: mode singular value relative to the largest of the model.
+        mpd: mean phase deviation [deg].
+        repeatability: mean overlap with the same mode identified again from other data and orders, in [0, 1].
+        probability: that the mode belongs to the system.
+        verdict: "system", "doubtful" or "noise".
+        damping_resolved: False where the mode may exist but its damping ratio is not to be quoted.
+        reason: why this verdict, in words.
+    """
+
+    pole: complex
+    kind: ModeKind
+    frequency: float
+    damping_ratio: float
+    shape: ComplexArray
+    participation: ComplexArray
+    frequency_std: float = np.nan
+    damping_ratio_std: float = np.nan
+    amplitude_coherence: float = np.nan
+    phase_collinearity: float = np.nan
+    emac_output: float = np.nan
+    emac_input: float = np.nan
+    emac: float = np.nan
+    cmi: float = np.nan
+    msv: float = np.nan
+    mpd: float = np.nan
+    repeatability: float = np.nan
+    probability: float = np.nan
+    verdict: Verdict = "doubtful"
+    damping_resolved: bool = True
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModalModel:
+    """All modes of one realisation, by frequency.
+
+    Attributes:
+        modes: every pole, one of each conjugate pair, whatever its verdict, by rising frequency.
+        dt: time step of the realisation [s].
+        indicator_caution: n / (p q): model order over observer order times number of outputs. Above about 0.3 the
+            indicators test how well a mode repeats the observer rather than the data.
+        indicators_missing: why the indicators are nan, "" when they are not.
+    """
+
+    modes: tuple[Mode, ...]
+    dt: float
+    indicator_caution: float
+    indicators_missing: str = ""
+
+    def __iter__(self) -> Iterator[Mode]:
+        return iter(self.modes)
+
+    def __len__(self) -> int:
+        return len(self.modes)
+
+    @property
+    def system(self) -> tuple[Mode, ...]:
+        """The modes whose verdict is "system"."""
+        return tuple(mode for mode in self.modes if mode.verdict == "system")
+
+    @property
+    def frequencies(self) -> FloatArray:
+        """(n_system,) frequencies of the system modes [Hz]."""
+        return np.array([mode.frequency for mode in self.system])
+
+    @property
+    def damping_ratios(self) -> FloatArray:
+        """(n_system,) damping ratios of the system modes."""
+        return np.array([mode.damping_ratio for mode in self.system])
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """(n_outputs, n_system) shapes of the system modes, one a column."""
+        if not self.system:
+            return np.empty((0, 0), dtype=np.complex128)
+        return np.column_stack([mode.shape for mode in self.system])

@@ -1,0 +1,134 @@
+"""Array checks shared by the frozen types: shape, finiteness, read-only.
+
+An array is kept as a view where nobody else can write to it (a memory map opened for reading, an array that is already
+read-only all the way down), and copied otherwise, so that a frozen type is frozen in fact.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from okid.errors import InvalidDataError
+
+__all__ = ["BoolArray", "ComplexArray", "FloatArray", "frozen", "frozen_complex", "row_chunks", "time_major"]
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+BoolArray = npt.NDArray[np.bool_]
+
+CHUNK_VALUES = 1 << 21
+"""Values looked at in one step, so that checking a mapped file needs 16 MiB at a time."""
+
+
+def row_chunks(n_samples: int, n_channels: int) -> Iterator[slice]:
+    """Row slices of at most `CHUNK_VALUES` values that cover `n_samples` rows."""
+    step = max(1, CHUNK_VALUES // max(1, n_channels))
+    return (slice(start, min(start + step, n_samples)) for start in range(0, n_samples, step))
+
+
+def _nobody_can_write(array: npt.NDArray[np.generic]) -> bool:
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return True
+
+
+def _is_mapped(array: npt.NDArray[np.generic]) -> bool:
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if isinstance(base, np.memmap):
+            return True
+        base = base.base
+    return False
+
+
+def frozen(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | None = None) -> FloatArray:
+    """A read-only C-contiguous float64 array, checked to be finite and of the given shape (None: any length).
+
+    Args:
+        values: anything that numpy takes for real numbers.
+        name: what to call it in an error.
+        shape: expected shape, None for a free axis.
+
+    Raises:
+        InvalidDataError: not real numbers, wrong shape, or a value that is not finite.
+
+    Example:
+        >>> frozen([[1, 2]], name="D", shape=(1, None)).flags.writeable
+        False
+    """
+    array = _as_float(values, name)
+    _check_shape(array, name, shape)
+    if not np.isfinite(array).all():
+        raise InvalidDataError(
+            f"{name} must be finite, but {int((~np.isfinite(array)).sum())} of its {array.size} values are NaN or infinite."
+        )
+    return _read_only(array)
+
+
+def frozen_complex(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | None = None) -> ComplexArray:
+    """As `frozen`, for complex128."""
+    array = np.asarray(values, dtype=np.complex128)
+    _check_shape(array, name, shape)
+    if not np.isfinite(array).all():
+        raise InvalidDataError(f"{name} must be finite.")
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def time_major(values: npt.ArrayLike, *, name: str) -> FloatArray:
+    """A read-only (n_samples, n_channels) float64 array; NaN is allowed, infinity is not.
+
+    One-dimensional values are one channel. Strided views of a read-only memory map stay views.
+
+    Raises:
+        InvalidDataError: not numbers, more than two axes, or infinite values.
+    """
+    array = _as_float(values, name)
+    if array.ndim == 1:
+        array = array[:, np.newaxis]
+    if array.ndim != 2:
+        raise InvalidDataError(
+            f"{name} must be (n_samples, n_channels), but has {array.ndim} axes {array.shape}; pass a two-dimensional array."
+        )
+    for rows in row_chunks(*array.shape):
+        if np.isinf(array[rows]).any():
+            raise InvalidDataError(
+                f"{name} must not hold infinite values, but rows {rows.start} to {rows.stop} do; mark missing samples as NaN."
+            )
+    return _read_only(array)
+
+
+def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind == "c":
+            raise InvalidDataError(f"{name} must be real numbers, but is complex; pass its real part, or time histories.")
+        if given.dtype.kind not in "biuf":
+            given = given.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InvalidDataError):
+            raise
+        raise InvalidDataError(f"{name} must be an array of real numbers ({error}).") from error
+    return given.astype(np.float64, copy=False)
+
+
+def _check_shape(array: npt.NDArray[np.generic], name: str, shape: tuple[int | None, ...] | None) -> None:
+    if shape is None:
+        return
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("any" if want is None else str(want) for want in shape)
+        raise InvalidDataError(f"{name} must have shape ({wanted}), but has {array.shape}.")
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    if _nobody_can_write(array) and (array.flags.c_contiguous or _is_mapped(array)):
+        return array
+    array = np.array(array, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
