@@ -1,12 +1,21 @@
 """A discrete-time state-space model with the evidence it was cut from.
 
+The states x answer to the inputs u and to the innovations e, what the outputs y hold beyond their one-step prediction:
+
     x(k+1) = A x(k) + B u(k) + K e(k)
     y(k)   = C x(k) + D u(k) + e(k)
 """
 
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
-from okid.arrays import FloatArray
+import numpy as np
+
+from okid.arrays import FloatArray, frozen
+from okid.errors import InvalidDataError
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 __all__ = ["HankelFactors", "Realisation"]
 
@@ -20,12 +29,16 @@ class HankelFactors:
 
     Attributes:
         observability: (n_block_rows * n_outputs, n_kept) U S^(1/2).
-        controllability: (n_kept, n_block_columns * n_inputs) S^(1/2) V'.
+        controllability: (n_kept, n_block_columns * n_channels) S^(1/2) V'. The channels are the inputs; the outputs
+            where the gain was realised for want of inputs; inputs, then outputs where both were.
         n_block_rows: a, number of block rows.
         n_block_columns: b, number of block columns.
         input_scale: (n_inputs,) by which inputs were scaled.
         output_scale: (n_outputs,) by which outputs were scaled.
         observer_order: p of the observer that the Markov parameters came from, None when they were measured.
+
+    Raises:
+        InvalidDataError: factors that do not fit together, or values that are not finite.
     """
 
     observability: FloatArray
@@ -36,13 +49,39 @@ class HankelFactors:
     output_scale: FloatArray
     observer_order: int | None
 
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "input_scale", frozen(self.input_scale, name="input_scale", shape=(None,)))
+        set_(self, "output_scale", frozen(self.output_scale, name="output_scale", shape=(None,)))
+        n_rows = self.n_block_rows * self.output_scale.size
+        set_(self, "observability", frozen(self.observability, name="observability", shape=(n_rows, None)))
+        n_kept = self.observability.shape[1]
+        set_(self, "controllability", frozen(self.controllability, name="controllability", shape=(n_kept, None)))
+        if self.controllability.shape[1] % self.n_block_columns:
+            raise InvalidDataError(
+                f"controllability must have a whole number of columns for each of its {self.n_block_columns} blocks, "
+                f"but has {self.controllability.shape[1]} columns."
+            )
+
+    def truncated(self, order: int) -> "HankelFactors":
+        """The factors of a lower order."""
+        return HankelFactors(
+            observability=self.observability[:, :order],
+            controllability=self.controllability[:order],
+            n_block_rows=self.n_block_rows,
+            n_block_columns=self.n_block_columns,
+            input_scale=self.input_scale,
+            output_scale=self.output_scale,
+            observer_order=self.observer_order,
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
     """State-space model in the units of the record; see the module for its equations.
 
     Attributes:
-        A: (order, order).
+        A: (order, order); order 0 is a pure feedthrough.
         B: (order, n_inputs).
         C: (n_outputs, order).
         D: (n_outputs, n_inputs).
@@ -50,6 +89,13 @@ class Realisation:
         K: (order, n_outputs) gain of the one-step predictor, None when none is known.
         singular_values: of the scaled block Hankel matrix, all that were computed; empty after `from_control`.
         factors: Hankel factors of this order, None when the model did not come from data.
+
+    Raises:
+        InvalidDataError: matrices that do not fit together, values that are not finite, dt that is not positive.
+
+    Example:
+        >>> Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01).order
+        1
     """
 
     A: FloatArray
@@ -62,7 +108,85 @@ class Realisation:
     singular_values: FloatArray = ()  # type: ignore[assignment]  # an array once constructed
     factors: HankelFactors | None = None
 
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "D", frozen(self.D, name="D", shape=(None, None)))
+        n_outputs, n_inputs = self.D.shape
+        set_(self, "A", frozen(self.A, name="A", shape=(None, None)))
+        order = self.A.shape[0]
+        set_(self, "A", frozen(self.A, name="A", shape=(order, order)))
+        set_(self, "B", frozen(self.B, name="B", shape=(order, n_inputs)))
+        set_(self, "C", frozen(self.C, name="C", shape=(n_outputs, order)))
+        if self.K is not None:
+            set_(self, "K", frozen(self.K, name="K", shape=(order, n_outputs)))
+        set_(self, "singular_values", frozen(self.singular_values, name="singular_values", shape=(None,)))
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidDataError(f"dt must be a positive time step in seconds, but is {self.dt}.")
+        set_(self, "dt", float(self.dt))
+        if self.factors is not None and self.factors.observability.shape[1] != order:
+            raise InvalidDataError(
+                f"the Hankel factors must be those of the model's order {order}, but hold "
+                f"{self.factors.observability.shape[1]} states; use factors.truncated({order})."
+            )
+
     @property
     def order(self) -> int:
         """Number of states."""
-        return self.A.shape[0]
+        order: int = self.A.shape[0]
+        return order
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        n_inputs: int = self.D.shape[1]
+        return n_inputs
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        n_outputs: int = self.D.shape[0]
+        return n_outputs
+
+    def truncated(self, order: int) -> "Realisation":
+        """The balanced model of a lower order: a corner of this one.
+
+        Raises:
+            InvalidDataError: an order outside 0 ... order, or a model whose states are not balanced (no Hankel
+                factors).
+        """
+        if not 0 <= order <= self.order:
+            raise InvalidDataError(
+                f"a model of order {self.order} can be truncated to orders 0 to {self.order}, not to {order}."
+            )
+        if self.factors is None:
+            raise InvalidDataError(
+                "only a balanced model can be truncated, and this one did not come from a block Hankel matrix; use "
+                "control.balred on to_control(), or realise its Markov parameters."
+            )
+        return Realisation(
+            A=self.A[:order, :order],
+            B=self.B[:order],
+            C=self.C[:, :order],
+            D=self.D,
+            dt=self.dt,
+            K=None if self.K is None else self.K[:order],
+            singular_values=self.singular_values,
+            factors=self.factors.truncated(order),
+        )
+
+    def to_control(self) -> "StateSpace":
+        """As a discrete-time `control.StateSpace` with the same matrices and dt; the gain K is not part of it."""
+        from era.interop import to_control
+
+        return to_control(self)
+
+    @classmethod
+    def from_control(cls, system: object) -> "Realisation":
+        """From a discrete-time `control.StateSpace` (or what `control.ss` takes) with a time step in seconds.
+
+        Raises:
+            InvalidDataError: a continuous-time system, or no time step.
+        """
+        from era.interop import from_control
+
+        return from_control(system)

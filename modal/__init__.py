@@ -1,1 +1,39 @@
-"""x."""
+"""Modes of a machine or a structure from measured inputs and outputs, with a verdict on each.
+
+This file is the public table and nothing else: no module of ours imports from it, because an unrelated cloud SDK has
+the same import name and may overwrite it (see the README).
+"""
+
+import importlib.util
+import warnings
+
+from modal.extraction import extract_modes
+from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+from modal.mode import ModalModel, Mode
+from modal.pipeline import identify
+from modal.recording import log_identification, save_recording
+from modal.report import write_report
+from modal.storage import load
+
+__all__ = [
+    "Choice",
+    "Fit",
+    "Identification",
+    "ModalModel",
+    "Mode",
+    "OrderEvidence",
+    "StabilisationPoint",
+    "extract_modes",
+    "identify",
+    "load",
+    "log_identification",
+    "save_recording",
+    "write_report",
+]
+
+if importlib.util.find_spec("modal_proto") is not None:
+    warnings.warn(
+        "the cloud SDK of the same import name 'modal' is installed in this environment; the two overwrite each other: "
+        "use okid-modal in an environment of its own.",
+        stacklevel=2,
+    )

@@ -1,6 +1,8 @@
 """What `modal.identify` returns: every stage of the road from records to modes, and why each choice was made."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 from era.realisation import Realisation
 from modal.mode import ModalModel
@@ -124,3 +126,20 @@ class Identification:
     simulated: tuple[Record, ...]
     predicted: tuple[Record, ...]
     warnings: tuple[str, ...]
+
+    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
+        """Write all of it into one file without pickle; `modal.load` reads it back bit for bit.
+
+        Args:
+            path: of the file; the usual ending is .npz.
+            existing: "refuse" (an error when the file is there) or "replace".
+
+        Returns:
+            The path.
+
+        Raises:
+            InvalidDataError: the file exists and may not be replaced, or it cannot be written.
+        """
+        from modal.storage import save  # it needs this type, so it cannot be imported above
+
+        return save(self, path, existing=existing)

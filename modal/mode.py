@@ -108,6 +108,6 @@ class ModalModel:
     @property
     def shapes(self) -> ComplexArray:
         """(n_outputs, n_system) shapes of the system modes, one a column."""
-        if not self.system:
-            return np.empty((0, 0), dtype=np.complex128)
-        return np.column_stack([mode.shape for mode in self.system])
+        n_outputs = self.modes[0].shape.size if self.modes else 0
+        columns = [mode.shape for mode in self.system]
+        return np.array(columns, dtype=np.complex128).reshape(len(columns), n_outputs).T

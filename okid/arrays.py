@@ -4,14 +4,23 @@ An array is kept as a view where nobody else can write to it (a memory map opene
 read-only all the way down), and copied otherwise, so that a frozen type is frozen in fact.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.errors import InvalidDataError
 
-__all__ = ["BoolArray", "ComplexArray", "FloatArray", "frozen", "frozen_complex", "row_chunks", "time_major"]
+__all__ = [
+    "BoolArray",
+    "ComplexArray",
+    "FloatArray",
+    "column_block",
+    "frozen",
+    "frozen_complex",
+    "row_chunks",
+    "time_major",
+]
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -25,6 +34,24 @@ def row_chunks(n_samples: int, n_channels: int) -> Iterator[slice]:
     """Row slices of at most `CHUNK_VALUES` values that cover `n_samples` rows."""
     step = max(1, CHUNK_VALUES // max(1, n_channels))
     return (slice(start, min(start + step, n_samples)) for start in range(0, n_samples, step))
+
+
+def column_block(array: FloatArray, indices: Sequence[int]) -> FloatArray:
+    """The columns at `indices`, in that order: a view where they are evenly spaced, a copy otherwise.
+
+    A view keeps a mapped file on disk: inputs and outputs that stand side by side in it cost no memory.
+
+    Example:
+        >>> table = np.arange(12.0).reshape(3, 4)
+        >>> column_block(table, [1, 2]).base is table.base, column_block(table, [2, 0, 1])[0]
+        (True, array([2., 0., 1.]))
+    """
+    if len(indices) == 0:
+        return array[:, :0]
+    steps = set(np.diff(indices).tolist())
+    if len(steps) > 1 or not all(step > 0 for step in steps):
+        return np.ascontiguousarray(array[:, list(indices)])
+    return array[:, indices[0] : indices[-1] + 1 : steps.pop() if steps else 1]
 
 
 def _nobody_can_write(array: npt.NDArray[np.generic]) -> bool:
@@ -64,7 +91,8 @@ def frozen(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | 
     _check_shape(array, name, shape)
     if not np.isfinite(array).all():
         raise InvalidDataError(
-            f"{name} must be finite, but {int((~np.isfinite(array)).sum())} of its {array.size} values are NaN or infinite."
+            f"{name} must be finite, but {int((~np.isfinite(array)).sum())} of its {array.size} values are NaN or "
+            "infinite."
         )
     return _read_only(array)
 
@@ -94,12 +122,16 @@ def time_major(values: npt.ArrayLike, *, name: str) -> FloatArray:
         array = array[:, np.newaxis]
     if array.ndim != 2:
         raise InvalidDataError(
-            f"{name} must be (n_samples, n_channels), but has {array.ndim} axes {array.shape}; pass a two-dimensional array."
+            f"{name} must be (n_samples, n_channels), but has {array.ndim} axes {array.shape}; pass a two-dimensional "
+            "array."
         )
     for rows in row_chunks(*array.shape):
-        if np.isinf(array[rows]).any():
+        infinite = np.isinf(array[rows])
+        if infinite.any():
+            row, channel = (int(index) for index in np.argwhere(infinite)[0])
             raise InvalidDataError(
-                f"{name} must not hold infinite values, but rows {rows.start} to {rows.stop} do; mark missing samples as NaN."
+                f"{name} must not hold infinite values, but sample {rows.start + row} of channel {channel} is one; "
+                "mark missing samples as NaN."
             )
     return _read_only(array)
 
@@ -108,7 +140,9 @@ def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
     try:
         given = np.asarray(values)
         if given.dtype.kind == "c":
-            raise InvalidDataError(f"{name} must be real numbers, but is complex; pass its real part, or time histories.")
+            raise InvalidDataError(
+                f"{name} must be real numbers, but is complex; pass its real part, or time histories."
+            )
         if given.dtype.kind not in "biuf":
             given = given.astype(np.float64)
     except (TypeError, ValueError) as error:

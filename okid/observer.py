@@ -7,12 +7,32 @@ Guidance, Control, and Dynamics 16(2), 1993, doi 10.2514/3.21006). The first p s
 any initial state is right.
 """
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from okid.arrays import FloatArray
+import numpy as np
 
-__all__ = ["ObserverFit"]
+from okid.arrays import FloatArray
+from okid.coefficients import ObserverCoefficients
+from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.gram import LagGram, lag_gram
+from okid.order_choice import ORDERS, RIDGES, choose_observer
+from okid.record import Record
+from okid.regression import RegressionRows, solve
+from okid.rows import as_records, check_enough_rows, check_rows_left
+from okid.scaling import ChannelScaling, channel_scaling
+
+__all__ = ["ObserverFit", "check_channels_move", "fit_observer", "observer_fit"]
+
+_POOR_INPUT = 1e4
+"""Condition number of the inputs' regressors from which a fit says so: 80 dB from strongest to weakest direction."""
+_DEPENDENT = 1e4
+"""Condition number times relative residual from which the regressors are called dependent. Noise alone, which fills
+every direction that the system leaves empty, gives a product of order ten."""
+_NOISE_FREE = 1e-6
+"""Relative residual below which nothing is left that an ill-conditioned fit could blow up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -32,7 +52,8 @@ class ObserverFit:
         residual_covariance: (n_outputs, n_outputs) of the one-step residual e, degrees of freedom taken off.
         n_rows: number of complete rows that were fitted.
         n_parameters: unknowns per output.
-        condition: estimated 2-norm condition number of the scaled regressor matrix, ridge excluded.
+        condition: estimated condition number of the scaled regressor matrix, ridge included; an upper estimate where
+            the method is "cholesky", of the directions kept otherwise.
         method: "cholesky", "eigh" (rank-deficient: directions without information left out) or "qr" (short or
             ill-conditioned).
         rank: number of directions kept.
@@ -67,3 +88,167 @@ class ObserverFit:
     def n_outputs(self) -> int:
         """Number of outputs."""
         return self.feedthrough.shape[0]
+
+
+def fit_observer(
+    records: Record | Sequence[Record],
+    *,
+    order: int | Literal["auto"] = "auto",
+    ridge: float | Literal["auto"] | None = None,
+) -> ObserverFit:
+    """Fit the observer equation to one record or to several of one system.
+
+    The first `order` samples of every record are dropped, so any initial state is right; a missing sample drops the
+    rows that it touches; a constant in each equation takes up offsets; channels are scaled to unit standard deviation.
+
+    Args:
+        records: with the same channels, units and time step.
+        order: number of past samples, at least (number of states) / n_outputs; "auto" chooses it by the error of the
+            free run on held-out rows.
+        ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag); "auto" chooses it like the
+            order. None is "auto" where the order is chosen, and 0 where it is given.
+
+    Raises:
+        InvalidDataError: an order or ridge that is none, or records that do not belong together.
+        InsufficientDataError: too few samples for the order, too few left between missing ones, or a channel that never
+            moves.
+
+    Warns:
+        IdentificationWarning: the inputs do not excite enough for the order, or the regressors are nearly dependent.
+
+    References:
+        Juang, Phan, Horta, Longman, Journal of Guidance, Control, and Dynamics 16(2), 1993, 320-329, equations 8 to 16,
+        doi 10.2514/3.21006.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal(400)
+        >>> y = np.convolve(u, [0.0, 1.0])[:400]
+        >>> fit = fit_observer(Record(u, y, 0.01), order=1)
+        >>> fit.input_coefficients.ravel().round(9).tolist(), fit.n_rows
+        ([1.0], 399)
+    """
+    several = as_records(records)
+    if isinstance(order, str) and order != "auto":
+        raise InvalidDataError(f'order must be a whole number or "auto", but is {order!r}.')
+    if isinstance(ridge, str) and ridge != "auto":
+        raise InvalidDataError(f'ridge must be a number of at least 0 or "auto", but is {ridge!r}.')
+    if not isinstance(order, str):
+        check_enough_rows(several, order)
+        order = int(order)
+    scaling = channel_scaling(several)
+    check_channels_move(several, scaling)
+    if isinstance(order, str) or isinstance(ridge, str):
+        choice = choose_observer(
+            several,
+            scaling,
+            orders=ORDERS if isinstance(order, str) else (order,),
+            ridges=RIDGES if ridge is None or isinstance(ridge, str) else (ridge,),
+        )
+        order, ridge = choice.order, choice.ridge
+    gram = lag_gram(several, order, scaling=scaling)
+    check_rows_left(several, order, gram.n_rows)
+    source = RegressionRows(records=several, scaling=scaling)
+    coefficients = solve(gram, 0.0 if ridge is None else ridge, source=source)
+    _warn_where_poor(coefficients, gram, several[0])
+    return observer_fit(coefficients, scaling, several[0].dt)
+
+
+def observer_fit(coefficients: ObserverCoefficients, scaling: ChannelScaling, dt: float) -> ObserverFit:
+    """The observer in the units of the record.
+
+    Args:
+        coefficients: of scaled channels.
+        scaling: by which they were scaled.
+        dt: time step [s].
+    """
+    into, size = scaling.input_scale, scaling.output_scale[:, np.newaxis]
+    feedthrough = coefficients.feedthrough * (size / into)
+    input_coefficients = coefficients.input_coefficients * (size / into)
+    output_coefficients = coefficients.output_coefficients * (size / scaling.output_scale)
+    offset = scaling.output_mean + coefficients.offset * scaling.output_scale
+    offset -= (feedthrough + input_coefficients.sum(axis=0)) @ scaling.input_mean
+    offset -= output_coefficients.sum(axis=0) @ scaling.output_mean
+    covariance = coefficients.residual_covariance * (size * scaling.output_scale)
+    for array in (feedthrough, input_coefficients, output_coefficients, offset, covariance):
+        array.flags.writeable = False
+    n_outputs, n_inputs = feedthrough.shape
+    return ObserverFit(
+        feedthrough=feedthrough,
+        input_coefficients=input_coefficients,
+        output_coefficients=output_coefficients,
+        offset=offset,
+        dt=dt,
+        ridge=coefficients.ridge,
+        input_scale=scaling.input_scale,
+        output_scale=scaling.output_scale,
+        residual_covariance=covariance,
+        n_rows=coefficients.n_rows,
+        n_parameters=1 + n_inputs + coefficients.order * (n_inputs + n_outputs),
+        condition=coefficients.condition,
+        method=coefficients.method,
+        rank=coefficients.rank,
+    )
+
+
+def check_channels_move(records: Sequence[Record], scaling: ChannelScaling) -> None:
+    """Refuse channels that never move.
+
+    Raises:
+        InsufficientDataError: a constant input or output; the message names them.
+    """
+    for kind, names, constant, means in (
+        ("input", records[0].input_names, scaling.constant_inputs, scaling.input_mean),
+        ("output", records[0].output_names, scaling.constant_outputs, scaling.output_mean),
+    ):
+        if constant:
+            listed = ", ".join(f"{names[i]!r} (always {means[i]:.6g})" for i in constant)
+            raise InsufficientDataError(
+                f"every {kind} must move, but {listed} does not; leave it out with record.select({kind}s=...)."
+            )
+
+
+def _warn_where_poor(coefficients: ObserverCoefficients, gram: LagGram, record: Record) -> None:
+    """Say when the data do not determine the observer.
+
+    The regressors' condition number is at least that of the inputs among them (interlacing), so well-conditioned fits,
+    the usual case, need no second look.
+    """
+    deficient = coefficients.rank < coefficients.n_parameters
+    if coefficients.condition < _POOR_INPUT and not deficient:
+        return
+    order = coefficients.order
+    remedy = "add a ridge (1e-3), decimate to the band that is excited, lower the order, or excite more frequencies"
+    if record.n_inputs:
+        inputs = _input_condition(gram, coefficients.ridge)
+        if inputs > _POOR_INPUT:
+            warnings.warn(
+                f"the inputs do not excite enough for observer order {order}: their {order + 1} lags have condition "
+                "number "
+                f"{inputs:.1e} (below {_POOR_INPUT:.0e} is safe), so the Markov parameters are uncertain however "
+                "small the "
+                f"one-step error is; {remedy}.",
+                IdentificationWarning,
+                stacklevel=3,
+            )
+            return
+    residual = float(np.sqrt(coefficients.residual_covariance.diagonal().min()))
+    if residual > _NOISE_FREE and (deficient or coefficients.condition * residual > _DEPENDENT):
+        warnings.warn(
+            f"the regressors of observer order {order} are nearly dependent: condition number "
+            f"{coefficients.condition:.1e}, {coefficients.rank} of {coefficients.n_parameters} directions kept; "
+            f"look for outputs that repeat each other, add a ridge (1e-3) or lower the order.",
+            IdentificationWarning,
+            stacklevel=3,
+        )
+
+
+def _input_condition(gram: LagGram, ridge: float) -> float:
+    """Condition number of the inputs' own regressors, means removed, ridge included."""
+    n_channels, width = gram.n_inputs + gram.n_outputs, gram.order + 1
+    places = (1 + n_channels * np.arange(width)[:, np.newaxis] + np.arange(gram.n_inputs)).ravel()
+    mean = gram.matrix[0, places]
+    own = gram.matrix[np.ix_(places, places)] - np.outer(mean, mean / gram.n_rows)
+    own.flat[:: own.shape[0] + 1] += ridge * gram.n_rows * np.repeat(np.arange(1.0, width + 1.0), gram.n_inputs)
+    values = np.linalg.eigvalsh(own)
+    return float(np.sqrt(values[-1] / max(values[0], np.finfo(np.float64).eps * values[-1])))

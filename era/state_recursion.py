@@ -1,0 +1,198 @@
+"""The recursion x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k) over many samples, by matrix products.
+
+Over a block of samples the outputs are one product with the block's inputs and one with the state at its start, and the
+states at the starts of blocks are themselves a recursion that is blocked again. What is left for a Python loop is one
+small product every few hundred samples. No eigenvectors are used, so defective and nearly defective models are as exact
+as any; a state that grows without bound ends in infinite values, without a warning.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
+
+__all__ = ["checked_state", "free_run", "lifted", "simulate_array"]
+
+CHUNK_SAMPLES = 1 << 15
+"""Samples that are worked on at a time, so that intermediate arrays stay in cache and mapped inputs on disk."""
+
+
+def simulate_array(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    inputs: FloatArray,
+    *,
+    initial_state: FloatArray | None = None,
+) -> FloatArray:
+    """Outputs of x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k).
+
+    Args:
+        A: (order, order).
+        B: (order, n_inputs).
+        C: (n_outputs, order).
+        D: (n_outputs, n_inputs).
+        inputs: (n_samples, n_inputs), finite.
+        initial_state: (order,), zero unless given.
+
+    Returns:
+        (n_samples, n_outputs); infinite or NaN where an unstable model leaves the range of numbers.
+
+    Example:
+        >>> one = np.ones((1, 1))
+        >>> simulate_array(0.5 * one, one, one, 0 * one, np.ones((4, 1))).ravel()
+        array([0.  , 1.  , 1.5 , 1.75])
+    """
+    return free_run(A, B, C, D, inputs, state=checked_state(A.shape[0], initial_state))[0]
+
+
+def free_run(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, inputs: FloatArray, *, state: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """As `simulate_array`, returning the outputs and the state after the last sample."""
+    n_samples, n_outputs = inputs.shape[0], C.shape[0]
+    if A.shape[0] == 0:
+        return inputs @ D.T, state
+    outputs = np.empty((n_samples, n_outputs))
+    blocks = _Blocks.of(A, B, C, D, n_samples)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for start in range(0, n_samples, CHUNK_SAMPLES):
+            rows = slice(start, min(start + CHUNK_SAMPLES, n_samples))
+            state = blocks.run(inputs[rows], state, outputs[rows])
+    return outputs, state
+
+
+def lifted(A: FloatArray, C: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
+    """Observability matrix [C; C A; ...] of `length` block rows, by doubling, and A^length; length a power of two."""
+    observability, power = C, A
+    while observability.shape[0] < length * C.shape[0]:
+        observability = np.vstack([observability, observability @ power])
+        power = power @ power
+    return observability, power
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Blocks:
+    """Products over blocks of `length` samples, and over `n_inner` such blocks for the states at their starts."""
+
+    length: int
+    n_inner: int
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    both: FloatArray  # (length q, length m + n): outputs of a block from its inputs and from the state at its start
+    reach: FloatArray  # (n, length m): state after a block from its inputs
+    inner_power: FloatArray  # (n_inner n, n): states at the starts of blocks from the state at the first of them
+    inner_pulses: FloatArray  # (n_inner n, n_inner n): the same from what each block adds to the state
+    outer_power: FloatArray  # (n, n): A^(length n_inner)
+    outer_reach: FloatArray  # (n, n_inner n)
+
+    @classmethod
+    def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, n_samples: int) -> "_Blocks":
+        order, (n_outputs, n_inputs) = A.shape[0], D.shape
+        length, n_inner = _block_lengths(order, n_outputs, n_inputs, n_samples)
+        with np.errstate(over="ignore", invalid="ignore"):
+            observability, power = lifted(A, C, length)
+            pulses, reach = _response_to_inputs(A, B, D, observability, length)
+            inner_power, outer_power = lifted(power, np.eye(order), n_inner)
+            inner_pulses, outer_reach = _response_to_inputs(
+                power, np.eye(order), np.zeros((order, order)), inner_power, n_inner
+            )
+        return cls(
+            length=length,
+            n_inner=n_inner,
+            A=A,
+            B=B,
+            C=C,
+            D=D,
+            both=np.hstack([pulses, observability]),
+            reach=reach,
+            inner_power=inner_power,
+            inner_pulses=inner_pulses,
+            outer_power=outer_power,
+            outer_reach=outer_reach,
+        )
+
+    def run(self, inputs: FloatArray, state: FloatArray, outputs: FloatArray) -> FloatArray:
+        """Fill the outputs of a chunk; the state after it."""
+        n_samples, n_inputs = inputs.shape
+        n_blocks = n_samples // self.length
+        whole = n_blocks * self.length
+        if n_blocks:
+            stacked = np.ascontiguousarray(inputs[:whole]).reshape(n_blocks, self.length * n_inputs)
+            states, state = self._starts(stacked @ self.reach.T, state)
+            np.matmul(np.hstack([stacked, states]), self.both.T, out=outputs[:whole].reshape(n_blocks, -1))
+        for k in range(whole, n_samples):
+            outputs[k] = self.C @ state + self.D @ inputs[k]
+            state = self.A @ state + self.B @ inputs[k]
+        return state
+
+    def _starts(self, added: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """States at the starts of blocks, and after the last, from what each block adds."""
+        n_blocks, order = added.shape
+        n_outer = n_blocks // self.n_inner
+        whole = n_outer * self.n_inner
+        states = np.empty_like(added)
+        if n_outer:
+            stacked = added[:whole].reshape(n_outer, self.n_inner * order)
+            steps = stacked @ self.outer_reach.T
+            outer = np.empty((n_outer, order))
+            for j in range(n_outer):
+                outer[j] = state
+                state = self.outer_power @ state + steps[j]
+            inner = stacked @ self.inner_pulses.T
+            inner += outer @ self.inner_power.T
+            states[:whole] = inner.reshape(whole, order)
+        block_power = self.inner_power[order : 2 * order] if self.n_inner > 1 else self.outer_power
+        for j in range(whole, n_blocks):
+            states[j] = state
+            state = block_power @ state + added[j]
+        return states, state
+
+
+def _block_lengths(order: int, n_outputs: int, n_inputs: int, n_samples: int) -> tuple[int, int]:
+    """Powers of two with the least estimated cost a sample: 25 flops a ns, 1.5 us a step of the loop over blocks."""
+    best, choice = np.inf, (1, 1)
+    for length in (1, 2, 4, 8, 16, 32, 64):
+        for n_inner in (1, 2, 4, 8, 16, 32):
+            if length * n_inner > max(1, n_samples // 4):
+                continue
+            flops = 2.0 * (length * n_outputs * n_inputs + order * (n_outputs + n_inputs))
+            flops += (2 * order * order * (n_inner + 2)) / length if n_inner > 1 else 0.0
+            loop = (1500.0 + order * order / 4) / (length * n_inner)
+            setup = (length * n_outputs + n_inner * order) * (length * n_inputs + n_inner * order) * 1.0
+            cost = flops / 25 + loop + setup / max(1, n_samples)
+            if cost < best:
+                best, choice = cost, (length, n_inner)
+    return choice
+
+
+def _response_to_inputs(
+    A: FloatArray, B: FloatArray, D: FloatArray, observability: FloatArray, length: int
+) -> tuple[FloatArray, FloatArray]:
+    """Block Toeplitz matrix of the pulse response, and the reachability matrix [A^(length-1) B ... A B  B]."""
+    n_outputs, n_inputs = D.shape
+    pulse = np.vstack([D, observability[: (length - 1) * n_outputs] @ B]).reshape(length, n_outputs, n_inputs)
+    pulses = np.zeros((length, n_outputs, length, n_inputs))
+    reach, column = np.empty((A.shape[0], length, n_inputs)), B
+    for j in range(length):
+        pulses[j:, :, j] = pulse[: length - j]
+        reach[:, length - 1 - j] = column
+        column = A @ column
+    return pulses.reshape(length * n_outputs, length * n_inputs), reach.reshape(A.shape[0], length * n_inputs)
+
+
+def checked_state(order: int, initial_state: FloatArray | None) -> FloatArray:
+    """The initial state as an array, zeros for None; an InvalidDataError unless it is `order` finite numbers."""
+    if initial_state is None:
+        return np.zeros(order)
+    state = np.asarray(initial_state, dtype=np.float64)
+    if state.shape != (order,) or not np.isfinite(state).all():
+        raise InvalidDataError(
+            f"the initial state must be {order} finite numbers, one for each state, but has shape {state.shape}."
+        )
+    return state

@@ -1,0 +1,144 @@
+"""Which frequencies the records speak about: the band in which the outputs follow the inputs.
+
+Above it a record holds noise alone; keeping it would spend most of the observer on noise. Oversampled records are
+decimated to that band, inputs and outputs through the same filter.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from okid.arrays import ComplexArray, FloatArray
+from okid.record import Record
+
+__all__ = ["Band", "coherent_band"]
+
+COHERENT = 0.5
+"""Multiple coherence from which on an output counts as following the inputs: more signal than noise."""
+COHERENT_POWER = 0.999
+"""Share of each output's coherent power that the band must hold: a mode left out moves less than 3 % of any output."""
+FEWEST_SAMPLES = 500
+"""A record is not decimated to fewer samples than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Band:
+    """The coherent band and what follows from it.
+
+    Attributes:
+        upper_frequency: highest frequency at which some output follows the inputs [Hz].
+        factor: by which the records can be decimated.
+        frequencies: (n_frequencies,) [Hz].
+        coherence: (n_frequencies, n_outputs) multiple coherence, its bias taken off; outputs' normalised spectra where
+            there is no input.
+        reason: one sentence.
+    """
+
+    upper_frequency: float
+    factor: int
+    frequencies: FloatArray
+    coherence: FloatArray
+    reason: str
+
+
+def coherent_band(records: Sequence[Record]) -> Band:
+    """The band in which at least one output follows the inputs.
+
+    Args:
+        records: of one system, means removed.
+    """
+    dt = records[0].dt
+    nyquist = 0.5 / dt
+    n_segment = _segment_length(records)
+    frequencies = np.asarray(np.fft.rfftfreq(n_segment, dt), dtype=np.float64)
+    spectra, n_averages = _spectra(records, n_segment)
+    n_inputs = records[0].n_inputs
+    if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
+        return Band(
+            upper_frequency=nyquist,
+            factor=1,
+            frequencies=frequencies,
+            coherence=np.ones((frequencies.size, records[0].n_outputs)),
+            reason="the whole band is kept: there is no input to compare the outputs with"
+            if n_inputs == 0
+            else f"the whole band is kept: the record is too short to judge coherence ({n_averages} averages)",
+        )
+    coherence = _multiple_coherence(spectra, n_inputs, n_averages)
+    upper = _upper_frequency(frequencies, spectra, coherence)
+    if upper is None:
+        upper = nyquist
+    shortest = sum(record.n_samples for record in records)
+    factor = max(1, min(int(nyquist / (1.25 * upper)), shortest // FEWEST_SAMPLES))
+    while factor > 1 and any(record.n_samples < 60 * factor for record in records):
+        factor -= 1
+    if factor == 1:
+        reason = (
+            f"the outputs follow the inputs up to {upper:.4g} Hz of {nyquist:.4g} Hz: nothing to gain from decimation"
+        )
+    else:
+        reason = (
+            f"{100 * COHERENT_POWER:g} % of what each output owes to the inputs lies below {upper:.4g} Hz, the "
+            f"record goes to {nyquist:.4g} Hz: decimated by {factor}"
+        )
+    return Band(upper_frequency=upper, factor=factor, frequencies=frequencies, coherence=coherence, reason=reason)
+
+
+def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:
+    """Below it lies `COHERENT_POWER` of every output's coherent power; None when no output follows any input."""
+    best = coherence.max(axis=1)
+    # three neighbouring lines must agree, so that one lucky line far above the band does not decide
+    agreed = np.minimum.reduce([best[:-2], best[1:-1], best[2:]]) > COHERENT
+    if not agreed.any():
+        return None
+    last = int(np.flatnonzero(agreed)[-1]) + 2
+    n_outputs = coherence.shape[1]
+    power = np.einsum("foo->fo", spectra[:, -n_outputs:, -n_outputs:]).real
+    share = np.cumsum(coherence * power, axis=0)
+    share /= np.maximum(share[-1], np.finfo(np.float64).tiny)
+    enough = int((share < COHERENT_POWER).sum(axis=0).max())
+    return float(frequencies[min(last, enough, frequencies.size - 1)])
+
+
+def _segment_length(records: Sequence[Record]) -> int:
+    """About forty half-overlapping segments, at most 1024 samples each."""
+    total = sum(record.n_samples for record in records)
+    shortest = min(record.n_samples for record in records)
+    wanted = int(2 ** np.floor(np.log2(max(32, total / 20))))
+    return int(min(1024, wanted, max(16, shortest)))
+
+
+def _spectra(records: Sequence[Record], n_segment: int) -> tuple[ComplexArray, int]:
+    """(n_frequencies, n_channels, n_channels) cross-spectra of the segments without a gap, and their number."""
+    window = np.hanning(n_segment + 2)[1:-1]
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    total = np.zeros((n_segment // 2 + 1, n_channels, n_channels), dtype=np.complex128)
+    n_averages = 0
+    for record in records:
+        complete = record.complete_rows()
+        for start in range(0, record.n_samples - n_segment + 1, n_segment // 2):
+            rows = slice(start, start + n_segment)
+            if not complete[rows].all():
+                continue
+            segment = np.hstack([record.inputs[rows], record.outputs[rows]])
+            segment = (segment - segment.mean(axis=0)) * window[:, np.newaxis]
+            lines = np.fft.rfft(segment, axis=0)
+            total += lines[:, :, np.newaxis] * lines[:, np.newaxis, :].conj()
+            n_averages += 1
+    return total / max(1, n_averages), n_averages
+
+
+def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int) -> FloatArray:
+    """Share of each output's power that the inputs explain, less what noise alone would seem to explain."""
+    into, out = slice(0, n_inputs), slice(n_inputs, None)
+    input_spectra = spectra[:, into, into]
+    floor = 1e-9 * np.trace(input_spectra, axis1=1, axis2=2).real / n_inputs
+    tiny = np.finfo(np.float64).tiny
+    regular = input_spectra + (floor + tiny)[:, np.newaxis, np.newaxis] * np.eye(n_inputs)
+    gain = np.linalg.solve(regular, spectra[:, into, out])
+    explained = np.einsum("fio,fio->fo", spectra[:, into, out].conj(), gain).real
+    power = np.maximum(np.einsum("foo->fo", spectra[:, out, out]).real, tiny)
+    # half-overlapping Hann segments are worth about 0.95 of their number in averages
+    bias = min(1.0, n_inputs / max(1.0, 0.95 * n_averages))
+    coherence: FloatArray = np.clip((explained / power - bias) / max(1e-9, 1.0 - bias), 0.0, 1.0)
+    return coherence

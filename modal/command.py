@@ -1,0 +1,207 @@
+"""The command `modal-report`: from measured files to modes, a report and a recording.
+
+Exit status: 0 done; 1 done, but the data do not carry the result (cross-validated fit below 0.5, or no mode of the
+system); 2 wrong use or unreadable input, one sentence on stderr, nothing written; 3 a fault of ours; 130 stopped.
+"""
+
+import contextlib
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from modal.job import FileSource, Job, carry_out, read_demo
+from okid.errors import IdentificationError, InvalidDataError
+from okid.record import InputHold
+
+if TYPE_CHECKING:
+    from modal.identification import Identification
+
+__all__ = ["main"]
+
+Auto = Literal["auto"]
+
+app = typer.Typer(
+    add_completion=True,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command and leave with its exit status."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.exit(_status(sys.argv[1:]))
+
+
+def _status(arguments: list[str]) -> int:
+    """Exit status for the arguments; whatever goes wrong is one sentence on stderr."""
+    try:
+        status = app(arguments, prog_name="modal-report", standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        status = 130
+    except Exception as error:
+        explain = getattr(error, "format_message", None)  # wrong use, as typer found it
+        if explain is None:
+            raise
+        text = explain() or "no command was given."
+        _complain(f"{text.rstrip('.')}; see modal-report --help.")
+        status = 2
+    if status == 130:
+        _complain("stopped; nothing was left half-written.")
+    return status if isinstance(status, int) else 0
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        import modal
+        from modal.report.provenance import installed_version
+
+        typer.echo(f"modal-report {installed_version()} (modal from {Path(modal.__file__ or '').parent})")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    *,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print version and the path of modal in use."),
+    ] = False,
+) -> None:
+    """Modes of a machine or structure from measured inputs and outputs, with a verdict on every mode."""
+
+
+@app.command(
+    epilog="Examples:  [bold]modal-report run test.csv --inputs force -o result[/bold]   ·   "
+    "[bold]modal-report run day1.mat day2.mat --inputs f1,f2 --outputs a1,a2,a3 --dt 0.001[/bold]"
+)
+def run(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="CSV, NPZ, MAT, UFF 58 or Parquet; several files are several records."),
+    ],
+    *,
+    inputs: Annotated[
+        list[str] | None, typer.Option(metavar="NAMES", help="Names of the input channels, with commas between.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option(metavar="NAMES", help="Names of the outputs; all others unless given.")
+    ] = None,
+    dt: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time step in seconds, where the file has no time.")
+    ] = None,
+    hold: Annotated[
+        InputHold,
+        typer.Option(
+            help="Input between samples: measured behind an anti-alias filter (band_limited), or held by a converter."
+        ),
+    ] = "band_limited",
+    folder: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the report; modal-report-NAME unless given."),
+    ] = None,
+    observer_order: Annotated[str, typer.Option(metavar="N", help="Past samples the observer uses, or auto.")] = "auto",
+    ridge: Annotated[str, typer.Option(metavar="NUMBER", help="Regularisation of the observer fit, or auto.")] = "auto",
+    order: Annotated[str, typer.Option(metavar="N", help="Model order (number of states), or auto.")] = "auto",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there already.")] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show where a fault of this program arose.")] = False,
+) -> None:
+    """Identify the modes in measured FILES and write a report and a Rerun recording."""
+    with _faults(show=traceback):
+        job = Job(
+            folder=folder or Path(f"modal-report-{_safe(files[0].stem)}"),
+            existing="replace" if overwrite else "refuse",
+            observer_order=_whole(observer_order, "observer order"),
+            ridge=_ridge(ridge),
+            order=_whole(order, "model order"),
+        )
+        source = FileSource(files=files, inputs=_names(inputs), outputs=_names(outputs), dt=dt, hold=hold)
+        result, _ = carry_out(job, source.read, command=source.command(job))
+        raise typer.Exit(_exit_status(result))
+
+
+@app.command(epilog="Example:  [bold]modal-report demo -o demo[/bold]")
+def demo(
+    folder: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the report.")] = Path(
+        "modal-report-demo"
+    ),
+    *,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there already.")] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show where a fault of this program arose.")] = False,
+) -> None:
+    """Identify an embedded example whose true modes are known, and compare what is found with what is true."""
+    with _faults(show=traceback):
+        from modal.examples.demo import compare_with_truth, demo_truth
+        from modal.terminal import show_comparison
+
+        job = Job(folder=folder, existing="replace" if overwrite else "refuse")
+        result, console = carry_out(job, read_demo, command="modal-report demo")
+        show_comparison(console, compare_with_truth(demo_truth(), result.modes))
+        raise typer.Exit(_exit_status(result))
+
+
+def _exit_status(result: "Identification") -> int:
+    from modal.report.words import judge
+
+    return 1 if judge(result).trust == "not carried" else 0
+
+
+@contextlib.contextmanager
+def _faults(*, show: bool) -> Iterator[None]:
+    """Turn an error into one sentence and an exit status."""
+    try:
+        yield
+    except IdentificationError as error:
+        _complain(str(error))
+        raise typer.Exit(2) from error
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:
+        if show:
+            raise
+        kind = type(error).__name__
+        _complain(f"a fault in modal-report stopped the work ({kind}: {error}); add --traceback to see where.")
+        raise typer.Exit(3) from error
+
+
+def _complain(sentence: str) -> None:
+    from modal.names import visible
+
+    typer.echo(f"modal-report: {visible(sentence)}", err=True)
+
+
+def _names(given: list[str] | None) -> list[str] | None:
+    if not given:
+        return None
+    return [name.strip() for text in given for name in text.split(",") if name.strip()]
+
+
+def _whole(text: str, what: str) -> int | Auto:
+    if text == "auto":
+        return "auto"
+    if not re.fullmatch(r"[0-9]{1,6}", text) or int(text) < 1:
+        raise InvalidDataError(f"the {what} must be a whole number of at least 1 or auto, but is {text!r}.")
+    return int(text)
+
+
+def _ridge(text: str) -> float | Auto:
+    if text == "auto":
+        return "auto"
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise InvalidDataError(f"the ridge must be a number of at least 0 or auto, but is {text!r}.")
+    return value
+
+
+def _safe(stem: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", stem)[:80].strip("._") or "result"

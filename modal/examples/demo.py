@@ -1,0 +1,238 @@
+"""The embedded case of `modal-report demo`: a five-storey steel tower with a tuned mass on its roof, and its truth.
+
+Two actuators push with arbitrary (coloured) forces from a converter that holds each value for one sample; five
+accelerometers and one position sensor look on. The tuned mass splits the first bending mode into a close pair. The
+tower is already swinging when the recording starts, every sensor has an offset and 3 % noise, some samples are lost.
+
+The equations of motion are integrated interval by interval by Taylor's series of the motion itself, exact for a held
+force; nothing of the identification (neither `era.simulate` nor a matrix exponential) takes part, so agreement between
+what is found and what is true is evidence.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal.mode import ModalModel, Verdict
+from okid.arrays import ComplexArray, FloatArray, frozen, frozen_complex
+from okid.record import Record
+
+__all__ = ["DemoTruth", "ModeComparison", "compare_with_truth", "demo_record", "demo_truth", "equations_of_motion"]
+
+DT = 0.02
+"""Time step [s]."""
+N_STOREYS = 5
+FLOOR_MASS, STOREY_STIFFNESS, STOREY_HEIGHT = 80.0, 120e3, 0.6
+"""[kg], [N/m], [m]: a laboratory tower of three metres."""
+TOWER_DAMPING_RATIO = 0.01
+"""The same for every mode of the bare tower, as welded steel has it."""
+TUNED_MASS, TUNED_STIFFNESS, TUNED_DAMPING = 1.5, 180.0, 0.5
+"""[kg], [N/m], [N s/m]: 0.4 percent of the tower, tuned to its first mode."""
+ACTUATOR_FLOORS = (1, 4)
+"""Floors that are pushed, counted from 0 at the first floor above the ground."""
+INPUT_NAMES = ("shaker_floor_2", "actuator_roof")
+OUTPUT_NAMES = ("floor_1", "floor_2", "floor_3", "floor_4", "roof", "tuned_mass")
+OUTPUT_UNITS = ("m/s^2",) * N_STOREYS + ("m",)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DemoTruth:
+    """What an identification of the demo record should find.
+
+    Attributes:
+        frequencies: (n_modes,) rising [Hz].
+        damping_ratios: (n_modes,).
+        shapes: (n_outputs, n_modes) in output units, largest component 1.
+        output_names: (n_outputs,) from the ground up, so that shapes can be drawn in this order.
+        heights: (n_outputs,) of the sensors above the ground [m].
+    """
+
+    frequencies: FloatArray
+    damping_ratios: FloatArray
+    shapes: ComplexArray
+    output_names: tuple[str, ...]
+    heights: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("frequencies", "damping_ratios", "heights"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name=name))
+        object.__setattr__(self, "shapes", frozen_complex(self.shapes, name="shapes"))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModeComparison:
+    """One true mode and the mode that was found in its place; nan and "" where none was.
+
+    Attributes:
+        frequency: true [Hz].
+        damping_ratio: true.
+        found_frequency: [Hz].
+        found_damping_ratio: as identified.
+        assurance: |a* b|^2 / (a* a b* b) of the true shape a and the found shape b, 1 when they are equal.
+        verdict: of the found mode.
+    """
+
+    frequency: float
+    damping_ratio: float
+    found_frequency: float
+    found_damping_ratio: float
+    assurance: float
+    verdict: Verdict | None
+
+
+def equations_of_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Mass, damping and stiffness matrix and the force map of the tower with its tuned mass.
+
+    Returns:
+        (6, 6) mass [kg], (6, 6) damping [N s/m], (6, 6) stiffness [N/m], (6, 2) force map; the last coordinate is the
+        tuned mass, all positions are absolute.
+    """
+    stiffness = STOREY_STIFFNESS * (2 * np.eye(N_STOREYS) - np.eye(N_STOREYS, k=1) - np.eye(N_STOREYS, k=-1))
+    stiffness[-1, -1] = STOREY_STIFFNESS
+    squares, vectors = np.linalg.eigh(stiffness / FLOOR_MASS)
+    damping = FLOOR_MASS * (vectors * (2 * TOWER_DAMPING_RATIO * np.sqrt(squares))) @ vectors.T
+    link = np.zeros(N_STOREYS + 1)
+    link[-2:] = -1.0, 1.0
+    mass = np.diag([*[FLOOR_MASS] * N_STOREYS, TUNED_MASS])
+    damping = np.pad(damping, (0, 1)) + TUNED_DAMPING * np.outer(link, link)
+    stiffness = np.pad(stiffness, (0, 1)) + TUNED_STIFFNESS * np.outer(link, link)
+    force_map = np.zeros((N_STOREYS + 1, len(ACTUATOR_FLOORS)))
+    force_map[ACTUATOR_FLOORS, range(len(ACTUATOR_FLOORS))] = 1.0
+    return mass, damping, stiffness, force_map
+
+
+def demo_truth() -> DemoTruth:
+    """True frequencies, damping ratios and shapes, from the eigenvalue problem of the equations of motion.
+
+    Example:
+        >>> demo_truth().frequencies.round(2).tolist()
+        [1.68, 1.82, 5.12, 8.07, 10.37, 11.83]
+    """
+    A, _, C, _ = _first_order_form()
+    poles, vectors = np.linalg.eig(A)
+    order = [i for i in np.argsort(np.abs(poles)) if poles[i].imag > 0]
+    shapes = C @ vectors[:, order]
+    return DemoTruth(
+        frequencies=np.abs(poles[order]) / (2 * np.pi),
+        damping_ratios=-poles[order].real / np.abs(poles[order]),
+        shapes=shapes / shapes[np.abs(shapes).argmax(axis=0), range(len(order))],
+        output_names=OUTPUT_NAMES,
+        heights=STOREY_HEIGHT * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 5.0]),
+    )
+
+
+def demo_record(rng: np.random.Generator, *, n_samples: int = 9000, noise: float = 0.03) -> Record:
+    """Simulate the test of the tower.
+
+    Args:
+        rng: where forces, initial state, noise and lost samples come from.
+        n_samples: length of the record, 50 a second.
+        noise: standard deviation of the white noise of each sensor as a share of what it measures.
+
+    Returns:
+        Two forces [N]; five accelerations [m/s^2] and the position of the tuned mass relative to the roof [m].
+
+    Example:
+        >>> record = demo_record(np.random.default_rng(1), n_samples=500)
+        >>> record.n_samples, record.input_units, record.output_units[-1]
+        (500, ('N', 'N'), 'm')
+    """
+    forces = _coloured_forces(rng, n_samples)
+    swinging = np.concatenate([0.002 * rng.standard_normal(N_STOREYS + 1), 0.02 * rng.standard_normal(N_STOREYS + 1)])
+    outputs = _integrate(forces, swinging)
+    size = outputs.std(axis=0)
+    outputs += size * (noise * rng.standard_normal(outputs.shape) + 0.5 * rng.uniform(-1, 1, outputs.shape[1]))
+    for channel in rng.permutation(outputs.shape[1])[:3]:  # a loose plug: a few samples of three channels are lost
+        start = rng.integers(n_samples // 4, 3 * n_samples // 4)
+        outputs[start : start + 4, channel] = np.nan
+    return Record(
+        forces,
+        outputs,
+        DT,
+        input_names=INPUT_NAMES,
+        output_names=OUTPUT_NAMES,
+        input_units=("N", "N"),
+        output_units=OUTPUT_UNITS,
+        input_hold="zero_order",
+        name="demo: five-storey tower",
+    )
+
+
+def compare_with_truth(truth: DemoTruth, modes: ModalModel) -> tuple[ModeComparison, ...]:
+    """Pair true and found modes one to one, the nearest in frequency first, at most 5 % apart.
+
+    Args:
+        truth: of the demo.
+        modes: as identified; those called noise and those that do not oscillate are left out.
+    """
+    found = [mode for mode in modes if mode.kind == "oscillatory" and mode.verdict != "noise"]
+    distance = {
+        (i, j): abs(mode.frequency / frequency - 1)
+        for i, frequency in enumerate(truth.frequencies)
+        for j, mode in enumerate(found)
+    }
+    pairs: dict[int, int] = {}
+    for i, j in sorted(distance, key=lambda pair: (found[pair[1]].verdict != "system", distance[pair])):
+        if distance[i, j] < 0.05 and i not in pairs and j not in pairs.values():
+            pairs[i] = j
+    rows = []
+    for i, (frequency, damping_ratio) in enumerate(zip(truth.frequencies, truth.damping_ratios, strict=True)):
+        mode = found[pairs[i]] if i in pairs else None
+        rows.append(
+            ModeComparison(
+                frequency=float(frequency),
+                damping_ratio=float(damping_ratio),
+                found_frequency=mode.frequency if mode else np.nan,
+                found_damping_ratio=mode.damping_ratio if mode else np.nan,
+                assurance=_assurance(truth.shapes[:, i], mode.shape) if mode else np.nan,
+                verdict=mode.verdict if mode else None,
+            )
+        )
+    return tuple(rows)
+
+
+def _first_order_form() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """State (positions, velocities): A, B, and the sensors C, D."""
+    mass, damping, stiffness, force_map = equations_of_motion()
+    n = len(mass)
+    inverse = np.linalg.inv(mass)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+    B = np.vstack([np.zeros_like(force_map), inverse @ force_map])
+    C, D = np.zeros((n, 2 * n)), np.zeros((n, B.shape[1]))
+    C[:N_STOREYS], D[:N_STOREYS] = A[n : n + N_STOREYS], B[n : n + N_STOREYS]
+    C[-1, N_STOREYS - 1 : n] = -1.0, 1.0
+    return A, B, C, D
+
+
+def _integrate(forces: FloatArray, state: FloatArray, *, n_parts: int = 4, n_terms: int = 10) -> FloatArray:
+    """Outputs at the start of each interval; within it the force is constant and so x'' = A x', x''' = A x'' ..."""
+    A, B, C, D = _first_order_form()
+    outputs = np.empty((len(forces), len(C)))
+    step = DT / n_parts
+    factors = step / np.arange(1, n_terms + 1)
+    for k, force in enumerate(forces):
+        outputs[k] = C @ state + D @ force
+        drive = B @ force
+        for _ in range(n_parts):
+            term = factors[0] * (A @ state + drive)
+            state = state + term
+            for factor in factors[1:]:
+                term = factor * (A @ term)
+                state = state + term
+    return outputs
+
+
+def _coloured_forces(rng: np.random.Generator, n_samples: int) -> FloatArray:
+    """Two low-passed forces of 40 and 25 N root mean square with different spectra; n_samples values each."""
+    white = rng.standard_normal((n_samples, 2))
+    forces = np.empty_like(white)
+    memory, level = np.array([0.6, 0.4]), np.zeros(2)
+    for k, value in enumerate(white):
+        level = memory * level + value
+        forces[k] = level
+    size: FloatArray = np.array([40.0, 25.0]) * np.sqrt(1 - memory**2)
+    return forces * size
+
+
+def _assurance(first: ComplexArray, second: ComplexArray) -> float:
+    return float(abs(np.vdot(first, second)) ** 2 / (np.vdot(first, first).real * np.vdot(second, second).real))

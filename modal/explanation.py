@@ -1,0 +1,131 @@
+"""The reasons behind the automatic choices, in words with numbers, and the warnings that a user must read.
+
+Each sentence follows from one rule, stated beside it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from era.balanced import HankelDecomposition, order_choice, realise_from
+from modal.identification import Choice, Fit, OrderEvidence
+from modal.mode import ModalModel
+from modal.search import Search, Trial
+from modal.stability import stabilisation
+from okid.excitation import Excitation
+from okid.record import Record
+
+__all__ = ["EXPLAINS", "explain_search", "order_evidence", "warnings_in_words"]
+
+EXPLAINS = 0.5
+"""Cross-validated fit below which the model does not explain the records and no mode is certain."""
+FOLDS_APART = 0.25
+"""Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
+
+
+def order_evidence(decomposition: HankelDecomposition, order: int, found: Search) -> OrderEvidence:
+    """Singular values, gap, held-out fits and stabilisation points around the chosen order."""
+    chosen = found.chosen
+    same = sorted(
+        (t for t in found.trials if (t.observer_order, t.ridge) == (chosen.observer_order, chosen.ridge)),
+        key=lambda t: t.model_order,
+    )
+    largest = min(decomposition.rank, decomposition.max_order)
+    step = 1 if largest <= 16 else 2
+    orders = sorted({*range(step, largest + 1, step), *([order] if order else [])})
+    return OrderEvidence(
+        singular_values=decomposition.singular_values,
+        order=order,
+        gap_order=order_choice(decomposition).order,
+        candidate_orders=np.array([t.model_order for t in same], dtype=np.float64),
+        candidate_fits=np.array([1.0 - t.error for t in same]),
+        stabilisation=stabilisation(realise_from(decomposition, n) for n in orders),
+    )
+
+
+def explain_search(found: Search, order: int) -> tuple[Choice, ...]:
+    """Why this observer order, this ridge and this model order."""
+    chosen, limits = found.chosen, found.limits
+    best = found.trials[0]
+    measure = f"free run on held-out rows: fit {1.0 - chosen.error:.3f}"
+    choices = [
+        Choice(
+            what="observer order",
+            value=str(chosen.observer_order),
+            reason="given as an argument"
+            if len(limits.observer_orders) == 1
+            else f"{measure}; {_runners_up(found.trials, 'observer_order')}",
+        ),
+        Choice(
+            what="ridge",
+            value=f"{chosen.ridge:.3g}",
+            reason="given as an argument"
+            if len(limits.ridges) == 1
+            else f"{measure}; {_runners_up(found.trials, 'ridge')}",
+        ),
+    ]
+    if len(limits.model_orders) == 1:
+        reason = "given as an argument"
+    elif chosen.error == best.error:
+        reason = f"{measure}, the best of {len(found.trials)} models tried"
+    else:
+        reason = (
+            f"{measure}; the smallest that is not worse than the best ({best.model_order} states, fit "
+            f"{1.0 - best.error:.3f}) by more than one standard error over the held-out blocks"
+        )
+    if order < chosen.model_order:
+        reason += f"; reduced from {chosen.model_order}, which all rows together make unstable"
+    choices.append(Choice(what="model order", value=str(order), reason=reason))
+    return tuple(choices)
+
+
+def _runners_up(trials: Sequence[Trial], name: str) -> str:
+    """Best fit for each other value of one setting, in the order of the value."""
+    best: dict[float, float] = {}
+    for trial in trials:
+        value = getattr(trial, name)
+        best[value] = max(best.get(value, -np.inf), 1.0 - trial.error)
+    shown = [f"{value:.3g}: {fit:.3f}" for value, fit in sorted(best.items())]
+    return f"best fits by {name.replace('_', ' ')}: {', '.join(shown)}" if len(shown) > 1 else "no other came close"
+
+
+def warnings_in_words(
+    records: Sequence[Record], *, fit: Fit, modes: ModalModel, excitation: Excitation, found: Search
+) -> tuple[str, ...]:
+    """What the user must read before believing a number; empty when all is well."""
+    words = []
+    driven = records[0].n_inputs > 0
+    if fit.mean < EXPLAINS:
+        share = max(0, int(np.floor(100 * fit.mean)))
+        what = "a free run of the model" if driven else "one-step prediction"
+        words.append(
+            f"The model does not explain the data: {what} explains {share} % of the outputs' motion on held-out rows, "
+            "so no mode is certain."
+        )
+    else:
+        poor = [
+            f"{name} ({value:.2f})"
+            for name, value in zip(records[0].output_names, fit.cross_validated, strict=True)
+            if value < EXPLAINS
+        ]
+        if poor:
+            words.append(f"The model does not explain these outputs (held-out fit): {', '.join(poor)}.")
+    spread = float(fit.folds.max() - fit.folds.min())
+    if spread > FOLDS_APART:
+        words.append(
+            f"Parts of the data fit very differently ({fit.folds.min():.2f} to {fit.folds.max():.2f} over the folds): "
+            "the system is not linear, changes in time, or something that was not measured drives it."
+        )
+    if not driven:
+        words.append(
+            "No input was given: damping and shapes hold if what drives the system is broad-band, and the fit is that "
+            "of one-step prediction."
+        )
+    if not modes.system and fit.mean >= EXPLAINS:
+        words.append("No mode was found again often enough to be called a mode of the system.")
+    largest = max(found.limits.observer_orders)
+    if len(found.limits.observer_orders) > 1 and found.chosen.observer_order == largest:
+        words.append(
+            f"The largest observer order that the data allow ({largest}) was the best: a longer record may carry more."
+        )
+    return (*words, *excitation.messages)

@@ -1,0 +1,118 @@
+"""Free runs and one-step predictions of the final model, and the fits that say how good they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor
+from modal.identification import Fit
+from modal.search import Search
+from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+from okid.scaling import channel_scaling
+
+__all__ = ["ModelRuns", "fit_of", "measure_fit", "model_runs"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModelRuns:
+    """What the final model makes of each record.
+
+    Attributes:
+        records: the records with the level at which the model rests taken off the outputs.
+        simulated: free runs (without inputs: one-step predictions).
+        predicted: one-step predictions; the free runs where the model has no usable gain.
+    """
+
+    records: tuple[Record, ...]
+    simulated: tuple[Record, ...]
+    predicted: tuple[Record, ...]
+
+
+def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns:
+    """Run the model through every record, initial state and level fitted to all of its rows.
+
+    Channels are brought to unit standard deviation first, so that no unit outweighs another in that fit.
+    """
+    scaling = channel_scaling(records)
+    scaled_model = _scaled(realisation, scaling.input_scale, scaling.output_scale)
+    predictor = _predictor(scaled_model)
+    levelled, simulated, predicted = [], [], []
+    for record, whole in zip(records, filled(records), strict=True):
+        unit = replace(whole, inputs=whole.inputs / scaling.input_scale, outputs=whole.outputs / scaling.output_scale)
+        there = record.complete_rows()
+        free, level = _run(scaled_model if record.n_inputs else predictor, unit, there)
+        one_step = free
+        if record.n_inputs and predictor is not None:
+            one_step, _ = _run(predictor, replace(unit, outputs=unit.outputs - level), there)
+            one_step = one_step + level
+        levelled.append(replace(record, outputs=record.outputs - level * scaling.output_scale))
+        simulated.append(replace(record, outputs=(free - level) * scaling.output_scale))
+        predicted.append(replace(record, outputs=(one_step - level) * scaling.output_scale))
+    return ModelRuns(records=tuple(levelled), simulated=tuple(simulated), predicted=tuple(predicted))
+
+
+def fit_of(measured: Sequence[Record], modelled: Sequence[Record]) -> FloatArray:
+    """(n_outputs,) 1 - |y - y_model| / |y - mean(y)| over all rows of all records; nan for an output that never moves.
+
+    Example:
+        >>> record = Record([], [0.0, 1.0, 2.0], 1.0)
+        >>> fit_of([record], [record])
+        array([1.])
+    """
+    error = np.zeros(measured[0].n_outputs)
+    power = np.zeros(measured[0].n_outputs)
+    for truth, model in zip(measured, modelled, strict=True):
+        error += np.nansum(np.square(truth.outputs - model.outputs), axis=0)
+        power += np.nansum(np.square(truth.outputs - np.nanmean(truth.outputs, axis=0)), axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fit: FloatArray = 1.0 - np.sqrt(error / power)
+    return fit
+
+
+def measure_fit(found: Search, runs: ModelRuns) -> Fit:
+    """All fits of the chosen model."""
+    squared, power = found.chosen.squared_errors, found.power
+    return Fit(
+        cross_validated=1.0 - np.sqrt(squared.sum(axis=0) / power.sum(axis=0)),
+        folds=(1.0 - np.sqrt(squared / power)).mean(axis=1),
+        whole=fit_of(runs.records, runs.simulated),
+        one_step=fit_of(runs.records, runs.predicted),
+    )
+
+
+def _scaled(realisation: Realisation, input_scale: FloatArray, output_scale: FloatArray) -> Realisation:
+    K = realisation.K
+    return Realisation(
+        realisation.A,
+        realisation.B * input_scale,
+        realisation.C / output_scale[:, np.newaxis],
+        realisation.D * input_scale / output_scale[:, np.newaxis],
+        realisation.dt,
+        K=None if K is None else K * output_scale,
+    )
+
+
+def _predictor(realisation: Realisation) -> Realisation | None:
+    """The one-step predictor driven by [inputs, outputs], None where it is missing or unstable."""
+    if realisation.K is None:
+        return None
+    predictor = one_step_predictor(realisation)
+    stable = predictor.order == 0 or np.abs(np.linalg.eigvals(predictor.A)).max() < 1.0
+    return predictor if stable else None
+
+
+def _run(model: Realisation | None, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Outputs and level of a run; what the model cannot run is nan."""
+    nothing = np.full(record.outputs.shape, np.nan), np.zeros(record.n_outputs)
+    if model is None:
+        return nothing
+    if model.B.shape[1] != record.n_inputs:
+        record = driven_by_outputs(record)
+    form = modal_form(model)
+    if form is None:
+        return nothing
+    run = free_run(form, record, rows)
+    return run.outputs, run.level

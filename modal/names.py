@@ -1,0 +1,78 @@
+"""Text that came from a file, made harmless for where it is shown.
+
+Channel names, units and file names are written by others. In a terminal a control character moves the cursor, in a
+spreadsheet a leading "=" is a formula, in Markdown a bracket is a link, and a right-to-left override turns the words
+around it. HTML is escaped by the template engine; the rest is done here.
+"""
+
+import re
+import unicodedata
+
+__all__ = ["csv_cell", "escape_markdown", "plot_label", "shorten", "visible"]
+
+_REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
+_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode categories that show nothing themselves but change what is around them (and lone surrogates)."""
+
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+_MARKDOWN_ALWAYS = re.compile(r"([\\`*\[\]|~$#!@])")
+_MARKDOWN_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
+
+
+def visible(text: str) -> str:
+    r"""The text on one line, each control or direction-changing character replaced by U+FFFD.
+
+    Example:
+        >>> visible("floor\t1"), visible("\x1b[2J") == "\N{REPLACEMENT CHARACTER}[2J"
+        ('floor 1', True)
+    """
+    spaced = re.sub(r"[\t\r\n\v\f]+", " ", text)
+    return "".join(_REPLACEMENT if unicodedata.category(letter) in _HIDDEN else letter for letter in spaced)
+
+
+def shorten(text: str, limit: int) -> str:
+    """At most `limit` characters, the middle left out: the end of a channel name often carries the number.
+
+    Example:
+        >>> shorten("acceleration of the third floor", 15)
+        'acceler…d floor'
+    """
+    if len(text) <= limit:
+        return text
+    tail = (limit - 1) // 2
+    return text[: limit - 1 - tail] + "…" + text[len(text) - tail :]
+
+
+def plot_label(text: str, *, limit: int = 28) -> str:
+    r"""A name for a picture: visible, short, and never taken for mathematics.
+
+    Example:
+        >>> print(plot_label("a $x$"))
+        a \$x\$
+    """
+    return shorten(visible(text), limit).replace("$", r"\$")
+
+
+def escape_markdown(text: str) -> str:
+    r"""The text as Markdown that renders as itself: no link, no emphasis, no HTML, no table cell.
+
+    Example:
+        >>> print(escape_markdown("floor_1 <b> [x](y) |"))
+        floor_1 &lt;b&gt; \[x\](y) \|
+    """
+    escaped = _MARKDOWN_ALWAYS.sub(r"\\\1", visible(text))
+    escaped = _MARKDOWN_UNDERSCORE.sub(r"\\_", escaped)
+    escaped = re.sub(r"&", "&amp;", escaped).replace("<", "&lt;").replace(">", "&gt;")
+    return escaped.replace("://", r"\://").replace("www.", r"www\.")
+
+
+def csv_cell(text: str) -> str:
+    """The text as a spreadsheet cell that is never run as a formula (OWASP: a quote before = + - @).
+
+    Example:
+        >>> csv_cell("=1+1")
+        "'=1+1"
+    """
+    if text.startswith(_FORMULA_STARTS) or visible(text).lstrip(" ").startswith(_FORMULA_STARTS):
+        return "'" + visible(text)
+    return visible(text)

@@ -1,0 +1,178 @@
+"""From records to modes in one call, every choice made by the data and explained.
+
+Prepare (means, band) -> search (observer order, ridge, model order by held-out free run) -> fit all rows -> recover ->
+realise -> modes -> judge by repeatability -> say in words what the data do not carry.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from era.balanced import HankelDecomposition, decompose, realise_from
+from era.realisation import Realisation
+from modal.explanation import explain_search, order_evidence, warnings_in_words
+from modal.extraction import extract_modes
+from modal.fits import measure_fit, model_runs
+from modal.identification import Identification
+from modal.preparation import prepare
+from modal.repetition import repeat
+from modal.search import hankel_limits, markov_lags, search
+from modal.verdict import judge
+from okid.errors import InvalidDataError
+from okid.excitation import check_excitation
+from okid.observer import fit_observer
+from okid.record import Record
+from okid.recovery import recover_markov
+from okid.residuals import check_residuals
+from okid.rows import as_records
+
+__all__ = ["identify"]
+
+LARGEST_ORDER = 64
+"""Model orders up to which the order evidence reaches."""
+
+
+def identify(
+    records: Record | Sequence[Record],
+    *,
+    observer_order: int | Literal["auto"] = "auto",
+    ridge: float | Literal["auto"] = "auto",
+    order: int | Literal["auto"] = "auto",
+    decimation: int | Literal["auto"] = "auto",
+    progress: Callable[[str, float], None] | None = None,
+) -> Identification:
+    """Identify the modes of one system from one record or several; nothing needs to be chosen.
+
+    Observer order, ridge and model order are chosen together by the error of a free run on held-out rows; what is
+    given as an argument is kept.
+
+    Args:
+        records: one `Record` or several of one system (same channels, units and time step).
+        observer_order: number of past samples that the observer uses.
+        ridge: regularisation relative to the unit diagonal of the Gram matrix of the scaled channels.
+        order: number of states of the model.
+        decimation: keep every so-manieth sample after an anti-alias filter; "auto" keeps the band in which the outputs
+            follow the inputs.
+        progress: called as `progress(what, share_done)` while it works.
+
+    Returns:
+        Every stage from the prepared records to the judged modes, and why each choice was made.
+
+    Raises:
+        InvalidDataError: records that do not belong together, or an argument outside its range.
+        InsufficientDataError: a constant channel, or records too short to fit any observer.
+
+    References:
+        Juang, Phan, Horta, Longman, J. Guidance, Control, and Dynamics 16(2), 1993, doi 10.2514/3.21006 (OKID).
+        Juang, Pappa, J. Guidance, Control, and Dynamics 8(5), 1985, doi 10.2514/3.20031 (ERA).
+
+    Example:
+        >>> import numpy as np, scipy.signal
+        >>> from okid.record import Record
+        >>> rng = np.random.default_rng(1)
+        >>> force = rng.standard_normal(2000)
+        >>> pole = np.exp((-0.02 + 1j) * 2 * np.pi * 5.0 * 0.02)  # 5 Hz, 2 % damping, 50 samples a second
+        >>> tip = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], force)
+        >>> result = identify(Record(force, tip + 0.01 * rng.standard_normal(2000), 0.02, output_names=["tip"]))
+        >>> [f"{mode.frequency:.2f} Hz, {mode.verdict}" for mode in result.modes.system]
+        ['5.00 Hz, system']
+    """
+    from threadpoolctl import threadpool_limits
+
+    _check_arguments(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
+    settings = _Settings(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
+    # matrices of a few hundred rows: a second thread costs more than it gives, twenty times more on a busy machine
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _identify(as_records(records), settings, progress or (lambda _what, _share: None))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Settings:
+    observer_order: int | Literal["auto"]
+    ridge: float | Literal["auto"]
+    order: int | Literal["auto"]
+    decimation: int | Literal["auto"]
+
+
+def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[str, float], None]) -> Identification:
+    tell("looking at the data", 0.0)
+    prepared, preparation = prepare(records, decimation=settings.decimation)
+    found = search(
+        prepared,
+        observer_order=None if settings.observer_order == "auto" else settings.observer_order,
+        ridge=None if settings.ridge == "auto" else float(settings.ridge),
+        model_order=None if settings.order == "auto" else settings.order,
+        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.65 * share),
+    )
+    tell("fitting all rows", 0.7)
+    chosen = found.chosen
+    observer = fit_observer(prepared, order=chosen.observer_order, ridge=chosen.ridge)
+    markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
+    decomposition = decompose(markov, max_order=min(max(LARGEST_ORDER, chosen.model_order), *hankel_limits(markov)))
+    model = _largest_stable(decomposition, chosen.model_order)
+    runs = model_runs(model, prepared)
+    fit = measure_fit(found, runs)
+    tell("identifying again with other halves, orders and ridges", 0.8)
+    reruns = repeat(
+        prepared,
+        observer_order=observer.order,
+        ridge=observer.ridge,
+        model_order=model.order,
+        decomposition=decomposition,
+    )
+    modes = judge(
+        extract_modes(model),
+        reruns,
+        fit=fit.mean,
+        observer_order=observer.order,
+        ridge=observer.ridge,
+        duration=max(record.duration for record in prepared),
+    )
+    tell("checking excitation and residuals", 0.9)
+    excitation = check_excitation(prepared, order=chosen.observer_order)
+    residuals = check_residuals(observer, prepared)
+    result = Identification(
+        records=runs.records,
+        excitation=excitation,
+        observer=observer,
+        residuals=residuals,
+        markov=markov,
+        realisation=model,
+        modes=modes,
+        order_evidence=order_evidence(decomposition, model.order, found),
+        choices=(*preparation, *explain_search(found, model.order)),
+        fit=fit,
+        simulated=runs.simulated,
+        predicted=runs.predicted,
+        warnings=warnings_in_words(prepared, fit=fit, modes=modes, excitation=excitation, found=found),
+    )
+    tell("done", 1.0)
+    return result
+
+
+def _check_arguments(*, observer_order: object, ridge: object, order: object, decimation: object) -> None:
+    for name, value, least in (
+        ("observer_order", observer_order, 1),
+        ("order", order, 1),
+        ("decimation", decimation, 1),
+    ):
+        if value == "auto":
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise InvalidDataError(f'{name} must be "auto" or a whole number of at least {least}, but is {value!r}.')
+    if ridge != "auto" and not (
+        isinstance(ridge, int | float | np.number) and np.isfinite(float(ridge)) and float(ridge) >= 0.0
+    ):
+        raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+
+
+def _largest_stable(decomposition: HankelDecomposition, order: int) -> Realisation:
+    """The model of this order; where all rows together make it unstable, of the next lower order that is stable."""
+    highest = min(order, decomposition.rank, decomposition.max_order)
+    for n in range(highest, -1, -1):
+        poles = np.linalg.eigvals(decomposition.A[:n, :n])
+        if n == 0 or np.abs(poles).max() < 1.0:
+            return realise_from(decomposition, n)
+    raise AssertionError("order 0 is stable")  # pragma: no cover

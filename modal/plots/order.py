@@ -1,0 +1,137 @@
+"""What the model order was decided on: singular values, fit against order, and which poles stay when it grows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from modal.identification import OrderEvidence
+from modal.mode import ModalModel
+from modal.plots.spectra import power_spectra
+from modal.plots.style import LIGHT, Theme, key, new_figure
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["order_fits", "singular_values", "stabilisation_diagram"]
+
+OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
+"""Overlap with the pole that it continues: (from, below, word)."""
+
+
+def singular_values(evidence: OrderEvidence, *, theme: Theme = LIGHT, limit: int = 120) -> Figure:
+    """Singular values of the scaled block Hankel matrix on a log axis: kept, dropped, and where the widest gap is."""
+    figure, axes = new_figure(1, 1, size=(5.2, 3.3), theme=theme)
+    axis = axes[0][0]
+    values = np.asarray(evidence.singular_values)[:limit]
+    if not values.size or values.max() <= 0:
+        axis.text(0.5, 0.5, "no singular values are known", ha="center", color=theme.muted, transform=axis.transAxes)
+        return figure
+    relative = np.maximum(values / values.max(), 1e-17)
+    index = np.arange(1, values.size + 1)
+    kept = index <= evidence.order
+    axis.semilogy(index[~kept], relative[~kept], "o", ms=3.6, color=theme.noise, label="dropped")
+    axis.semilogy(index[kept], relative[kept], "o", ms=4.6, color=theme.system, label="kept")
+    axis.axvline(evidence.order + 0.5, color=theme.model, lw=1.2, label=f"order {evidence.order} chosen")
+    if evidence.gap_order != evidence.order and evidence.gap_order < values.size:
+        gap = f"widest gap after {evidence.gap_order}"
+        axis.axvline(evidence.gap_order + 0.5, color=theme.muted, lw=1.0, ls=":", label=gap)
+    axis.set_xlabel("number")
+    axis.set_ylabel("singular value / largest")
+    axis.margins(x=0.02)
+    key(axis, theme=theme, where="upper right")
+    return figure
+
+
+def order_fits(evidence: OrderEvidence, *, theme: Theme = LIGHT) -> Figure:
+    """Cross-validated fit against model order; an unstable one has no point, a very bad one stands at the edge."""
+    figure, axes = new_figure(1, 1, size=(5.2, 3.3), theme=theme)
+    axis = axes[0][0]
+    orders, fits = np.asarray(evidence.candidate_orders, dtype=float), np.asarray(evidence.candidate_fits, dtype=float)
+    there = np.isfinite(fits)
+    if not there.any():
+        axis.text(0.5, 0.5, "no fits were compared", ha="center", color=theme.muted, transform=axis.transAxes)
+        return figure
+    floor = min(-0.1, 0.0) if fits[there].max() > 0 else float(fits[there].max()) - 0.5
+    shown = np.maximum(fits[there], floor)
+    axis.plot(orders[there], shown, "-o", ms=3.6, lw=1.1, color=theme.measured, label="on rows not fitted to")
+    axis.axhline(0.5, color=theme.doubtful, lw=1.0, ls="--", label="0.5: below it no mode is certain")
+    axis.axvline(evidence.order, color=theme.model, lw=1.2, label=f"order {evidence.order} chosen")
+    axis.set_ylim(floor - 0.03, max(1.0, float(shown.max()) + 0.03))
+    axis.set_xlabel("model order")
+    axis.set_ylabel("cross-validated fit")
+    key(axis, theme=theme, where="lower right")
+    return figure
+
+
+def stabilisation_diagram(
+    evidence: OrderEvidence,
+    modes: ModalModel,
+    *,
+    measured: Sequence[Record] = (),
+    theme: Theme = LIGHT,
+) -> Figure:
+    """Every pole of every model order over the power of the measured outputs, coloured by how well it stays.
+
+    Args:
+        evidence: holds the poles of all orders.
+        modes: of the chosen order; the system modes are marked above.
+        measured: records whose mean output spectrum is drawn behind.
+        theme: colours.
+    """
+    figure, axes = new_figure(1, 1, size=(10.4, 4.6), theme=theme)
+    axis = axes[0][0]
+    points = [point for point in evidence.stabilisation if np.isfinite(point.frequency)]
+    nyquist = 0.5 / modes.dt
+    highest = max([evidence.order, *(point.order for point in points)])
+    if measured:
+        frequency, power = _mean_spectrum(measured)
+        level = 10.0 * np.log10(np.maximum(power, power.max() * 1e-8))
+        height = (level - level.min()) / max(float(np.ptp(level)), 1e-9)
+        axis.fill_between(frequency, 0, height * highest * 0.96, color=theme.measured, alpha=0.10, lw=0)
+        axis.plot(frequency, height * highest * 0.96, color=theme.measured, lw=0.8, alpha=0.45)
+    colours = (theme.noise, theme.doubtful, theme.measured, theme.system)
+    for (low, high, word), colour in zip(OVERLAP_CLASSES, colours, strict=True):
+        chosen = [point for point in points if low <= point.overlap < high]
+        axis.plot(
+            [point.frequency for point in chosen],
+            [point.order for point in chosen],
+            "o",
+            ms=2.4 if low == 0.0 else 4.2,
+            mew=0,
+            color=colour,
+            label=word,
+        )
+    axis.axhline(evidence.order, color=theme.model, lw=1.0)
+    for mode in modes.system:
+        axis.axvline(mode.frequency, color=theme.system, lw=0.8, alpha=0.55)
+        axis.text(
+            *(mode.frequency, highest * 1.055),
+            f"{mode.frequency:.4g}",
+            color=theme.system,
+            fontsize=8,
+            ha="center",
+            va="bottom",
+            rotation=90 if len(modes.system) > 6 else 0,
+        )
+    axis.set_xlim(0, nyquist)
+    axis.set_ylim(0, highest * 1.05)
+    axis.set_xlabel("frequency [Hz]")
+    axis.set_ylabel("model order")
+    legend = figure.legend(
+        loc="outside lower center",
+        ncols=5,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=theme.muted,
+        title="overlap with the pole of the next lower order",
+        title_fontsize=8.5,
+    )
+    legend.get_title().set_color(theme.muted)
+    return figure
+
+
+def _mean_spectrum(records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
+    frequency, power = power_spectra(records)
+    total = power.sum(axis=0)
+    share = power / np.where(total > 0, total, 1.0)
+    return frequency, share.mean(axis=1)

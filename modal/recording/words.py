@@ -1,0 +1,149 @@
+"""The pages in words and tables, as Markdown: the fit, the modes, the choices."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from modal.identification import Identification
+from modal.mode import Mode
+from modal.recording.names import cell
+from modal.recording.plan import SHOWN_OUTPUTS, Plan
+
+__all__ = ["choices_text", "fit_text", "modes_text"]
+
+LISTED_OUTPUTS = 40
+
+
+def fit_text(identification: Identification, plan: Plan) -> str:
+    """What was found in one line, what must be read first, how well the outputs are repeated, and what is left over."""
+    fit = identification.fit
+    first = identification.records[0]
+    parts = [f"### {_headline(identification)}"]
+    parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
+    parts.append(
+        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: the model sees the inputs alone and is scored "
+        "on rows that it was not fitted to."
+    )
+    listed = range(min(first.n_outputs, LISTED_OUTPUTS))
+    rows = [
+        [
+            cell(first.output_names[i], 40),
+            cell(first.output_units[i], 12) if first.output_units[i] else "–",
+            f"**{_share(fit.cross_validated[i])}**",
+            _share(fit.whole[i]),
+            _share(fit.one_step[i]),
+        ]
+        for i in listed
+    ]
+    parts.append(_table(["output", "unit", "cross-validated", "all rows", "one step"], rows))
+    if first.n_outputs > SHOWN_OUTPUTS:
+        parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
+    parts.append(_observer_line(identification))
+    parts += _bullets(identification.excitation.messages, identification.residuals.messages)
+    if len(identification.records) > 1:
+        parts.append(_records_table(identification, plan))
+    if max(plan.buckets) > 1:
+        parts.append(
+            f"Long series are stored as the smallest and the largest of every {max(plan.buckets)} samples; the results "
+            "come from all samples."
+        )
+    return "\n\n".join(parts)
+
+
+def modes_text(identification: Identification, plan: Plan) -> str:
+    """The table of all modes, noise included, with every indicator, the verdict and its reason."""
+    head = ["", "f [Hz]", "±", "ζ [%]", "±", "verdict", "γ", "EMAC", "MPC", "CMI", "MSV", "MPD [°]", "repeats", "P"]
+    rows = [_mode_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
+    parts = [_table([*head, "kind", "why"], rows) if rows else "The model has no mode."]
+    if identification.modes.indicators_missing:
+        parts.append(f"Indicators are missing: {cell(identification.modes.indicators_missing)}")
+    caution = identification.modes.indicator_caution
+    parts.append(
+        f"γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase collinearity. CMI = EMAC · MPC. "
+        f"MSV: mode singular value over the largest. MPD: mean phase deviation. ±: one standard deviation. n/(pq) = "
+        f"{_number(caution, 2)}" + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
+    )
+    if len(set(identification.records[0].output_units)) > 1 and plan.shapes:
+        parts.append("The outputs have different units: each unit has a line of its own, scaled to its own largest.")
+    return "\n\n".join(parts)
+
+
+def choices_text(identification: Identification) -> str:
+    """Every automatic choice with its reason, and the warnings."""
+    rows = [[cell(c.what), f"**{cell(c.value, 80)}**", cell(c.reason)] for c in identification.choices]
+    parts = ["### Choices", _table(["what", "chosen", "why"], rows) if rows else "No choice was left open."]
+    parts += ["### Warnings", *_bullets(identification.warnings or ("None.",))]
+    return "\n\n".join(parts)
+
+
+def _headline(identification: Identification) -> str:
+    system = identification.modes.system
+    if not system:
+        return "No mode is certain"
+    listed = ", ".join(f"{mode.frequency:.4g}" for mode in system[:6]) + (", …" if len(system) > 6 else "")
+    return f"{len(system)} mode{'s' if len(system) > 1 else ''} of the system: {listed} Hz"
+
+
+def _observer_line(identification: Identification) -> str:
+    observer, residuals = identification.observer, identification.residuals
+    first = identification.records[0]
+    n_samples = sum(record.n_samples for record in identification.records)
+    correlation = f"; correlation with the input: {_number(residuals.input_correlation_ratio, 2)}" * bool(
+        first.n_inputs
+    )
+    return (
+        f"Observer order **{observer.order}**, model order **{identification.realisation.order}**; {first.n_inputs} "
+        f"input{'s' * (first.n_inputs != 1)}, {first.n_outputs} output{'s' * (first.n_outputs != 1)}, {n_samples} "
+        f"samples at {first.sampling_frequency:.6g} Hz, {observer.n_rows} complete rows fitted. Whiteness of the "
+        f"one-step residual: {_number(residuals.whiteness_ratio, 2)} (1 is white, above 2 is not){correlation}."
+    )
+
+
+def _records_table(identification: Identification, plan: Plan) -> str:
+    rows = [
+        [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else "–"]
+        for record, start, stop, shift in zip(identification.records, plan.starts, plan.stops, plan.shifts, strict=True)
+    ]
+    return _table(["record", "shown from", "to", "moved by"], rows)
+
+
+def _mode_row(number: int, mode: Mode) -> list[str]:
+    strong = "**" if mode.verdict == "system" else ""
+    damping = f"{strong}{100 * mode.damping_ratio:#.3g}{strong}" if mode.damping_resolved else "not resolved"
+    indicators = [mode.amplitude_coherence, mode.emac, mode.phase_collinearity, mode.cmi, mode.msv]
+    return [
+        str(number),
+        f"{strong}{mode.frequency:#.5g}{strong}",
+        _figures(mode.frequency_std),
+        damping,
+        _figures(100 * mode.damping_ratio_std) if mode.damping_resolved else "–",
+        f"{strong}{mode.verdict}{strong}",
+        *[_number(value, 2) for value in indicators],
+        _number(mode.mpd, 0),
+        _number(mode.repeatability, 2),
+        _number(mode.probability, 2),
+        mode.kind,
+        cell(mode.reason) if mode.reason else "–",
+    ]
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _bullets(*groups: Sequence[str]) -> list[str]:
+    lines = [f"- {cell(message)}" for group in groups for message in group]
+    return ["\n".join(lines)] if lines else []
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.1f} %" if np.isfinite(value) else "–"
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}" if np.isfinite(value) else "–"
+
+
+def _figures(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else "–"

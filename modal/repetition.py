@@ -1,0 +1,114 @@
+"""The same identification made again with a small change each time, for the verdict: which modes are found again?
+
+Two halves of the rows (interleaved blocks), one other observer order and ridge, and model orders around the chosen one
+from the same decomposition. The Gram matrices of the two halves add up to the whole, so a half costs one factorisation
+and one SVD.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from era.balanced import HankelDecomposition, decompose, realise_from
+from era.realisation import Realisation
+from modal.extraction import extract_modes
+from modal.gain import held_out_gain
+from modal.search import hankel_limits, markov_lags
+from modal.verdict import Rerun, Reruns
+from okid.arrays import BoolArray
+from okid.errors import NumericalError
+from okid.gram import LagGram, lag_gram
+from okid.observer import observer_fit
+from okid.record import Record
+from okid.recovery import recover_markov
+from okid.regression import solve
+from okid.scaling import ChannelScaling, channel_scaling
+
+__all__ = ["repeat"]
+
+N_BLOCKS = 10
+ORDER_SHARES = (0.5, 0.7, 0.85, 1.2)
+OBSERVER_SHARE = 0.7
+RIDGE_FACTOR = 3.0
+SMALLEST_RIDGE = 1e-6
+
+
+def repeat(
+    records: Sequence[Record],
+    *,
+    observer_order: int,
+    ridge: float,
+    model_order: int,
+    decomposition: HankelDecomposition,
+) -> Reruns:
+    """Identify again from halves of the data, with another observer and with other model orders.
+
+    Args:
+        records: as the model was identified from.
+        observer_order: of the model's observer.
+        ridge: of the model's observer.
+        model_order: of the model.
+        decomposition: that the model was cut from; gives the other model orders.
+    """
+    scaling = channel_scaling(records)
+    first_half = tuple(_every_second_block(record.n_samples) for record in records)
+    whole = lag_gram(records, observer_order, scaling=scaling)
+    one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
+    other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
+    other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
+    dt = records[0].dt
+    runs = []
+    second_half = tuple(~rows for rows in first_half)
+    for label, gram, unseen in (("first half", one, second_half), ("second half", whole - one, first_half)):
+        model = _model(gram, ridge, scaling, dt, model_order)
+        if model is not None:
+            modes = extract_modes(model)
+            gain = held_out_gain(model, modes, records, unseen, output_scale=scaling.output_scale)
+            runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
+    model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, model_order)
+    if model is not None:
+        label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
+        runs.append(Rerun(label=label, change="observer", modes=extract_modes(model)))
+    for n in _other_orders(model_order, min(decomposition.rank, decomposition.max_order)):
+        again = extract_modes(realise_from(decomposition, n))
+        runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=again))
+    return Reruns(
+        runs=tuple(runs),
+        n_steps=decomposition.n_block_rows + decomposition.n_block_columns,
+        output_scale=scaling.output_scale,
+        input_scale=scaling.input_scale,
+    )
+
+
+def _every_second_block(n_samples: int) -> BoolArray:
+    edges = np.round(np.linspace(0, n_samples, N_BLOCKS + 1)).astype(int)
+    mask = np.zeros(n_samples, dtype=np.bool_)
+    for first, last in zip(edges[:-1:2], edges[1::2], strict=True):
+        mask[first:last] = True
+    return mask
+
+
+def _fewest(model_order: int, n_outputs: int) -> int:
+    """An observer of order p holds at most p times the number of outputs poles."""
+    return -(-model_order // n_outputs)
+
+
+def _other_orders(model_order: int, largest: int) -> list[int]:
+    """Orders around the chosen one, even where it is even, so that no conjugate pair is cut."""
+    step = 2 if model_order % 2 == 0 else 1
+    orders = {step * round(share * model_order / step) for share in ORDER_SHARES}
+    orders |= {model_order + step}
+    return sorted(n for n in orders if 0 < n <= largest and n != model_order)
+
+
+def _model(gram: LagGram, ridge: float, scaling: ChannelScaling, dt: float, order: int) -> Realisation | None:
+    """The model of this order from these rows; None where there are too few rows or the recovery diverges."""
+    if gram.n_rows < 2:
+        return None
+    try:
+        observer = observer_fit(solve(gram, ridge), scaling, dt)
+        markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
+    except NumericalError:
+        return None
+    found = decompose(markov, max_order=min(order, *hankel_limits(markov)))
+    return realise_from(found, min(order, found.rank, found.max_order))

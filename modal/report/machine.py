@@ -1,0 +1,125 @@
+"""The result for programs: JSON with every number, CSV with one row a mode."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+
+from modal.identification import Identification
+from modal.mode import Mode
+from modal.names import csv_cell
+from modal.report.provenance import Provenance, installed_version
+from modal.report.words import judge
+from okid.record import Record
+
+__all__ = ["SCHEMA", "csv_text", "json_text"]
+
+SCHEMA = "modal-report/1"
+"""Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
+
+_MODE_NUMBERS = tuple(
+    field.name
+    for field in fields(Mode)
+    if field.name not in ("pole", "kind", "shape", "participation", "verdict", "reason")
+)
+
+
+def json_text(result: Identification, provenance: Provenance) -> str:
+    """The whole result but its time histories, as JSON; nan is null, a complex number is [real, imaginary]."""
+    judgement = judge(result)
+    document = {
+        "schema": SCHEMA,
+        "version": installed_version(),
+        "command": provenance.command,
+        "sources": provenance.sources,
+        "remarks": provenance.remarks,
+        "trust": judgement.trust,
+        "words": judgement.reasons,
+        "warnings": result.warnings,
+        "records": [_record(record) for record in result.records],
+        "choices": result.choices,
+        "excitation": result.excitation,
+        "fit": {"mean": result.fit.mean, **_members(result.fit)},
+        "modes": {
+            "indicator_caution": result.modes.indicator_caution,
+            "indicators_missing": result.modes.indicators_missing,
+            "table": result.modes.modes,
+        },
+        "order_evidence": result.order_evidence,
+        "residuals": result.residuals,
+        "observer": {"order": result.observer.order, **_members(result.observer, leave_out=("dt",))},
+        "markov": result.markov,
+        "realisation": _members(result.realisation, leave_out=("factors",)),
+    }
+    return json.dumps(_plain(document), allow_nan=False, indent=1) + "\n"
+
+
+def csv_text(result: Identification) -> str:
+    """One row a mode, every verdict; shapes in columns of their own, an empty cell for what is not known."""
+    outputs, inputs = result.records[0].output_names, result.records[0].input_names
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    header = ["mode", "verdict", "kind", *_MODE_NUMBERS, "pole_real", "pole_imaginary", "reason"]
+    for word, names in (("shape", outputs), ("participation", inputs)):
+        header += [csv_cell(f"{word} {name} {part}") for name in names for part in ("real", "imaginary")]
+    writer.writerow(header)
+    for number, mode in enumerate(result.modes, start=1):
+        row: list[object] = [number, mode.verdict, mode.kind]
+        row += [_cell(getattr(mode, name)) for name in _MODE_NUMBERS]
+        row += [_cell(mode.pole.real), _cell(mode.pole.imag), csv_cell(mode.reason)]
+        for component in (*mode.shape, *mode.participation):
+            row += [_cell(component.real), _cell(component.imag)]
+        writer.writerow(row)
+    return file.getvalue()
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    number = float(value)  # type: ignore[arg-type]  # every other number of a mode is a float
+    return repr(number) if math.isfinite(number) else ""
+
+
+def _record(record: Record) -> dict[str, object]:
+    return {
+        "name": record.name,
+        "n_samples": record.n_samples,
+        "dt": record.dt,
+        "start_time": record.start_time,
+        "input_hold": record.input_hold,
+        "inputs": [{"name": n, "unit": u} for n, u in zip(record.input_names, record.input_units, strict=True)],
+        "outputs": [{"name": n, "unit": u} for n, u in zip(record.output_names, record.output_units, strict=True)],
+        "n_missing": int(record.n_samples - record.complete_rows().sum()),
+    }
+
+
+def _members(value: object, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
+    names = [field.name for field in fields(value)] if is_dataclass(value) else []
+    return {name: getattr(value, name) for name in names if name not in leave_out and not name.startswith("_")}
+
+
+def _plain(value: object) -> object:
+    """Any value of a result as what JSON knows."""
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if is_dataclass(value):
+        return _plain(_members(value))
+    return _scalar(value)
+
+
+def _scalar(value: object) -> object:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, complex):
+        return [_scalar(value.real), _scalar(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

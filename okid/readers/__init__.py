@@ -1,0 +1,88 @@
+"""Records from files: CSV and other text tables, NPY, NPZ, MAT, universal files, Parquet, TDMS.
+
+`read_record` reads one file, `read_records` several, `describe_file` says what a file holds and what becomes of its
+units. Nothing in a file is ever executed; sizes that do not fit into memory are refused before they are read.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from okid.errors import InvalidDataError
+from okid.readers.assembly import to_record
+from okid.readers.description import FileDescription, describe_file
+from okid.readers.dispatch import read_table
+from okid.readers.joining import records_of_tables
+from okid.readers.units import UnitConversion
+from okid.record import InputHold, Record
+
+__all__ = ["FileDescription", "UnitConversion", "describe_file", "read_record", "read_records"]
+
+
+def read_record(
+    path: str | Path,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    input_hold: InputHold = "band_limited",
+) -> Record:
+    """The record in a file, in SI units.
+
+    Args:
+        path: the file; its type is told by its extension: .csv .txt .tsv .dat .asc (text tables), .npy, .npz, .mat,
+            .uff .unv .ufb (universal files, data set 58), .parquet .pq, .tdms.
+        inputs: names of the channels that drive the system.
+        outputs: names of the channels that answer. Inputs alone: every other channel is an output. Outputs alone: no
+            inputs. Neither: what the file itself states, else every channel is an output.
+        dt: time step [s]. Needed where the file has no time axis; where it has one (a column called time or t), the
+            step is the mean over the whole span, and a given dt may differ from it by 0.1 % at most.
+        input_hold: what the inputs did between samples. What stands in a file was as a rule measured, through the same
+            anti-alias filter as the outputs: "band_limited". Say "zero_order" if the file holds the command that a
+            converter put out and held. Poles do not depend on it; the inputs' part in a mode and the first Markov
+            parameters do.
+
+    Returns:
+        The record, named after the file. A mapped .npy stays on disk. A unit that is known is converted to SI; others
+        are kept as they are, see `describe_file`.
+
+    Raises:
+        UnreadableFileError: no such file, an unknown type, damage, or text where a number is expected.
+        InvalidDataError: no such channel, no time step, a time column off the uniform grid by more than 0.1 dt, or
+            numbers that cannot be a record.
+    """
+    return to_record(read_table(path), inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+
+
+def read_records(
+    paths: Sequence[str | Path] | str | Path,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    input_hold: InputHold = "band_limited",
+) -> tuple[Record, ...]:
+    """The records in one or several files.
+
+    Files that hold the same chosen channels are several records of one system, matched by name: their columns may stand
+    in any order. Files whose chosen channels are all different, on the same time grid, are joined to one record.
+
+    Args:
+        paths: the files, or one.
+        inputs: as in `read_record`.
+        outputs: as in `read_record`; with several files, inputs and outputs are those of the first where not named.
+        dt: as in `read_record`.
+        input_hold: as in `read_record`.
+
+    Raises:
+        UnreadableFileError: as in `read_record`.
+        InvalidDataError: as in `read_record`; or files that share some channels and not others, or that do not fit
+            together in time step or units.
+    """
+    listed = [paths] if isinstance(paths, str | Path) else list(paths)
+    if not listed:
+        raise InvalidDataError("no file was given; name at least one.")
+    double = sorted({str(path) for path in listed if listed.count(path) > 1})
+    if double:
+        raise InvalidDataError(f"{', '.join(double)} is given more than once; a record counts once.")
+    tables = [read_table(path) for path in listed]
+    return records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)

@@ -1,0 +1,153 @@
+"""Named arrays (NPZ, MAT) as one table: which array is the time, which the inputs, which a channel.
+
+Rows are samples: an array whose first axis is not as long as the record's is left out, never transposed. Arrays called
+`inputs` and `outputs` say what drives and what answers; their names and units are in `input_names`, `output_names`,
+`input_units`, `output_units`. A number called `dt` (or `Ts`) is the time step, `fs` its inverse, a vector called `time`
+or `t` the time axis. Every other vector is a channel called like the array, every other matrix one channel a column.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from okid.arrays import FloatArray
+from okid.errors import UnreadableFileError
+from okid.readers.guard import check_channel_count
+from okid.readers.headers import split_header
+from okid.readers.table import TIME_NAMES, Column, LeftOut, Table
+
+__all__ = ["Content", "table_from_arrays"]
+
+Content = npt.NDArray[np.generic] | Sequence[str]
+"""An array of a file, or the texts of a list of texts."""
+
+STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"])
+RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
+ROLES = ("inputs", "outputs")
+
+
+def table_from_arrays(contents: Mapping[str, Content], *, path: Path, file_format: str) -> Table:
+    """The table that the named arrays of a file make up.
+
+    Args:
+        contents: array or list of texts by name; a name may have parts, "run.tip".
+        path: of the file.
+        file_format: in words.
+
+    Raises:
+        UnreadableFileError: no array that could be a channel.
+    """
+    arrays = {name: value for name, value in contents.items() if isinstance(value, np.ndarray)}
+    texts = {_last(name): list(value) for name, value in contents.items() if not isinstance(value, np.ndarray)}
+    dt = _stated_step(arrays)
+    series, left_out = _series(arrays)
+    n_samples = _n_samples(series)
+    columns: list[Column] = []
+    blocks: list[FloatArray] = []
+    roles: dict[str, tuple[str, ...]] = {}
+    for name, block in series.items():
+        if len(block) != n_samples:
+            hint = " (rows are samples: save its transpose)" if block.shape[1] == n_samples else ""
+            reason = f"its shape is {block.shape}, but the record has {n_samples} samples{hint}"
+            left_out.append(LeftOut(name=name, reason=reason))
+            continue
+        check_channel_count(path, len(columns) + block.shape[1])
+        added = _columns(name, block.shape[1], texts, path)
+        columns += added
+        blocks.append(block)
+        if _last(name) in ROLES:
+            roles[_last(name)] = tuple(column.name for column in added)
+    if not blocks:
+        raise UnreadableFileError(
+            f"{path.name} holds no array of samples (it holds {_listed(contents)}); save each channel as a vector, or "
+            "inputs and outputs as matrices with one row a sample."
+        )
+    return Table(
+        path=path,
+        format=file_format,
+        columns=tuple(columns),
+        values=blocks[0] if len(blocks) == 1 else np.column_stack(blocks),
+        dt=dt,
+        inputs=roles.get("inputs", ()) if "outputs" in roles else None,
+        outputs=roles.get("outputs"),
+        left_out=tuple(left_out),
+    )
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2].lower()
+
+
+def _stated_step(arrays: Mapping[str, npt.NDArray[np.generic]]) -> float | None:
+    for name, value in arrays.items():
+        if value.size == 1 and value.dtype.kind in "iuf":
+            number = float(value.reshape(-1)[0])
+            if _last(name) in STEP_NAMES:
+                return number
+            if _last(name) in RATE_NAMES and number > 0:
+                return 1.0 / number
+    return None
+
+
+def _series(arrays: Mapping[str, npt.NDArray[np.generic]]) -> tuple[dict[str, FloatArray], list[LeftOut]]:
+    """Every array of real numbers as (n_samples, n_channels), and what is none."""
+    series: dict[str, FloatArray] = {}
+    left_out = []
+    for name, value in arrays.items():
+        if value.size == 1:
+            if _last(name) not in STEP_NAMES | RATE_NAMES:
+                left_out.append(LeftOut(name=name, reason="it is a single number"))
+        elif value.dtype.kind == "c":
+            left_out.append(LeftOut(name=name, reason="it is complex; a channel is a time history of real numbers"))
+        elif value.dtype.kind not in "biuf" or value.ndim not in {1, 2} or value.size == 0:
+            reason = f"it is an array of {value.dtype} of shape {value.shape}, not samples of channels"
+            left_out.append(LeftOut(name=name, reason=reason))
+        else:
+            block = value if value.ndim == 2 else value[:, np.newaxis]
+            series[name] = block.astype(np.float64, copy=False)
+    return series, left_out
+
+
+def _n_samples(series: Mapping[str, FloatArray]) -> int:
+    """Length of the time axis, of the outputs or inputs, or of the most channels."""
+    for wanted in (TIME_NAMES, {"outputs"}, {"inputs"}):
+        for name, block in series.items():
+            if _last(name) in wanted:
+                return len(block)
+    lengths = Counter(len(block) for block in series.values())
+    return max(lengths, key=lambda length: (lengths[length], length), default=0)
+
+
+def _columns(name: str, count: int, texts: Mapping[str, list[str]], path: Path) -> list[Column]:
+    key = _last(name)
+    stem = key[:-1] if key in ROLES else key
+    headers = texts.get(f"{stem}_names", [])
+    units = texts.get(f"{stem}_units", [])
+    for what, given in (("names", headers), ("units", units)):
+        if given and len(given) != count:
+            raise UnreadableFileError(
+                f"{stem}_{what} of {path.name} holds {len(given)} texts, but {name} has {count} columns; give one for "
+                "each."
+            )
+    if not headers:
+        base, unit = split_header(name)
+        if key in ROLES:
+            base = name[: len(name) - 1]
+        many = count > 1 or key in ROLES
+        names = [f"{base}_{index}" for index in range(count)] if many else [base]
+        split = [(each, unit) for each in names]
+    else:
+        split = [split_header(header) for header in headers]
+    return [
+        Column(name=label, unit=units[index] if units else unit, header=headers[index] if headers else name)
+        for index, (label, unit) in enumerate(split)
+    ]
+
+
+def _listed(contents: Mapping[str, Content]) -> str:
+    names = list(contents)
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return (", ".join(repr(name) for name in names[:8]) + more) or "nothing"

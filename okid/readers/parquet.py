@@ -1,0 +1,74 @@
+"""Parquet: one column a channel, the unit in the column's metadata or in its name."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from okid.errors import UnreadableFileError
+from okid.readers.guard import check_channel_count, check_memory
+from okid.readers.headers import split_header, unique_names
+from okid.readers.table import Column, LeftOut, Table
+
+__all__ = ["read_parquet"]
+
+UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
+
+
+def read_parquet(path: Path) -> Table:
+    """The columns of numbers of a Parquet file; a column of time stamps becomes seconds after the first.
+
+    Raises:
+        UnreadableFileError: damaged or cut off, or no column of numbers.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            check_channel_count(path, file.metadata.num_columns)
+            check_memory(path, 24.0 * file.metadata.num_rows * file.metadata.num_columns)
+            table = file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        if isinstance(error, UnreadableFileError):
+            raise
+        raise UnreadableFileError(
+            f"{path.name} is damaged, cut off or no Parquet file ({str(error).splitlines()[0]}); save or copy it again."
+        ) from error
+    headers, units, series, left_out = [], [], [], []
+    for field, column in zip(table.schema, table.itercolumns(), strict=True):
+        values, unit = _numbers(column, field)
+        if values is None:
+            left_out.append(LeftOut(name=field.name, reason=f"it holds {field.type}, not numbers"))
+            continue
+        headers.append(field.name)
+        units.append(unit)
+        series.append(values)
+    if not series:
+        raise UnreadableFileError(f"{path.name} holds no column of numbers; a record has one column a channel.")
+    split = [split_header(header) for header in headers]
+    names = unique_names([name for name, _ in split], headers)
+    columns = tuple(
+        Column(name=name, unit=unit or written, header=header)
+        for name, unit, (_, written), header in zip(names, units, split, headers, strict=True)
+    )
+    return Table(path=path, format="Parquet", columns=columns, values=np.column_stack(series), left_out=tuple(left_out))
+
+
+def _numbers(column: Any, field: Any) -> tuple[Any, str]:
+    """The column as float64 with its unit; None if it holds no numbers."""
+    import pyarrow as pa
+
+    metadata = field.metadata or {}
+    unit = next((metadata[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in metadata), "")
+    kind = field.type
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        ticks = column.cast(pa.int64()).to_numpy()
+        if pa.types.is_timestamp(kind) and len(ticks):
+            ticks = ticks - ticks[0]  # as integers: nanoseconds since 1970 have more digits than a float64
+        return ticks.astype(np.float64), kind.unit
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        return column.cast(pa.float64()).to_numpy(), unit
+    if pa.types.is_decimal(kind):
+        return column.cast(pa.float64()).to_numpy(), unit
+    return None, ""

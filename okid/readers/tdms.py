@@ -1,0 +1,62 @@
+"""TDMS of National Instruments: each channel with its unit and waveform step."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from okid.errors import UnreadableFileError
+from okid.readers.guard import check_channel_count, check_memory, require
+from okid.readers.headers import unique_names
+from okid.readers.table import Column, LeftOut, Table
+
+__all__ = ["read_tdms"]
+
+
+def read_tdms(path: Path) -> Table:
+    """The channels of numbers of a TDMS file, of all its groups.
+
+    Raises:
+        UnreadableFileError: damaged, no channel of numbers, or channels of different length or time step.
+    """
+    nptdms = require("nptdms", path)
+    check_memory(path, 3.0 * path.stat().st_size)
+    try:
+        found = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]
+        series = [(channel, np.asarray(channel[:])) for channel in found]
+    except Exception as error:  # damage shows as whatever the decoding stumbles over
+        raise UnreadableFileError(f"{path.name} is damaged or is no TDMS file ({error}); export it again.") from error
+    usable = [(channel, values) for channel, values in series if values.dtype.kind in "iuf" and values.size]
+    if not usable:
+        raise UnreadableFileError(f"{path.name} holds no channel of numbers (it has {len(found)} channels).")
+    check_channel_count(path, len(usable))
+    steps = {(len(values), channel.properties.get("wf_increment")) for channel, values in usable}
+    if len(steps) > 1:
+        listed = ", ".join(f"{length} samples at {step} s" for length, step in sorted(steps, key=str)[:4])
+        raise UnreadableFileError(
+            f"the channels of {path.name} have different time axes ({listed}); one file is one record, so export the "
+            "channels of one rate."
+        )
+    ((_, step),) = steps
+    return Table(
+        path=path,
+        format="TDMS",
+        columns=_columns([channel for channel, _ in usable]),
+        values=np.column_stack([values.astype(np.float64) for _, values in usable]),
+        dt=float(step) if step else None,
+        start_time=float(usable[0][0].properties.get("wf_start_offset", 0.0)),
+        left_out=tuple(
+            LeftOut(name=channel.name, reason=f"it holds {values.size} values of {values.dtype}")
+            for channel, values in series
+            if values.dtype.kind not in "iuf" or not values.size
+        ),
+    )
+
+
+def _columns(channels: list[Any]) -> tuple[Column, ...]:
+    headers = [f"{channel.group_name}/{channel.name}" for channel in channels]
+    names = unique_names([channel.name for channel in channels], headers)
+    return tuple(
+        Column(name=name, unit=str(channel.properties.get("unit_string", "")), header=header)
+        for name, header, channel in zip(names, headers, channels, strict=True)
+    )

@@ -1,0 +1,162 @@
+"""Units as files write them, and what they are in SI.
+
+A unit that is known and measures a dimension is converted to SI. What is no such unit ("counts", "raw", "%") is kept as
+it is written, and the conversion says so. Two spellings need a rule, because they mean two things:
+
+* `g` (and `G`) is standard gravity, 9.80665 m/s^2, unless the channel's name speaks of a mass, force, thrust, weight or
+  load: then it is the gram.
+* `rpm` and `deg` are angles in time: they become rad/s and rad; `Hz` stays Hz.
+"""
+
+import functools
+import re
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["UnitConversion", "convert_unit"]
+
+STANDARD_GRAVITY = 9.80665
+
+SI_UNITS = frozenset(
+    ["s", "m", "m/s", "m/s^2", "N", "N m", "Pa", "kg", "rad", "rad/s", "rad/s^2", "Hz", "V", "A", "K", "W", "J", "N/m"]
+)
+"""Units that need no conversion: a file with no others does not cost the import of the units library."""
+
+SI_NAMES = {
+    "kg*m/s**2": "N",
+    "kg/m/s**2": "Pa",
+    "kg*m**2/s**2": "J",
+    "kg*m**2/s**3": "W",
+    "kg*m**2/A/s**3": "V",
+    "A*s": "C",
+    "kg*m**2/A**2/s**3": "ohm",
+    "kg/s**2": "N/m",
+}
+"""Coherent SI units in base units, and the name an engineer gives them."""
+
+UNKNOWN = "is not a unit that converts to SI; kept as it is"
+_MASS_WORDS = re.compile(r"mass|weight|force|thrust|load|gram", re.IGNORECASE)
+_MAGNET_WORDS = re.compile(r"magnet|flux|field|gauss", re.IGNORECASE)
+_GRAVITY = re.compile(r"(m|milli|µ|u)?(?:g|G|gn|g_0|g0|gee)$")
+_GRAVITY_PREFIX = {"": 1.0, "m": 1e-3, "milli": 1e-3, "µ": 1e-6, "u": 1e-6}
+# Letters, signs of units, small numbers; a number raised to a power is refused, so that no text can ask for 9^9^9^9.
+_UNIT_TEXT = re.compile(r"[A-Za-zµμΩ°%_ ·*/^()\-.0-9²³⁻¹]{1,40}")
+_BIG_NUMBER = re.compile(r"\d{3,}|\d\s*(?:\^|\*\*)")
+_BARE_POWER = re.compile(r"(?<=[sm])(-?\d)(?!\d)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitConversion:
+    """What became of one channel's unit: SI value = factor * value in the file + offset.
+
+    Args:
+        channel: name of the channel.
+        written: unit as the file writes it, "" if it writes none.
+        unit: unit of the record's values.
+        factor: SI units in one unit of the file.
+        offset: added after the factor; only temperatures have one.
+        note: why, where a rule had to decide or the unit was kept.
+    """
+
+    channel: str
+    written: str
+    unit: str
+    factor: float = 1.0
+    offset: float = 0.0
+    note: str = ""
+
+    @property
+    def changed(self) -> bool:
+        """True if the record's numbers are not those of the file."""
+        return self.factor != 1.0 or self.offset != 0.0
+
+    def __str__(self) -> str:
+        if self.changed:
+            shift = f" plus {self.offset:.6g}" if self.offset else ""
+            words = f"{self.written} -> {self.unit}, times {self.factor:.6g}{shift}"
+        elif self.note == UNKNOWN:
+            return f"{self.channel}: {self.written!r} {UNKNOWN}"
+        else:
+            words = self.unit or "no unit in the file"
+        return f"{self.channel}: {words}" + (f" ({self.note})" if self.note else "")
+
+
+def convert_unit(channel: str, written: str) -> UnitConversion:
+    """The conversion of one channel's unit to SI.
+
+    Args:
+        channel: name of the channel; it decides what `g` means.
+        written: unit as written in the file.
+
+    Example:
+        >>> print(convert_unit("tip", "g"))
+        tip: g -> m/s^2, times 9.80665 (g read as standard gravity)
+        >>> print(convert_unit("command", "counts"))
+        command: 'counts' is not a unit that converts to SI; kept as it is
+    """
+    text = written.strip()
+    if text in SI_UNITS or text in {"", "-", "1"}:
+        return UnitConversion(channel=channel, written=written, unit=text if text in SI_UNITS else "")
+    gravity = _GRAVITY.match(text)
+    if text == "G" and _MAGNET_WORDS.search(channel):
+        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
+    if gravity and not _MASS_WORDS.search(channel):
+        factor = STANDARD_GRAVITY * _GRAVITY_PREFIX[gravity[1] or ""]
+        note = f"{text} read as standard gravity"
+        return UnitConversion(channel=channel, written=written, unit="m/s^2", factor=factor, note=note)
+    parsed = _parsed(text.lower() if gravity else text)
+    linear = None if parsed is None else _linear(parsed, text)
+    if linear is None:
+        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
+    factor, offset, unit = linear
+    note = f"{text} read as gram, because the name speaks of a mass or force" if gravity else ""
+    return UnitConversion(channel=channel, written=written, unit=unit, factor=factor, offset=offset, note=note)
+
+
+@functools.cache
+def _registry() -> Any:
+    import pint
+
+    registry: Any = pint.UnitRegistry()
+    registry.define("Nm = newton * meter")
+    registry.define("@alias turn = rev")
+    registry.define("@alias ohm = Ohm")
+    return registry
+
+
+@functools.cache
+def _parsed(text: str) -> Any:
+    """The unit as pint knows it, None if it does not; "m/s2" and "m s-2" are read as powers."""
+    if not _UNIT_TEXT.fullmatch(text) or _BIG_NUMBER.search(text):
+        return None
+    for spelling in (text, _BARE_POWER.sub(r"^\1", text)):
+        try:
+            return _registry().parse_units(spelling)
+        except Exception:  # noqa: BLE001, S112 - pint raises many kinds for text that is no unit; all mean "unknown"
+            continue
+    return None
+
+
+def _linear(parsed: Any, written: str) -> tuple[float, float, str] | None:
+    """Factor, offset and SI unit; None for what measures no dimension (counts, %) or is not linear (dB)."""
+    quantity = _registry().Quantity
+    zero, one, two = (quantity(value, parsed).to_base_units() for value in (0.0, 1.0, 2.0))
+    base = f"{one.units:~C}"
+    if base in {"", "count"} or abs(two.magnitude - 2 * one.magnitude + zero.magnitude) > 1e-9 * abs(two.magnitude):
+        return None
+    offset = float(zero.magnitude)
+    factor = float(one.magnitude) - offset
+    if offset:  # the difference of two temperatures has lost digits: 1.0 must stay 1.0
+        factor = float(f"{factor:.12g}")
+    unit = _si_name(base, str(parsed))
+    if (factor, offset) == (1.0, 0.0) and unit not in SI_UNITS:
+        unit = written  # already coherent, and the engineer's own spelling is the shorter one
+    return factor, offset, unit
+
+
+def _si_name(base: str, parsed: str) -> str:
+    if base == "1/s" and "hertz" in parsed:
+        return "Hz"
+    if SI_NAMES.get(base) == "J" and ("*" in parsed or parsed.endswith("Nm")):
+        return "N m"  # a torque: written as a product of force and length
+    return SI_NAMES.get(base, base.replace("**", "^").replace("*", " "))

@@ -1,0 +1,265 @@
+"""Least squares for the observer equation from its Gram matrix.
+
+    Theta = argmin sum_k |y(k) - Theta' v(k)|^2 + n_rows ridge sum_lag (1 + lag) |Theta_lag|^2,
+    v(k) = [1; u(k); u(k-1); y(k-1); ...; u(k-p); y(k-p)]
+
+The ridge is relative to the unit diagonal of scaled channels and grows with the lag; the constant has none. One
+Cholesky factor of the largest order serves all lower ones: their factors are its leading triangles.
+
+The normal equations square the condition number. `solve` therefore compares what rounding does to the coefficients with
+what the noise does to them, and where rounding is not far below, goes to the rows themselves (orthogonal
+factorisation), or for records too long for that to a truncated eigendecomposition followed by one refinement with
+residuals from the rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from okid.arrays import BoolArray, FloatArray
+from okid.coefficients import Method, ObserverCoefficients, coefficients_from_solution
+from okid.errors import InvalidDataError
+from okid.gram import LagGram
+from okid.record import Record
+from okid.row_factor import factor_rows, residual_products, solve_factor
+from okid.scaling import ChannelScaling
+
+__all__ = ["RegressionRows", "solve", "solve_nested"]
+
+_EPS = float(np.finfo(np.float64).eps)
+_QR_OPERATIONS = 4e11
+"""Largest orthogonal factorisation done unasked: some ten seconds of one core."""
+_NEGLIGIBLE = 1e-3
+"""Rounding may cost this share of a coefficient's standard deviation before a more accurate method is taken."""
+_CLEAN = 1e-6
+"""Relative residual below which a Gram matrix (squares to 1e-16) says nothing certain about the residual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RegressionRows:
+    """Where the rows behind a Gram matrix can be read again.
+
+    Attributes:
+        records: of one system.
+        scaling: as used for the Gram matrix.
+        rows: masks as used for the Gram matrix, None for all rows.
+    """
+
+    records: Sequence[Record]
+    scaling: ChannelScaling
+    rows: Sequence[BoolArray] | None = None
+
+
+def solve_nested(gram: LagGram, orders: Sequence[int], ridge: float) -> tuple[ObserverCoefficients, ...]:
+    """Observers of several orders from one factorisation; all are fitted to the rows of the largest.
+
+    Args:
+        gram: of at least the largest order.
+        orders: each between 1 and `gram.order`.
+        ridge: relative to the unit diagonal, at lag 0; 0 is allowed.
+
+    Returns:
+        One observer an order. Where the Cholesky factorisation fails (ridge 0 on noise-free or dependent channels),
+        each order is solved by a truncated eigendecomposition.
+
+    Raises:
+        InvalidDataError: an order outside the Gram matrix, or a ridge that is not a number of at least 0.
+
+    Example:
+        >>> from okid.gram import lag_gram
+        >>> from okid.scaling import channel_scaling
+        >>> rng = np.random.default_rng(1)
+        >>> record = Record(rng.standard_normal(200), rng.standard_normal(200), 0.1)
+        >>> gram = lag_gram([record], 8, scaling=channel_scaling([record]))
+        >>> [observer.order for observer in solve_nested(gram, [2, 8], 1e-3)]
+        [2, 8]
+    """
+    _check_ridge(ridge)
+    if not orders or min(orders) < 1 or max(orders) > gram.order:
+        raise InvalidDataError(
+            f"observer orders must lie between 1 and the Gram's {gram.order}, but are {list(orders)}."
+        )
+    system = _normal_equations(gram.truncated(max(orders)), ridge)
+    factor = _cholesky(system.matrix.copy(order="F"))
+    if factor is None:
+        return tuple(_solve_eigh(_normal_equations(gram.truncated(order), ridge))[1] for order in orders)
+    half = _triangular(factor, system.right, transposed=False)
+    condition = _diagonal_condition(factor)
+    solutions = []
+    for order in orders:
+        size = 1 + gram.n_inputs + order * (gram.n_inputs + gram.n_outputs)
+        solution = _triangular(factor[:size, :size], half[:size], transposed=True)
+        squares = _residual_squares(system, solution)
+        solutions.append(_observer(system, solution, squares, method="cholesky", condition=condition, rank=size))
+    return tuple(solutions)
+
+
+def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) -> ObserverCoefficients:
+    """The observer of the Gram's order, as accurately as the data deserve.
+
+    Args:
+        gram: Gram matrix of the rows.
+        ridge: relative to the unit diagonal, at lag 0.
+        source: where to read the rows again if the Gram matrix is too ill-conditioned; without it a truncated
+            eigendecomposition is the last resort.
+
+    Raises:
+        InvalidDataError: a ridge that is not a number of at least 0.
+
+    References:
+        Higham, Accuracy and Stability of Numerical Algorithms, 2nd edition, SIAM 2002, section 20.4 (normal equations)
+        and section 15.1 (condition estimate), doi 10.1137/1.9780898718027.
+    """
+    _check_ridge(ridge)
+    system = _normal_equations(gram, ridge)
+    norm = scipy.linalg.lapack.dlange("1", system.matrix)  # type: ignore[call-arg]  # scipy declares no signature
+    factor = _cholesky(system.matrix.copy(order="F") if source is None else system.matrix)
+    if factor is not None:
+        reciprocal, _ = scipy.linalg.lapack.dpocon(factor, norm, uplo="L")
+        condition = float(np.sqrt(1.0 / max(reciprocal, _EPS**2)))
+        solution = _triangular(factor, _triangular(factor, system.right, transposed=False), transposed=True)
+        squares = _residual_squares(system, solution)
+        if _rounding_is_negligible(system, squares, condition) or (source is None and condition < 0.01 * _EPS**-0.5):
+            return _observer(system, solution, squares, method="cholesky", condition=condition, rank=solution.shape[0])
+    if source is None:
+        return _solve_eigh(system)[1]
+    size = system.right.shape[0] + gram.n_outputs
+    if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:
+        return _solve_rows(system, source)
+    return _solve_refined(_normal_equations(gram, ridge), source)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _NormalEquations:
+    matrix: FloatArray  # (n, n), Fortran order, ridge added
+    right: FloatArray  # (n, n_outputs)
+    outputs: FloatArray  # (n_outputs, n_outputs)
+    penalty: FloatArray  # (n,)
+    gram: LagGram
+    ridge: float
+
+
+def _normal_equations(gram: LagGram, ridge: float) -> _NormalEquations:
+    """Take y(k), which is explained, out of phi(k), which explains."""
+    low, n_channels = 1 + gram.n_inputs, gram.n_inputs + gram.n_outputs
+    high = 1 + n_channels
+    whole = gram.matrix
+    size = whole.shape[0] - gram.n_outputs
+    matrix = np.empty((size, size), order="F")
+    # The transpose is C-ordered, as the Gram is: each slice is copied along memory.
+    view = matrix.T
+    view[:low, :low], view[:low, low:] = whole[:low, :low], whole[:low, high : size + gram.n_outputs]
+    view[low:, :low], view[low:, low:] = whole[high:, :low], whole[high:, high : size + gram.n_outputs]
+    right = np.concatenate([whole[:low, low:high], whole[high:, low:high]])
+    penalty = np.zeros(size)
+    if ridge > 0.0:
+        penalty[1:low] = 1.0
+        penalty[low:] = np.repeat(np.arange(2.0, gram.order + 2.0), n_channels)
+        penalty *= ridge * gram.n_rows
+        view.flat[:: size + 1] += penalty
+    return _NormalEquations(
+        matrix=matrix, right=right, outputs=whole[low:high, low:high], penalty=penalty, gram=gram, ridge=ridge
+    )
+
+
+def _cholesky(matrix: FloatArray) -> FloatArray | None:
+    """Lower factor, in place; None where the matrix is not positive definite to working precision."""
+    factor, info = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
+    if info != 0:
+        return None
+    pivots = factor.diagonal()
+    trusted = pivots.min() ** 2 > _EPS * matrix.shape[0] * pivots.max() ** 2
+    return factor if trusted else None
+
+
+def _triangular(factor: FloatArray, right: FloatArray, *, transposed: bool) -> FloatArray:
+    solution, _ = scipy.linalg.lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))
+    return solution
+
+
+def _diagonal_condition(factor: FloatArray) -> float:
+    pivots = factor.diagonal()
+    return float(pivots.max() / pivots.min())
+
+
+def _residual_squares(system: _NormalEquations, solution: FloatArray) -> FloatArray:
+    """Residual products Y'Y - Theta'(V'Y + penalty Theta), from (V'V + penalty) Theta = V'Y."""
+    size = solution.shape[0]
+    squares = system.outputs - solution.T @ (system.right[:size] + system.penalty[:size, np.newaxis] * solution)
+    return 0.5 * (squares + squares.T)
+
+
+def _rounding_is_negligible(system: _NormalEquations, squares: FloatArray, condition: float) -> bool:
+    """Whether cond^2 eps stays far below a coefficient's standard deviation, residual * cond / sqrt(n_rows)."""
+    energy = system.outputs.diagonal()
+    relative = float(np.sqrt(np.maximum(squares.diagonal(), 0.0) / np.maximum(energy, 1e-300)).min())
+    rounding = condition * _EPS * np.sqrt(system.gram.n_rows)
+    return relative > _CLEAN and rounding <= _NEGLIGIBLE * relative
+
+
+def _solve_eigh(system: _NormalEquations) -> tuple[FloatArray, ObserverCoefficients]:
+    """Truncated eigendecomposition: directions that rounding has made are left out."""
+    values, vectors = scipy.linalg.eigh(system.matrix, lower=True, check_finite=False, driver="evd")
+    kept = values > 4.0 * values.size * _EPS * values[-1]
+    basis = vectors[:, kept] / np.sqrt(values[kept])
+    solution = basis @ (basis.T @ system.right)
+    condition = float(np.sqrt(values[-1] / values[kept][0]))
+    squares = _clipped(_residual_squares(system, solution))
+    return basis, _observer(system, solution, squares, method="eigh", condition=condition, rank=int(kept.sum()))
+
+
+def _solve_refined(system: _NormalEquations, source: RegressionRows) -> ObserverCoefficients:
+    """As `_solve_eigh`, then one step of iterative refinement with residuals taken from the rows."""
+    basis, first = _solve_eigh(system)
+    solution = basis @ (basis.T @ system.right)
+    order, n_inputs = system.gram.order, system.gram.n_inputs
+    products, _ = residual_products(source.records, order, source.scaling, source.rows, solution)
+    solution += basis @ (basis.T @ (products - system.penalty[:, np.newaxis] * solution))
+    _, squares = residual_products(source.records, order, source.scaling, source.rows, solution)
+    return coefficients_from_solution(
+        solution,
+        squares,
+        n_inputs=n_inputs,
+        n_rows=first.n_rows,
+        ridge=system.ridge,
+        method="eigh",
+        condition=first.condition,
+        rank=first.rank,
+    )
+
+
+def _solve_rows(system: _NormalEquations, source: RegressionRows) -> ObserverCoefficients:
+    """Orthogonal factorisation of the rows [V Y], its triangle only."""
+    triangle = factor_rows(source.records, system.gram.order, source.scaling, source.rows, system.penalty)
+    noise = _EPS * (1.0 + source.scaling.offset_ratio) * np.sqrt(system.gram.n_rows)
+    solution, squares, condition, rank = solve_factor(triangle, system.gram.n_outputs, noise)
+    squares -= solution.T @ (system.penalty[:, np.newaxis] * solution)
+    return _observer(system, solution, _clipped(squares), method="qr", condition=condition, rank=rank)
+
+
+def _clipped(squares: FloatArray) -> FloatArray:
+    """The nearest matrix without negative eigenvalues, which rounding gives noise-free data."""
+    values, vectors = np.linalg.eigh(squares)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _observer(
+    system: _NormalEquations, solution: FloatArray, squares: FloatArray, *, method: Method, condition: float, rank: int
+) -> ObserverCoefficients:
+    return coefficients_from_solution(
+        solution,
+        squares,
+        n_inputs=system.gram.n_inputs,
+        n_rows=system.gram.n_rows,
+        ridge=system.ridge,
+        method=method,
+        condition=condition,
+        rank=rank,
+    )
+
+
+def _check_ridge(ridge: float) -> None:
+    if not (np.isfinite(ridge) and ridge >= 0.0):
+        raise InvalidDataError(f"a ridge must be a number of at least 0, but is {ridge!r}; 0.01 is a strong one.")

@@ -1,0 +1,189 @@
+"""Which rows of which records take part in a regression, and what they look like.
+
+A row k counts when its mask says so, when k >= order, and when no channel is missing at k, k-1, ..., k-order. So the
+first `order` samples of every record are dropped, which makes the fit right for any initial state, and a missing sample
+takes only the rows that it touches.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.record import Record
+from okid.scaling import ChannelScaling
+
+__all__ = [
+    "as_records",
+    "check_enough_rows",
+    "check_rows_left",
+    "complete_rows",
+    "regressor_chunks",
+    "runs_of",
+    "scaled_block",
+    "usable_rows",
+]
+
+
+def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
+    """One record or several of one system, checked to have the same channels, units and time step.
+
+    Raises:
+        InvalidDataError: no record, something else than records, or records that do not belong together.
+
+    Example:
+        >>> len(as_records(Record([0.0, 1.0], [0.0, 0.5], 0.1)))
+        1
+    """
+    several = (records,) if isinstance(records, Record) else tuple(records)
+    if not several or not all(isinstance(record, Record) for record in several):
+        kinds = ", ".join(sorted({type(record).__name__ for record in several})) or "nothing"
+        raise InvalidDataError(f"one okid.Record or a sequence of them is needed, but {kinds} was given.")
+    first = several[0]
+    for number, record in enumerate(several[1:], start=1):
+        for kind in ("input_names", "output_names", "input_units", "output_units"):
+            have, want = getattr(record, kind), getattr(first, kind)
+            if have != want:
+                raise InvalidDataError(
+                    f"records of one system must have the same {kind.replace('_', ' ')}, but record {number} has "
+                    f"{list(have)} where record 0 has {list(want)}; select the common channels in the same order."
+                )
+        if abs(record.dt - first.dt) > 1e-9 * first.dt:
+            raise InvalidDataError(
+                f"records of one system must have the same time step, but record {number} has {record.dt:.9g} s where "
+                f"record 0 has {first.dt:.9g} s; resample or decimate one of them."
+            )
+    return several
+
+
+def usable_rows(complete: BoolArray, order: int) -> BoolArray:
+    """True at k where k >= order and rows k - order ... k are all complete.
+
+    Example:
+        >>> usable_rows(np.array([True, True, False, True, True, True]), 1).tolist()
+        [False, True, False, False, True, True]
+    """
+    position = np.arange(complete.size)
+    last_missing = np.maximum.accumulate(np.where(complete, -1, position))
+    usable: BoolArray = position - last_missing > order
+    return usable
+
+
+def complete_rows(block: FloatArray) -> BoolArray:
+    """(n_rows,) True where no channel is NaN."""
+    complete: BoolArray = ~np.asarray(np.isnan(block).any(axis=1))
+    return complete
+
+
+def scaled_block(record: Record, start: int, stop: int, scaling: ChannelScaling, *, out: FloatArray) -> bool:
+    """Write scaled [u, y] of rows start ... stop into `out`; True when no sample in it is missing."""
+    n_inputs = record.n_inputs
+    np.subtract(record.inputs[start:stop], scaling.input_mean, out=out[:, :n_inputs])
+    np.subtract(record.outputs[start:stop], scaling.output_mean, out=out[:, n_inputs:])
+    out *= scaling.reciprocal
+    # A NaN anywhere makes the sum NaN: one pass instead of a mask.
+    return not np.isnan(out.sum())
+
+
+def check_enough_rows(records: Sequence[Record], order: int) -> None:
+    """Refuse an observer order for which there are fewer rows than unknowns.
+
+    Raises:
+        InvalidDataError: an order below 1.
+        InsufficientDataError: too few samples, or too few rows left between the missing ones.
+    """
+    if isinstance(order, bool) or order != int(order) or order < 1:
+        raise InvalidDataError(f"an observer order must be a whole number of at least 1, but is {order!r}.")
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    n_unknowns = n_inputs + order * (n_inputs + n_outputs)
+    lengths = [record.n_samples for record in records]
+    what = f"{n_inputs} input{'s' * (n_inputs != 1)} and {n_outputs} output{'s' * (n_outputs != 1)}"
+    if sum(max(0, length - order) for length in lengths) < n_unknowns:
+        have = (
+            f"the record has {lengths[0]}" if len(records) == 1 else f"the {len(records)} records have {sum(lengths)}"
+        )
+        raise InsufficientDataError(
+            f"observer order {order} needs {n_unknowns + order * len(records)} samples for {what}; {have}. "
+            f"Use {_largest(lengths, n_inputs, n_outputs)} or a longer record."
+        )
+
+
+def check_rows_left(records: Sequence[Record], order: int, n_rows: int) -> None:
+    """Refuse a fit to which missing samples left fewer rows than unknowns, and name an order that works.
+
+    Raises:
+        InsufficientDataError: fewer rows than unknowns.
+    """
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    n_unknowns = n_inputs + order * (n_inputs + n_outputs)
+    if n_rows >= n_unknowns:
+        return
+    n_samples = sum(record.n_samples for record in records)
+    complete = [record.complete_rows() for record in records]
+    n_missing = n_samples - sum(int(rows.sum()) for rows in complete)
+    runs = [stop - start for rows in complete for start, stop in runs_of(rows)]
+    raise InsufficientDataError(
+        f"observer order {order} needs {n_unknowns} rows of {order + 1} samples without a gap, but only {n_rows} are "
+        "left "
+        f"by the {n_missing} of {n_samples} samples that miss a channel. Use {_largest(runs, n_inputs, n_outputs)}, "
+        f"leave out the channel that fails, or fill the gaps."
+    )
+
+
+def _largest(lengths: Sequence[int], n_inputs: int, n_outputs: int) -> str:
+    """Words for the largest order that contiguous runs of these lengths allow."""
+
+    def enough(order: int) -> bool:
+        rows = sum(max(0, length - order) for length in lengths)
+        return rows >= n_inputs + order * (n_inputs + n_outputs)
+
+    low, high = 0, max(lengths, default=0)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if enough(middle) else (low, middle)
+    return f"order <= {low}" if low else "fewer channels"
+
+
+def runs_of(mask: BoolArray) -> list[tuple[int, int]]:
+    """(start, stop) of each contiguous run of True.
+
+    Example:
+        >>> runs_of(np.array([False, True, True, False, True]))
+        [(1, 3), (4, 5)]
+    """
+    change = np.flatnonzero(mask[1:] != mask[:-1]) + 1
+    edges = [0, *change.tolist(), mask.size]
+    first = 0 if mask.size and mask[0] else 1
+    return list(zip(edges[first:-1:2], edges[first + 1 :: 2], strict=True))
+
+
+def regressor_chunks(
+    records: Sequence[Record], order: int, scaling: ChannelScaling, rows: Sequence[BoolArray] | None = None
+) -> Iterator[FloatArray]:
+    """Rows phi(k)' = [1, u(k)', y(k)', ..., u(k-order)', y(k-order)'] of scaled data, a bounded number at a time.
+
+    The plain form of what `lag_gram` sums without building it; for factorisations that need the rows themselves.
+
+    Yields:
+        (n_chunk_rows, 1 + (order + 1) (n_inputs + n_outputs)) arrays.
+    """
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    width = (order + 1) * n_channels
+    step = max(256, width, CHUNK_VALUES // width)
+    for number, record in enumerate(records):
+        for start in range(order, record.n_samples, step):
+            stop = min(start + step, record.n_samples)
+            block = np.empty((stop - start + order, n_channels))
+            counted = np.ones(stop - start, np.bool_)
+            if not scaled_block(record, start - order, stop, scaling, out=block):
+                counted = usable_rows(complete_rows(block), order)[order:]
+            if rows is not None:
+                counted = counted & rows[number][start:stop]
+            if counted.any():
+                # Reversed time puts lag 0 first in every window.
+                windows = np.lib.stride_tricks.sliding_window_view(block[::-1], order + 1, axis=0)[::-1]
+                chunk = np.empty((int(counted.sum()), 1 + width))
+                chunk[:, 0] = 1.0
+                chunk[:, 1:] = windows[counted].transpose(0, 2, 1).reshape(-1, width)
+                yield chunk

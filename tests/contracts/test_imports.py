@@ -1,0 +1,138 @@
+"""One arrow okid <- era <- modal, foreign libraries behind their one package, and imports that cost little."""
+
+import ast
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = (
+    "rerun",
+    "matplotlib",
+    "control",
+    "filterpy",
+    "dask",
+    "pint",
+    "pyarrow",
+    "h5py",
+    "typer",
+    "rich",
+    "jinja2",
+    "pandas",
+)
+BEHIND = {
+    "rerun": ("modal/recording/",),
+    "control": ("era/",),
+    "filterpy": ("era/",),
+    "matplotlib": ("modal/plots/", "modal/examples/struck_mass_plot.py"),
+    "pint": ("okid/",),
+    "pyarrow": ("okid/", "modal/"),
+    "h5py": ("okid/readers/",),
+    "pyuff": ("okid/readers/",),
+    "typer": ("modal/",),
+    "rich": ("modal/",),
+    "jinja2": ("modal/report/",),
+    "nptdms": ("okid/readers/",),
+}
+SDK_FILES = {"cli", "types", "output", "exception", "app", "client", "config", "image", "object", "functions"} | {
+    "schedule",
+    "server",
+    "runner",
+}
+
+
+def imported(tree):
+    """(dotted name, names taken from it) of every import that runs, inside functions too; not those for types only."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, ()) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or "", tuple(alias.name for alias in node.names)
+        yield from imported(node)
+
+
+def python(code, *, cwd):
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=cwd, check=False)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_lower_packages_never_import_higher_ones(sources):
+    above = {"okid": {"era", "modal"}, "era": {"modal"}, "modal": set()}
+    wrong = [
+        (file, name)
+        for file, tree in sources.items()
+        for name, _ in imported(tree)
+        if name.split(".")[0] in above[file.split("/")[0]]
+    ]
+    assert not wrong
+
+
+def test_nothing_of_ours_takes_a_name_from_the_modal_root(sources):
+    """Another distribution may own `modal/__init__.py`; only modules below it are safe."""
+    modules = {file.split("/")[1].removesuffix(".py") for file in sources if file.startswith("modal/")}
+    wrong = [
+        (file, name)
+        for file, tree in sources.items()
+        for root, names in imported(tree)
+        for name in names
+        if root == "modal" and name not in modules
+    ]
+    assert not wrong
+
+
+def test_file_names_avoid_those_of_the_unrelated_sdk(sources):
+    top = {file.split("/")[1].removesuffix(".py") for file in sources if file.startswith("modal/")}
+    assert not top & SDK_FILES
+
+
+@pytest.mark.parametrize("library", sorted(BEHIND))
+def test_a_foreign_library_stays_behind_its_package(library, sources):
+    wrong = [
+        file
+        for file, tree in sources.items()
+        for name, _ in imported(tree)
+        if name.split(".")[0] == library and not file.startswith(BEHIND[library])
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", ["okid", "era", "modal"])
+def test_a_package_imports_alone(package, repository):
+    """In a fresh interpreter, with the packages above it not to be had."""
+    above = {"okid": ["era", "modal"], "era": ["modal"], "modal": []}[package]
+    block = "".join(f"sys.modules[{name!r}] = None; " for name in above)
+    assert python(f"import sys; {block}import {package}; print('done')", cwd=repository) == "done\n"
+
+
+@pytest.mark.parametrize("package", ["okid", "era", "modal"])
+def test_importing_leaves_heavy_libraries_out(package, repository):
+    loaded = json.loads(python(f"import sys, json, {package}; print(json.dumps(list(sys.modules)))", cwd=repository))
+    roots = {name.split(".")[0] for name in loaded}
+    assert not roots & set(HEAVY)
+    assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.optimize", "scipy.stats"))]
+
+
+def test_okid_costs_little_more_than_numpy(repository):
+    """Modules, not seconds: a clock says little on a shared machine. scipy loads its parts when they are used."""
+
+    def loaded(names):
+        modules = json.loads(python(f"import sys, json, {names}; print(json.dumps(list(sys.modules)))", cwd=repository))
+        return {name for name in modules if name.split(".")[0].lstrip("_") not in known}
+
+    known = {name.lstrip("_") for name in sys.stdlib_module_names}
+    more = loaded("okid") - loaded("numpy, scipy")
+    assert {name.split(".")[0] for name in more} <= {"okid", "numpy"}  # numpy.random and its kin load late
+    assert len(loaded("numpy, scipy") - loaded("numpy")) < 60
+
+
+def test_importing_prints_nothing_and_changes_no_setting(repository):
+    code = (
+        "import warnings, numpy as np; before = (list(warnings.filters), np.geterr(), np.get_printoptions());"
+        "import okid, era, modal;"
+        "assert before == (list(warnings.filters), np.geterr(), np.get_printoptions())"
+    )
+    assert python(code, cwd=repository) == ""

@@ -1,0 +1,74 @@
+"""Rules that the text of every library file keeps."""
+
+import ast
+
+EDGE = ("modal/command", "modal/examples/", "modal/__main__")
+
+
+def places(sources, found):
+    return [
+        f"{file}:{node.lineno}"
+        for file, tree in sources.items()
+        if not file.startswith(EDGE)
+        for node in ast.walk(tree)
+        if found(node)
+    ]
+
+
+def called(node):
+    if not isinstance(node, ast.Call):
+        return ""
+    return ast.unparse(node.func)
+
+
+def test_library_code_neither_prints_nor_exits(sources):
+    assert not places(sources, lambda node: called(node) in {"print", "sys.exit", "exit", "quit", "os._exit"})
+
+
+def test_user_input_is_not_checked_by_assert(sources):
+    """`assert x is not None` after x was made tells the type checker, and is allowed."""
+
+    def checks(node):
+        return isinstance(node, ast.Assert) and not ast.unparse(node.test).endswith(" is not None")
+
+    assert not places(sources, checks)
+
+
+def test_no_function_swallows_keywords(sources):
+    def swallows(node):
+        return isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.args.kwarg is not None
+
+    assert not places(sources, swallows)
+
+
+def test_randomness_comes_only_from_a_generator_that_was_passed(sources):
+    """`numpy.random.seed` and its kin share one hidden state; a fresh unseeded generator cannot be repeated."""
+
+    def hidden(node):
+        name = called(node)
+        legacy = name.startswith("np.random.") and name not in {"np.random.default_rng", "np.random.Generator"}
+        return legacy or (name == "np.random.default_rng" and not node.args)
+
+    assert not places(sources, hidden)
+
+
+def test_nothing_is_unpickled_or_evaluated(sources):
+    def risky(node):
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+            return not (isinstance(node.value, ast.Constant) and node.value.value is False)
+        return called(node) in {"eval", "exec", "pickle.load", "pickle.loads"}
+
+    assert not [
+        place
+        for file, tree in sources.items()
+        for node in ast.walk(tree)
+        if risky(node)
+        for place in [f"{file}:{getattr(node, 'lineno', 0)}"]
+    ]
+
+
+def test_files_are_short_and_say_what_they_are(sources, repository):
+    """One idea a file: a docstring, and at most 320 lines (250 is the aim)."""
+    lengths = {file: len((repository / file).read_text(encoding="utf-8").splitlines()) for file in sources}
+    assert not {file: length for file, length in lengths.items() if length > 320}
+    assert not [file for file, tree in sources.items() if not ast.get_docstring(tree)]

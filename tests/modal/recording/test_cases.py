@@ -1,0 +1,140 @@
+"""Recordings of unusual results: hostile names, gaps, several records, no mode, no input, one output, very many."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modal.recording import save_recording
+from modal.recording.plan import planned
+from okid.record import Record
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    "",
+    "x" * 5000,
+    "\u202egnp.exe",
+    "مرحبا بالعالم",
+    "a/b/../c",
+    "__properties",
+    "|`*[x](http://y)\n#",
+]
+
+
+def test_hostile_names_are_harmless_and_nothing_is_lost(build, tmp_path, read):
+    found = build(n_outputs=8, output_names=HOSTILE, input_names=["\x00\x1b[2J", '𝕏 \\ "'])
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    measured = {path for path in stored.entities("Scalars:scalars") if path.endswith("/measured")}
+    assert len(measured) == 8
+    values = {stored.series(path)[1][:5].tobytes() for path in measured}
+    assert values == {found.records[0].outputs[:5, i].tobytes() for i in range(8)}
+    assert all(len(path) < 600 for path in measured)
+    own = [path for path in stored.entities("Scalars:scalars") if "__" in path and "name__" not in path]
+    assert own == []
+    text = stored.static("/fit/text", "TextDocument:text")[0]
+    assert "<script" not in text
+    assert "\u202e" not in text
+    assert not re.search(r"(?<!\\)\]\(http", text)
+    assert len(text) < 5000
+    # as data they stand as they were
+    assert stored.table("/fit/outputs", "output")["name"] == HOSTILE
+
+
+def test_missing_samples_stay_gaps(build, tmp_path, read):
+    found = build(missing=True)
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    values = stored.series("/fit/output/floor_1/measured")[1]
+    np.testing.assert_array_equal(values, found.records[0].outputs[:, 0])
+    assert np.isnan(values[1000:1500]).all()
+    assert np.isnan(stored.series("/fit/output/floor_1/residual/free_run")[1][1000:1500]).all()
+    assert np.isfinite(stored.series("/fit/output/floor_1/simulated")[1]).all()
+
+
+def test_several_records_follow_one_another_with_a_pause(build, tmp_path, read):
+    found = build(n_records=3)
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    times, values = stored.series("/fit/output/floor_2/measured")
+    assert (np.diff(times) > 0).all()
+    gaps = np.flatnonzero(np.isnan(values))
+    assert gaps.tolist() == [3000, 6001]
+    expected = [record.outputs[:, 1] for record in found.records]
+    np.testing.assert_array_equal(values[~np.isnan(values)], np.concatenate(expected))
+    table = stored.table("/fit/records", "record")
+    for start, first in zip(table["shown_from"], (0, 3001, 6002), strict=True):
+        assert times[first] == pytest.approx(start, abs=1e-8)
+
+
+def test_records_cut_from_one_measurement_keep_their_times(build):
+    found = build()
+    whole = found.records[0]
+    parts = (whole.samples(0, 1000), whole.samples(1200, 3000))
+    plan = planned(replace(found, records=parts))
+    assert plan.shifts == (0.0, 0.0)
+    assert plan.starts == pytest.approx((0.0, 12.0))
+    swapped = planned(replace(found, records=parts[::-1]))
+    assert swapped.starts[1] > swapped.stops[0]
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"n_outputs": 1, "n_inputs": 1, "n_modes": 1, "n_noise": 0},
+        {"n_outputs": 1, "n_inputs": 0, "n_modes": 2},
+        {"n_outputs": 2, "n_inputs": 0, "system": False},
+        {"n_outputs": 30, "n_inputs": 9, "n_modes": 12, "n_noise": 20, "n_samples": 300},
+        {"n_samples": 40, "n_noise": 0},
+        {"units": ["m", "rad", "", "m"]},
+    ],
+    ids=str,
+)
+def test_any_number_of_channels_and_modes_is_recorded_whole(build, tmp_path, read, case):
+    found = build(**case)
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    record = found.records[0]
+    measured = [path for path in stored.entities("Scalars:scalars") if path.endswith("/measured")]
+    inputs = [path for path in stored.entities("Scalars:scalars") if path.startswith("/fit/input/")]
+    assert (len(inputs), len(measured)) == (record.n_inputs, record.n_outputs)
+    assert len(stored.table("/modes/table", "mode")["mode"]) == len(found.modes.modes)
+    shapes = {path.split("/")[3] for path in stored.entities("Points3D:positions") if path.startswith("/modes/shape/")}
+    drawn = found.modes.system or [mode for mode in found.modes.modes if mode.verdict == "doubtful"]
+    assert len(shapes) == min(9, len(drawn))
+
+
+def test_without_a_system_mode_the_words_say_so(without_modes, tmp_path, read):
+    stored = read(save_recording(without_modes, tmp_path / "run.rrd"))
+    assert "No mode is certain" in stored.static("/fit/text", "TextDocument:text")[0]
+    assert stored.static("/modes/text", "TextDocument:text")[0].count("| noise |") == 2
+    assert not [path for path in stored.entities("Points3D:positions") if path.startswith("/modes")]
+    nothing = replace(without_modes, modes=replace(without_modes.modes, modes=()))
+    stored = read(save_recording(nothing, tmp_path / "nothing.rrd"))
+    assert "no mode" in stored.static("/modes/text", "TextDocument:text")[0]
+
+
+def test_evidence_may_be_empty_or_all_unstable(identification, tmp_path, read):
+    empty = replace(
+        identification.order_evidence,
+        singular_values=np.empty(0),
+        candidate_orders=np.empty(0),
+        candidate_fits=np.empty(0),
+        stabilisation=(),
+    )
+    save_recording(replace(identification, order_evidence=empty), tmp_path / "empty.rrd")
+    unstable = replace(
+        identification.order_evidence, candidate_orders=np.array([2.0, 4.0]), candidate_fits=np.array([np.nan, np.nan])
+    )
+    stored = read(save_recording(replace(identification, order_evidence=unstable), tmp_path / "unstable.rrd"))
+    assert "/order/fit/plot/unstable" in stored.entities("Points2D:positions")
+
+
+def test_a_constant_model_and_extreme_numbers_are_drawn(identification, tmp_path):
+    tiny = tuple(
+        Record(r.inputs * 1e-200, r.outputs * 1e200, r.dt, output_names=r.output_names, input_names=r.input_names)
+        for r in identification.records
+    )
+    mode = replace(identification.modes.modes[0], shape=np.zeros(4, dtype=complex), frequency=0.0, damping_ratio=1.0)
+    modes = replace(identification.modes, modes=(mode, *identification.modes.modes[1:]))
+    values = np.array([1e-300, 0.0])
+    evidence = replace(identification.order_evidence, singular_values=values, order=1)
+    found = replace(identification, records=tiny, modes=modes, order_evidence=evidence)
+    assert save_recording(found, tmp_path / "run.rrd").stat().st_size > 0

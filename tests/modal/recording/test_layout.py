@@ -1,0 +1,74 @@
+"""The blueprint: every view has an origin that holds something, and a name; panels are out of the way."""
+
+import pytest
+
+from modal.recording import save_recording
+from modal.recording.axis import linear_axis, log_axis
+from modal.recording.blueprint import GLOBAL_AXIS, blueprint
+from modal.recording.plan import planned
+
+
+def views(container):
+    import rerun.blueprint as rrb
+
+    for part in container.contents:
+        if isinstance(part, rrb.api.Container):
+            yield from views(part)
+        else:
+            yield part
+
+
+CASES = [
+    {},
+    {"n_outputs": 1, "n_inputs": 1, "n_modes": 1},
+    {"n_outputs": 12, "n_modes": 10, "n_inputs": 3, "n_samples": 300},
+    {"n_outputs": 40, "n_modes": 3, "n_inputs": 8, "n_samples": 300},
+    {"n_inputs": 0, "system": False},
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_every_view_has_a_name_and_data_below_its_origin(build, tmp_path, read, case):
+    found = build(**case)
+    layout = blueprint(found, planned(found))
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    paths = {str(c.entity_path) for c in stored.store.schema().component_columns()}
+    pages = layout.root_container.contents
+    assert [page.name for page in pages] == ["Observer fit", "Order", "Modes"]
+    every = list(views(layout.root_container))
+    assert len(every) < 90
+    for view in every:
+        assert view.name
+        origin = "/" + view.origin.strip("/")
+        assert any(path == origin or path.startswith(origin + "/") for path in paths), view.origin
+    titles = [view.name for view in views(pages[2]) if view.class_identifier == "3D"]
+    assert len(titles) == len(set(titles)) == min(9, case.get("n_modes", 3))
+
+
+def test_linked_plots_open_on_the_whole_record(build):
+    found = build(n_records=2)
+    plan = planned(found)
+    layout = blueprint(found, plan)
+    holders = [view for view in views(layout.root_container) if view.id == GLOBAL_AXIS]
+    assert len(holders) == 1
+    assert holders[0].name == "Inputs"
+    linked = [v for v in views(layout.root_container) if v.class_identifier == "TimeSeries" and "cursor" not in v.name]
+    assert len(linked) > 5
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 42.0), (-1e-9, 1e-9), (3.0, 3.0), (0.0, 1e12), (-0.31, 0.97)])
+def test_linear_ticks_are_round_few_and_inside(low, high):
+    axis = linear_axis("x", low, high)
+    assert axis.low <= low <= high <= axis.high
+    assert 2 <= len(axis.ticks) <= 12
+    assert all(axis.low - 1e-9 * abs(axis.low) <= tick <= axis.high * (1 + 1e-9) for tick in axis.ticks)
+    assert [float(text) for text in axis.texts] == pytest.approx(axis.ticks)
+
+
+@pytest.mark.parametrize(("low", "high"), [(1e-12, 1.0), (0.4, 0.5), (5.0, 5.0), (1e-300, 1e300)])
+def test_log_ticks_are_decades_inside(low, high):
+    axis = log_axis("x", low, high)
+    assert 0 <= axis.share(low) <= axis.share(high) <= 1
+    assert 2 <= len(axis.ticks) <= 9
+    assert all(axis.low <= tick <= axis.high for tick in axis.ticks)
+    assert [float(text) for text in axis.texts] == pytest.approx([10.0**tick for tick in axis.ticks])

@@ -1,0 +1,140 @@
+"""Each sentence comes from a rule, and here each rule is met on both of its sides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modal.report.words import (
+    caution_sentence,
+    damping_sentence,
+    damping_text,
+    doubtful_sentence,
+    fit_sentence,
+    fit_word,
+    frequency_text,
+    headline,
+    judge,
+    percent,
+    with_interval,
+)
+
+
+def with_fit(result, fit):
+    return replace(result, fit=replace(result.fit, cross_validated=np.array([fit, fit + 0.02, fit + 0.04]) - 0.02))
+
+
+def with_system(result, count):
+    return replace(result, modes=replace(result.modes, modes=result.modes.modes[:count] + result.modes.modes[3:]))
+
+
+@pytest.mark.parametrize(
+    ("count", "beginning"),
+    [(0, "No mode of the system was found."), (1, "One mode of the system was found, at 3.67 Hz."), (3, "Three modes")],
+)
+def test_headline_counts_the_system_modes_alone(identification, count, beginning):
+    assert headline(with_system(identification, count)).startswith(beginning)
+
+
+def test_headline_gives_the_range(identification):
+    assert headline(identification).endswith("between 3.67 and 16.6 Hz.")
+
+
+@pytest.mark.parametrize(
+    ("fit", "word"), [(0.49, "poor"), (0.5, "fair"), (0.79, "fair"), (0.8, "good"), (np.nan, "not known")]
+)
+def test_fit_words(fit, word):
+    assert fit_word(fit) == word
+
+
+def test_a_fit_below_one_half_says_that_no_mode_is_certain(identification):
+    below, above = with_fit(identification, 0.49), with_fit(identification, 0.51)
+    assert "no mode of it is certain" in fit_sentence(below)
+    assert "0.49" in fit_sentence(below)
+    assert "no mode of it is certain" not in fit_sentence(above)
+    assert "explains the outputs in the main" in fit_sentence(above)
+    assert "explains the outputs well" in fit_sentence(with_fit(identification, 0.9))
+
+
+def test_fit_sentence_names_the_worst_output(identification):
+    result = replace(identification, fit=replace(identification.fit, cross_validated=np.array([0.9, 0.6, 0.8])))
+    assert "least for floor_2: 0.60" in fit_sentence(result)
+
+
+def test_an_unknown_fit_is_said_to_be_unknown(identification):
+    result = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, np.nan)))
+    assert "No fit on held-out data is known" in fit_sentence(result)
+    assert judge(result).trust == "with care"
+
+
+def test_without_inputs_nothing_is_said_about_inputs(identification):
+    record = identification.records[0].select(inputs=[])
+    sentence = fit_sentence(replace(identification, records=(record,)))
+    assert "inputs alone" not in sentence
+    assert "one step ahead" in sentence
+
+
+@pytest.mark.parametrize(
+    ("fit", "n_system", "warnings", "trust"),
+    [
+        (0.97, 3, (), "carried"),
+        (0.97, 3, ("Something is off.",), "with care"),
+        (0.6, 3, (), "with care"),
+        (0.49, 3, (), "not carried"),
+        (0.97, 0, (), "not carried"),
+    ],
+)
+def test_trust(identification, fit, n_system, warnings, trust):
+    result = replace(with_system(with_fit(identification, fit), n_system), warnings=warnings)
+    assert judge(result).trust == trust
+
+
+def test_no_system_mode_is_said(identification):
+    assert not any("nothing to quote" in reason for reason in judge(identification).reasons)
+    assert any("nothing to quote" in reason for reason in judge(with_system(identification, 0)).reasons)
+
+
+def test_unresolved_damping_is_said_and_not_quoted(identification):
+    assert damping_sentence(identification) == ""
+    first, *others = identification.modes.modes
+    unresolved = replace(first, damping_resolved=False)
+    result = replace(identification, modes=replace(identification.modes, modes=(unresolved, *others)))
+    assert "3.67 Hz" in damping_sentence(result)
+    assert damping_text(unresolved) == "not resolved"
+    assert damping_text(first) == "1.20 %"
+    assert damping_sentence(result) in judge(result).reasons
+
+
+@pytest.mark.parametrize(("count", "words"), [(0, ""), (1, "One more pole, at 23.4 Hz"), (5, "Five more poles")])
+def test_doubtful_poles_are_counted(identification, count, words):
+    system, doubtful = identification.modes.modes[:3], identification.modes.modes[3]
+    result = replace(identification, modes=replace(identification.modes, modes=(*system, *[doubtful] * count)))
+    assert doubtful_sentence(result).startswith(words)
+    assert bool(doubtful_sentence(result)) == bool(count)
+    assert (" and 2 more" in doubtful_sentence(result)) == (count == 5)
+
+
+def test_caution_about_the_classical_indicators(identification):
+    def with_caution(value):
+        return replace(identification, modes=replace(identification.modes, indicator_caution=value))
+
+    assert caution_sentence(with_caution(0.3)) == ""
+    assert caution_sentence(with_caution(np.nan)) == ""
+    assert "0.31" in caution_sentence(with_caution(0.31))
+    missing = replace(identification.modes, indicators_missing="the model did not come from data.")
+    assert "did not come from data" in caution_sentence(replace(identification, modes=missing))
+
+
+@pytest.mark.parametrize(
+    ("value", "half_width", "text"),
+    [(3.66971, 0.0123, "3.670 ± 0.012"), (123.456, 12.3, "123 ± 12"), (0.5, 0.0, "0.5"), (2.0, np.nan, "2")],
+)
+def test_interval_is_written_to_its_second_digit(value, half_width, text):
+    assert with_interval(value, half_width) == text
+
+
+def test_intervals_are_shown_when_known(identification):
+    mode = replace(identification.modes.modes[0], frequency_std=0.01, damping_ratio_std=0.0005)
+    assert frequency_text(mode) == "3.670 ± 0.020"
+    assert damping_text(mode) == "1.200 ± 0.098 %"
+    assert percent(np.nan) == "–"

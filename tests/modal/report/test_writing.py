@@ -1,0 +1,93 @@
+import pytest
+
+import modal.recording
+from modal.report import Provenance, write_report
+from modal.report.writing import ReportFiles
+from okid.errors import InvalidDataError
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A recording that costs nothing: what is tested here is that all files appear or none."""
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
+    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result: {})
+
+
+def everything(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_all_five_files_are_written(identification, tmp_path, quick):
+    files = write_report(identification, tmp_path / "a" / "b")
+    assert all(path.is_file() for path in files)
+    assert everything(tmp_path / "a" / "b") == ["modes.csv", "recording.rrd", "report.html", "report.json", "report.md"]
+    assert everything(tmp_path / "a")[0] == "b"
+
+
+def test_the_real_recording_is_written(plain_files):
+    assert plain_files.recording.read_bytes()[:4] == b"RRF2"
+
+
+def test_same_result_same_bytes(make_once, plain_files, tmp_path, monkeypatch):
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
+    again = write_report(
+        make_once(warnings=("Look at floor_1.",)),
+        tmp_path / "again",
+        provenance=Provenance(command="modal-report run x", sources=("x",), remarks=("x",)),
+    )
+    for first, second in zip(plain_files, again, strict=True):
+        if first.suffix != ".rrd":  # chunk identities differ from run to run; the recording's own tests compare it
+            assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["report.html", "report.md", "report.json", "modes.csv", "recording.rrd"])
+def test_an_existing_file_is_refused_and_left_alone(identification, tmp_path, quick, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InvalidDataError, match=name):
+        write_report(identification, tmp_path)
+    assert everything(tmp_path) == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_other_files_of_an_existing_folder_stay(identification, tmp_path, quick):
+    (tmp_path / "notes.txt").write_text("mine")
+    write_report(identification, tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert len(everything(tmp_path)) == 6
+
+
+def test_replacing_is_done_when_asked_for(identification, tmp_path, quick):
+    (tmp_path / "report.html").write_text("old")
+    files = write_report(identification, tmp_path, existing="replace")
+    assert files.html.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, OSError(28, "No space left on device")])
+def test_a_fault_leaves_nothing(identification, tmp_path, quick, monkeypatch, fault):
+    def fail(_result, _path):
+        raise fault
+
+    monkeypatch.setattr(modal.recording, "save_recording", fail)
+    expected = InvalidDataError if isinstance(fault, OSError) else fault
+    with pytest.raises(expected):
+        write_report(identification, tmp_path / "new" / "deep")
+    assert everything(tmp_path) == []
+
+
+def test_a_file_in_place_of_the_folder_is_refused(identification, tmp_path, quick):
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(InvalidDataError, match="is a file"):
+        write_report(identification, tmp_path / "taken")
+    with pytest.raises(InvalidDataError, match="cannot be written"):
+        write_report(identification, tmp_path / "taken" / "below")
+
+
+def test_the_new_folder_has_ordinary_permissions(identification, tmp_path, quick):
+    (tmp_path / "ordinary").mkdir()
+    files = write_report(identification, tmp_path / "new")
+    assert files.html.parent.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+
+
+def test_files_are_iterated_in_their_order(tmp_path):
+    names = [path.name for path in ReportFiles.in_folder(tmp_path)]
+    assert names == ["report.html", "report.md", "report.json", "modes.csv", "recording.rrd"]

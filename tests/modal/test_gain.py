@@ -1,0 +1,103 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems import random_system, simulate
+
+from era.realisation import Realisation
+from modal.extraction import extract_modes
+from modal.gain import held_out_gain
+from okid.record import Record
+
+
+@pytest.fixture
+def case():
+    """A system with a real pole, its record from rest, 10 % noise, the last third held out."""
+    rng = np.random.default_rng(0)
+    truth = random_system(rng, n_real_poles=1)
+    u = rng.standard_normal((1500, 2))
+    u -= u.mean(axis=0)
+    y = simulate(truth, u)
+    y += 0.1 * y.std(axis=0) * rng.standard_normal(y.shape)
+    realisation = Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
+    return realisation, extract_modes(realisation), Record(u, y, truth.dt), np.arange(1500) >= 1000
+
+
+def naive(realisation, model, record, rows, scale):
+    """One sample after the other, all modes but one at a time."""
+    errors = []
+    for left_out in [None, *range(len(model))]:
+        y = np.zeros_like(record.outputs)
+        for i, mode in enumerate(model):
+            state, pole = 0j, np.exp(mode.pole * model.dt)
+            for k, u in enumerate(record.inputs):
+                if i != left_out:
+                    y[k] += (mode.shape * state).real * (2 if mode.kind == "oscillatory" else 1)
+                state = pole * state + mode.participation @ u
+        e = ((record.outputs - record.inputs @ realisation.D.T - y) / scale)[rows]
+        errors.append(((e - e.mean(axis=0)) ** 2).sum())
+    return 1 - errors[0] / np.array(errors[1:])
+
+
+def test_it_is_the_loss_when_a_mode_is_left_out(case):
+    realisation, model, record, rows = case
+    scale = np.array([1.0, 3.0, 0.2])
+    gain = held_out_gain(realisation, model, [record], [rows], output_scale=scale)
+    np.testing.assert_allclose(gain, naive(realisation, model, record, rows, scale), atol=1e-10)
+
+
+def test_true_modes_gain_and_a_mode_driven_by_chance_loses(case):
+    realisation, model, record, rows = case
+    line = 0.9999 * np.exp(1.1j)
+    A = np.zeros((9, 9))
+    A[:7, :7], A[7:, 7:] = realisation.A, [[line.real, line.imag], [-line.imag, line.real]]
+    with_line = Realisation(
+        A,
+        np.vstack([realisation.B, [[0.02, 0.01], [-0.01, 0.02]]]),
+        np.hstack([realisation.C, np.ones((3, 2))]),
+        realisation.D,
+        realisation.dt,
+    )
+    k = np.arange(1500)[:, None]
+    hum = Record(record.inputs, record.outputs + np.sin(1.1 * k + 0.4), record.dt)
+    model = extract_modes(with_line)
+    gain = held_out_gain(with_line, model, [hum], [rows], output_scale=np.ones(3))
+    for mode, value in zip(model, gain, strict=True):
+        is_line = mode.frequency == pytest.approx(1.1 / (2 * np.pi * 0.01), rel=1e-3)
+        assert (value < 0) == is_line
+
+
+def test_several_records_add_up(case):
+    realisation, model, record, rows = case
+    twice = held_out_gain(realisation, model, [record, record], [rows, rows], output_scale=np.ones(3))
+    once = held_out_gain(realisation, model, [record], [rows], output_scale=np.ones(3))
+    np.testing.assert_allclose(twice, once)
+
+
+def test_rows_with_a_missing_output_are_left_out(case):
+    realisation, model, record, rows = case
+    outputs = record.outputs.copy()
+    outputs[1200:1210, 1] = np.nan
+    holed = replace(record, outputs=outputs)
+    fewer = rows & ~np.isnan(outputs).any(axis=1)
+    np.testing.assert_allclose(
+        held_out_gain(realisation, model, [holed], [rows], output_scale=np.ones(3)),
+        held_out_gain(realisation, model, [record], [fewer], output_scale=np.ones(3)),
+    )
+
+
+def test_growing_modes_have_no_gain_and_do_no_harm(case):
+    realisation, model, record, rows = case
+    grown = replace(model.modes[0], kind="unstable", pole=complex(300.0, model.modes[0].pole.imag))
+    gain = held_out_gain(
+        realisation, replace(model, modes=(grown, *model.modes[1:])), [record], [rows], output_scale=np.ones(3)
+    )
+    assert np.isnan(gain[0])
+    assert np.isfinite(gain[1:]).all()
+
+
+def test_without_inputs_nothing_is_known(case):
+    realisation, model, record, rows = case
+    free = replace(realisation, B=np.zeros((7, 0)), D=np.zeros((3, 0)))
+    alone = Record([], record.outputs, record.dt)
+    assert np.isnan(held_out_gain(free, model, [alone], [rows], output_scale=np.ones(3))).all()

@@ -1,0 +1,180 @@
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modal import plots
+from modal.identification import OrderEvidence
+from modal.plots.order import OVERLAP_CLASSES
+from modal.plots.spectra import power_spectra
+from modal.plots.style import envelope
+from modal.synthesis import measured_frf
+from okid.record import Record
+
+
+def all_figures(result, theme=plots.LIGHT):
+    record = result.records[0]
+    assurance = np.eye(len(result.modes.system))
+    return {
+        "singular values": plots.singular_values(result.order_evidence, theme=theme),
+        "order fits": plots.order_fits(result.order_evidence, theme=theme),
+        "stabilisation": plots.stabilisation_diagram(
+            result.order_evidence, result.modes, measured=result.records, theme=theme
+        ),
+        "histories": plots.measured_against_simulated(record, result.simulated[0], theme=theme),
+        "spectra": plots.output_spectra(result.records, result.simulated, theme=theme),
+        "responses": plots.frequency_responses(measured_frf(result.records), result.realisation, theme=theme),
+        "markov": plots.markov_parameters(result.markov, result.markov.system, theme=theme),
+        "residuals": plots.residual_autocorrelation(result.residuals, theme=theme),
+        "shapes": plots.mode_shapes(result.modes.system, output_names=record.output_names, theme=theme),
+        "complexity": plots.shape_complexity(result.modes.modes, theme=theme),
+        "assurance": plots.assurance_matrix(assurance, result.modes.frequencies.tolist(), theme=theme),
+    }
+
+
+@pytest.fixture(scope="module")
+def vector_texts(request):
+    result = request.getfixturevalue("shared_result")
+    with plots.house_style():
+        return {
+            name: plots.svg_text(figure, name=name, description=name) for name, figure in all_figures(result).items()
+        }
+
+
+@pytest.fixture(scope="module")
+def shared_result(make_once):
+    return make_once()
+
+
+def test_every_colour_of_a_picture_belongs_to_the_page(vector_texts):
+    for name, text in vector_texts.items():
+        bare = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", text))
+        assert not bare, f"{name} holds colours that no theme exchanges: {bare}"
+        assert "var(--" in text
+
+
+def test_a_picture_asks_for_nothing_from_outside(vector_texts):
+    for text in vector_texts.values():
+        assert "http" not in text
+        assert all(target.startswith("#") for target in re.findall(r'href="([^"]*)"', text))
+        assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", text))
+
+
+def test_every_reference_of_a_picture_is_in_it_and_in_no_other(vector_texts):
+    seen = {}
+    for name, text in vector_texts.items():
+        ids = set(re.findall(r' id="([^"]*)"', text))
+        wanted = set(re.findall(r'href="#([^"]*)"', text)) | set(re.findall(r"url\(#([^)]*)\)", text))
+        assert wanted <= ids
+        for identity in ids:
+            assert seen.setdefault(identity, name) == name
+
+
+def test_same_figure_same_bytes(make_once):
+    def once():
+        with plots.house_style():
+            figure = plots.mode_shapes(make_once().modes.system, output_names=("a", "b", "c"))
+            return plots.svg_text(figure, name="shapes", description="shapes")
+
+    assert once() == once()
+
+
+def test_a_dark_picture_holds_no_light_colour(identification):
+    light = {getattr(plots.LIGHT, role).lower() for role in ("paper", "ink", "muted")}
+    for figure in all_figures(identification, plots.DARK).values():
+        colours = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", plots.svg_text(figure, name="x", description="x")))
+        assert not colours & light
+        assert "#000000" not in colours
+
+
+@pytest.mark.parametrize(
+    "name", ["<script>alert(1)</script>", "a $\\frac{", "x" * 500, "قناة 加速度", "-->", '" onload="x']
+)
+def test_names_are_only_text_in_a_picture(identification, name):
+    figure = plots.mode_shapes(identification.modes.system, output_names=(name, "b", "c"))
+    text = plots.svg_text(figure, name="shapes", description=name)
+    assert set(re.findall(r"<([a-zA-Z]+)", text)) <= {
+        "svg",
+        "g",
+        "path",
+        "defs",
+        "style",
+        "text",
+        "tspan",
+        "use",
+        "clipPath",
+        "rect",
+    }
+    assert not re.search(r"<[^>]*\sonload=", re.sub(r'"[^"]*"', '""', text))
+
+
+def test_envelope_keeps_the_peaks_of_a_long_record():
+    values = np.zeros(100_000)
+    values[[1234, 77_777]] = 5.0, -3.0
+    time, thin = envelope(np.arange(100_000.0), values)
+    assert thin.size <= 1700
+    assert time.size == thin.size
+    assert (thin.max(), thin.min()) == (5.0, -3.0)
+
+
+def test_envelope_leaves_gaps_open():
+    values = np.ones(10_000)
+    values[2000:4000] = np.nan
+    _, thin = envelope(np.arange(10_000.0), values, n_points=100)
+    assert np.isnan(thin).sum() == 20
+    assert np.nanmin(thin) == np.nanmax(thin) == 1.0
+
+
+def test_power_spectrum_of_white_noise_integrates_to_its_variance():
+    rng = np.random.default_rng(5)
+    noise = 3.0 * rng.standard_normal((60_000, 2))
+    frequency, power = power_spectra([Record([[]] * 60_000, noise, 0.01)])
+    variance = power.sum(axis=0) * (frequency[1] - frequency[0])
+    np.testing.assert_allclose(variance, 9.0, rtol=0.05)
+
+
+def test_power_spectrum_finds_the_line_of_a_sine():
+    time = 0.01 * np.arange(4000)
+    frequency, power = power_spectra([Record([[]] * 4000, np.sin(2 * np.pi * 12.5 * time), 0.01)])
+    assert abs(frequency[np.argmax(power[:, 0])] - 12.5) <= frequency[1] / 2 + 1e-12
+
+
+def test_overlap_classes_cover_the_unit_interval_without_overlap():
+    edges = [low for low, _, _ in OVERLAP_CLASSES] + [OVERLAP_CLASSES[-1][1]]
+    assert edges[0] == 0.0
+    assert edges[-1] > 1.0
+    assert [high for _, high, _ in OVERLAP_CLASSES] == edges[1:]
+
+
+def test_stabilisation_diagram_draws_every_pole_in_its_class(identification):
+    figure = plots.stabilisation_diagram(identification.order_evidence, identification.modes)
+    drawn = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
+    for low, high, word in OVERLAP_CLASSES:
+        count = sum(low <= point.overlap < high for point in identification.order_evidence.stabilisation)
+        assert drawn[word] == count
+
+
+def test_pictures_of_empty_evidence_say_so(identification):
+    empty = OrderEvidence(
+        singular_values=np.array([]),
+        order=2,
+        gap_order=2,
+        candidate_orders=np.array([2.0]),
+        candidate_fits=np.array([np.nan]),
+        stabilisation=(),
+    )
+    for draw in (plots.singular_values, plots.order_fits):
+        assert draw(empty).axes[0].texts
+    none = replace(identification.modes, modes=())
+    plots.stabilisation_diagram(empty, none, measured=identification.records)
+
+
+def test_missing_samples_do_not_break_the_histories(identification):
+    record = identification.records[0]
+    outputs = np.array(record.outputs)
+    outputs[100:200, 0] = np.nan
+    gappy = replace(record, outputs=outputs)
+    figure = plots.measured_against_simulated(gappy, identification.simulated[0])
+    assert np.isnan(figure.axes[0].lines[0].get_ydata()).any()
+    plots.output_spectra([gappy], identification.simulated)

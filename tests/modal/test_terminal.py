@@ -1,0 +1,78 @@
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from modal.examples.demo import ModeComparison
+from modal.report.writing import ReportFiles
+from modal.terminal import MOST_NOISE, show_comparison, show_files, show_result
+
+
+def printed(show, *arguments, **options):
+    file = io.StringIO()
+    show(Console(file=file, width=100, force_terminal=False, color_system=None), *arguments, **options)
+    return file.getvalue()
+
+
+def test_table_gives_verdict_and_reason_of_every_mode(identification):
+    text = printed(show_result, identification)
+    for words in ("Three modes of the system", "3.67", "1.20 %", "system", "doubtful", "noise", "grows in time"):
+        assert words in text
+    assert text.index("the two halves of the data disagree") < text.index("not found again")
+
+
+def test_many_noise_poles_are_counted_not_shown(make_result, identification):
+    noise = identification.modes.modes[4]
+    modes = type(identification.modes)(
+        modes=(*identification.modes.modes[:3], *[noise] * (MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
+    )
+    text = printed(show_result, make_result(modes=modes))
+    assert "and 2 more noise poles" in text
+    assert text.count("not found again") == MOST_NOISE
+    assert "more noise poles" not in printed(show_result, identification)
+
+
+@pytest.mark.parametrize("warnings", [(), ("Mind the gap.",)])
+def test_warnings_are_printed_when_there_are_any(make_result, warnings):
+    text = printed(show_result, make_result(warnings=warnings))
+    assert ("Mind the gap." in text) == ("Warnings" in text) == bool(warnings)
+
+
+def test_remarks_of_the_reader_are_printed(identification):
+    assert "tip: g -> m/s^2" in printed(show_result, identification, remarks=("tip: g -> m/s^2",))
+
+
+def test_names_are_not_obeyed_by_the_terminal(make_result):
+    name = "\x1b[2J[bold red]x[/bold red][link=http://a.b]"
+    text = printed(show_result, make_result(names=(name, "b", "c"), warnings=(f"{name} is odd.",)))
+    assert "\x1b" not in text
+    assert "[bold red]x[/bold red][link=http://a.b] is odd." in text
+
+
+def test_comparison_shows_true_beside_found_and_what_is_missing():
+    found = ModeComparison(
+        frequency=2.0,
+        damping_ratio=0.01,
+        found_frequency=2.01,
+        found_damping_ratio=0.0103,
+        assurance=0.999,
+        verdict="system",
+    )
+    missed = ModeComparison(
+        frequency=5.0,
+        damping_ratio=0.02,
+        found_frequency=np.nan,
+        found_damping_ratio=np.nan,
+        assurance=np.nan,
+        verdict=None,
+    )
+    text = printed(show_comparison, (found, missed))
+    for words in ("+0.50 %", "1.03 %", "0.999", "not found"):
+        assert words in text
+
+
+def test_paths_stay_on_one_line(tmp_path):
+    folder = tmp_path / ("long" * 40)
+    text = printed(show_files, ReportFiles.in_folder(folder))
+    assert str(folder / "report.html") in text

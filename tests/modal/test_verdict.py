@@ -1,0 +1,320 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modal.mode import ModalModel, Mode
+from modal.verdict import Rerun, Reruns, judge, probability
+
+DT = 0.01
+HELD_OUT = "of the outputs' motion on held-out data: no mode of it is certain"
+SHAPES = np.array([[1.0, 0.6, 0.3], [-0.7, 1.0, 0.4], [0.5, -0.8, 1.0]])
+
+
+def vibration(frequency=5.0, damping=0.02, shape=SHAPES[0], size=1.0, **changes):
+    omega = 2 * np.pi * frequency
+    mode = Mode(
+        pole=complex(-damping * omega, omega * np.sqrt(1 - damping**2)),
+        kind="oscillatory" if damping > 0 else "unstable",
+        frequency=frequency,
+        damping_ratio=damping,
+        shape=np.asarray(shape) + 0j,
+        participation=np.array([size, 0.4 * size]) + 0j,
+    )
+    return replace(mode, **changes)
+
+
+def on_real_axis(discrete):
+    pole = complex(np.log(complex(discrete)) / DT)
+    kind = "real" if discrete > 0 else "nyquist"
+    return vibration(pole=pole, kind=kind, frequency=abs(pole) / (2 * np.pi), damping_ratio=-pole.real / abs(pole))
+
+
+def model_of(*modes):
+    return ModalModel(modes=modes, dt=DT, indicator_caution=0.1)
+
+
+def reruns_of(*runs):
+    return Reruns(
+        runs=tuple(Rerun(label=change, change=change, modes=modes) for change, modes in runs),
+        n_steps=300,
+        output_scale=np.ones(3),
+        input_scale=np.ones(2),
+    )
+
+
+def found_with(data=1.0, observer=1.0, order=1.0, **changes):
+    """Reruns in which the vibration has these overlaps (a smaller pulse response overlaps by its size)."""
+    at = {"data": data, "observer": observer, "lower order": order, "higher order": order}
+    at.update(changes)
+    runs = [("data", model_of(vibration(size=at["data"]))), ("data", model_of(vibration(size=at["data"])))]
+    runs += [(change, model_of(vibration(size=at[change]))) for change in ("observer", "lower order", "higher order")]
+    return reruns_of(*runs)
+
+
+def judged(mode, reruns, **options):
+    return judge(model_of(mode), reruns, **options).modes[0]
+
+
+# --- repeatability, limits, probability -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("r", "verdict"), [(1.0, "system"), (0.72, "system"), (0.70, "doubtful"), (0.43, "doubtful"), (0.41, "noise")]
+)
+def test_the_verdict_follows_repeatability(r, verdict):
+    mode = judged(vibration(), found_with(data=r, observer=r, order=r))
+    assert mode.repeatability == pytest.approx(r)
+    assert mode.verdict == verdict
+    assert mode.probability == pytest.approx(1 / (1 + np.exp(7.36 - 12.3 * r)))
+
+
+def test_data_observer_and_order_have_equal_weight_whatever_their_number_of_runs():
+    mode = judged(vibration(), found_with(data=0.9, observer=0.6, order=0.3))
+    assert mode.repeatability == pytest.approx(0.6)
+
+
+def test_a_kind_of_change_that_was_not_tried_does_not_count():
+    runs = [("data", model_of(vibration(size=0.9))), ("observer", model_of(vibration(size=0.5)))]
+    mode = judged(vibration(), reruns_of(*runs))
+    assert mode.repeatability == pytest.approx(0.7)
+    assert "other model orders" not in mode.reason
+
+
+def test_without_reruns_nothing_is_judged():
+    mode = judged(vibration(), reruns_of())
+    assert mode.verdict == "doubtful"
+    assert np.isnan(mode.repeatability)
+    assert "not judged" in mode.reason
+
+
+def test_an_empty_model_stays_empty():
+    assert len(judge(model_of(), found_with())) == 0
+
+
+def test_probability_rises():
+    assert 0 < probability(0.0) < probability(0.5) < probability(1.0) < 1
+
+
+# --- reasons ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_system_mode_shows_the_three_numbers():
+    mode = judged(vibration(), found_with(data=0.98, observer=0.95, order=0.97))
+    assert mode.reason == (
+        "found again: halves of the data 0.98, other observer order and ridge 0.95, other model orders 0.97"
+    )
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        (
+            {"data": 0.2, "observer": 0.6, "order": 0.6},
+            "the two halves of the data disagree about it (halves of the data 0.20,",
+        ),
+        ({"observer": 0.2, "data": 0.6}, "depends on the observer order and ridge"),
+        ({"data": 0.4, "order": 0.1}, "appears only at high model order"),
+        ({"data": 0.4, "lower order": 0.1, "higher order": 0.5}, "appears only at high model order"),
+        ({"data": 0.4, "lower order": 0.5, "higher order": 0.1}, "is lost at higher model order"),
+        ({"data": 0.09, "observer": 0.05, "order": 0.02}, "not found again"),
+        ({"data": 0.11, "observer": 0.05, "order": 0.02}, "appears only at high model order"),
+    ],
+)
+def test_the_smallest_part_is_named(parts, words):
+    mode = judged(vibration(), found_with(**parts))
+    assert mode.verdict != "system"
+    assert mode.reason.startswith(words)
+
+
+# --- kinds ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [(vibration(damping=-0.01), "grows in time"), (on_real_axis(-0.9), "a negative real pole")],
+)
+def test_a_pole_that_cannot_be_a_mode_is_noise_however_well_it_repeats(mode, words):
+    again = model_of(mode)
+    result = judged(mode, reruns_of(("data", again), ("observer", again), ("lower order", again)))
+    assert result.repeatability == pytest.approx(1)
+    assert (result.verdict, result.probability) == ("noise", 0.0)
+    assert result.reason.startswith(words)
+
+
+@pytest.mark.parametrize(("size", "verdict"), [(1.0, "system"), (0.2, "noise")])
+def test_a_real_pole_is_judged_and_named_as_a_real_pole(size, verdict):
+    mode = on_real_axis(0.97)
+    again = model_of(replace(mode, participation=size * mode.participation))
+    result = judged(mode, reruns_of(("data", again), ("observer", again)))
+    assert result.verdict == verdict
+    assert result.reason.startswith("a real pole: overdamped or drift, not a vibration mode; ")
+
+
+@pytest.mark.parametrize(("frequency", "remarked"), [(46.0, False), (48.0, True)])
+def test_a_mode_next_to_nyquist_keeps_its_remark(frequency, remarked):
+    again = model_of(vibration(frequency))
+    result = judged(vibration(frequency), reruns_of(("data", again)))
+    assert result.verdict == "system"
+    assert ("Nyquist frequency" in result.reason) == remarked
+
+
+# --- second poles -----------------------------------------------------------------------------------------------------
+
+
+def pair(frequency, shape, size=0.5):
+    model = model_of(vibration(16.6, 0.01), vibration(frequency, 0.05, shape=shape, size=size))
+    return judge(model, reruns_of(("data", model), ("observer", model), ("lower order", model)))
+
+
+def test_a_second_pole_of_a_mode_is_named_and_at_most_doubtful():
+    first, second = pair(16.7, SHAPES[0])
+    assert first.verdict == "system"
+    assert second.verdict == "doubtful"
+    assert second.reason.startswith("second pole of the mode at 16.6 Hz; found again")
+
+
+@pytest.mark.parametrize(("frequency", "shape"), [(16.8, SHAPES[0]), (16.7, SHAPES[1])])
+def test_a_close_mode_of_another_frequency_or_shape_is_a_mode_of_its_own(frequency, shape):
+    assert [mode.verdict for mode in pair(frequency, shape)] == ["system", "system"]
+
+
+def test_the_better_repeated_of_two_is_the_mode():
+    weak = vibration(16.6, 0.01)
+    model = model_of(weak, vibration(16.65, 0.011, size=3.0))
+    again = model_of(replace(weak, participation=0.3 * weak.participation), model.modes[1])
+    first, second = judge(model, reruns_of(("data", again), ("observer", again)))
+    assert first.reason.startswith("second pole of the mode at 16.65 Hz")
+    assert first.verdict == "noise"
+    assert second.verdict == "system"
+
+
+# --- a model that does not explain the data ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fit", "verdict", "words"),
+    [
+        (0.51, "system", "found again"),
+        (np.nan, "system", "found again"),
+        (0.499, "doubtful", f"the model explains only 49 % {HELD_OUT}; found again"),
+        (0.31, "doubtful", "the model explains only 31 %"),
+        (-2.0, "doubtful", "the model explains nothing of the outputs' motion"),
+    ],
+)
+def test_no_mode_of_a_model_that_explains_little_is_certain(fit, verdict, words):
+    mode = judged(vibration(), found_with(), fit=fit)
+    assert mode.verdict == verdict
+    assert mode.reason.startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("duration", "verdict", "words"),
+    [
+        (1.7, "system", "found again"),  # 0.02 * 2 pi 5 Hz * 1.7 s = 1.07
+        (1.5, "doubtful", "an undamped line, which decays by only 61 % over 1.5 s: periodic disturbance?; found again"),
+        (np.nan, "system", "found again"),
+    ],
+)
+def test_a_line_that_does_not_decay_within_the_record_is_not_certain(duration, verdict, words):
+    mode = judged(vibration(5.0, 0.02), found_with(), duration=duration)
+    assert mode.verdict == verdict
+    assert mode.reason.startswith(words)
+
+
+def found_driven(first, second, mode):
+    again = model_of(mode, vibration(30.0))
+    halves = [Rerun(label="half", change="data", modes=again, gain=np.array([gain, 0.9])) for gain in (first, second)]
+    return replace(reruns_of(("observer", again)), runs=(*halves, Rerun(label="", change="observer", modes=again)))
+
+
+@pytest.mark.parametrize(
+    ("gains", "duration", "verdict", "words"),
+    [
+        ((0.01, -0.005), np.nan, "system", "found again"),
+        ((0.01, np.nan), np.nan, "system", "found again"),
+        (
+            (0.01, -0.02),
+            np.nan,
+            "doubtful",
+            "the input does not drive it (held-out gain negative): periodic disturbance?",
+        ),
+        ((-0.3, -0.2), 1.5, "doubtful", "an undamped line that the input does not drive (held-out gain negative)"),
+        ((0.09, 0.10), 1.5, "doubtful", "an undamped line, which decays by only 61 %"),
+        ((0.11, 0.12), 1.5, "system", "found again"),
+    ],
+)
+def test_a_mode_that_the_input_does_not_drive_is_not_certain(gains, duration, verdict, words):
+    mode = vibration(5.0, 0.02)
+    result = judged(mode, found_driven(*gains, mode), duration=duration)
+    assert result.verdict == verdict
+    assert result.reason.startswith(words)
+
+
+def test_an_undriven_real_pole_is_no_periodic_disturbance():
+    mode = on_real_axis(0.97)
+    result = judged(mode, found_driven(-0.1, -0.1, mode))
+    assert result.verdict == "doubtful"
+    assert "the input does not drive it (held-out gain negative); found again" in result.reason
+
+
+def test_a_slow_real_pole_is_no_undamped_line():
+    mode = on_real_axis(0.999)
+    assert judged(mode, reruns_of(("data", model_of(mode))), duration=0.1).verdict == "system"
+
+
+def test_a_poor_fit_does_not_make_noise_doubtful():
+    assert judged(vibration(), found_with(data=0.1, observer=0.1, order=0.1), fit=0.2).verdict == "noise"
+
+
+# --- damping ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "changes", "words"),
+    [
+        ({}, {}, None),
+        ({"observer_order": 21}, {}, None),
+        ({"observer_order": 19}, {}, "the observer spans only 0.95 of its period"),
+        ({"ridge": 0.009}, {}, None),
+        ({"ridge": 0.01}, {}, "a ridge of 0.01 without refinement biases it"),
+        ({"ridge": 0.01, "refinement_steps": 3}, {}, None),
+        ({}, {"damping_ratio_std": 0.0019}, None),
+        ({}, {"damping_ratio_std": 0.0024}, "its standard deviation is 12 % of it"),
+    ],
+)
+def test_damping_is_resolved_or_it_is_said_why_not(options, changes, words):
+    mode = judged(vibration(5.0, 0.02, **changes), found_with(), **options)
+    assert mode.verdict == "system"
+    assert mode.damping_resolved == (words is None)
+    assert ("damping not resolved" in mode.reason) == (words is not None)
+    if words:
+        assert mode.reason.endswith(f"; damping not resolved: {words}")
+
+
+@pytest.mark.parametrize(("other", "resolved"), [(0.0295, True), (0.0305, False)])
+def test_halves_that_differ_by_half_of_the_damping_do_not_resolve_it(other, resolved):
+    halves = [("data", model_of(vibration())), ("data", model_of(vibration(damping=other)))]
+    mode = judged(vibration(), reruns_of(*halves, ("observer", model_of(vibration()))))
+    assert mode.damping_resolved == resolved
+    assert ("the halves of the data give" in mode.reason) == (not resolved)
+
+
+@pytest.mark.parametrize(("other", "resolved"), [(0.0255, True), (0.0265, False), (0.0145, True), (0.0135, False)])
+def test_damping_that_depends_on_the_observer_is_not_resolved(other, resolved):
+    halves = [("data", model_of(vibration())), ("data", model_of(vibration()))]
+    mode = judged(vibration(), reruns_of(*halves, ("observer", model_of(vibration(damping=other)))))
+    assert mode.verdict == "system"
+    assert mode.damping_resolved == resolved
+    words = f"another observer order and ridge give {100 * other:.2g} % instead of 2 %"
+    assert mode.reason.endswith(words) == (not resolved)
+
+
+def test_a_real_pole_has_no_damping_to_resolve():
+    mode = on_real_axis(0.999)
+    assert judged(mode, reruns_of(("data", model_of(mode))), observer_order=2).damping_resolved
+
+
+def test_indicators_and_everything_else_are_kept():
+    mode = judged(vibration(emac=0.7, cmi=0.6), found_with())
+    assert (mode.emac, mode.cmi, mode.frequency) == (0.7, 0.6, 5.0)

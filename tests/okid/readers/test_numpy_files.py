@@ -1,0 +1,121 @@
+"""NPY and NPZ written by numpy: mapped where possible, never unpickled."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from okid.errors import InvalidDataError
+from okid.readers import describe_file, read_record
+
+RNG = np.random.default_rng(7)
+VALUES = RNG.standard_normal((50, 5))
+
+
+def test_npy_columns_are_numbered(tmp_path):
+    np.save(tmp_path / "a.npy", VALUES)
+    record = read_record(tmp_path / "a.npy", inputs=["column_4", "column_1"], dt=0.5)
+    np.testing.assert_array_equal(record.inputs, VALUES[:, [4, 1]])
+    np.testing.assert_array_equal(record.outputs, VALUES[:, [0, 2, 3]])
+    assert record.output_names == ("column_0", "column_2", "column_3")
+    assert (record.name, record.dt, record.input_hold) == ("a", 0.5, "band_limited")
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int16, ">f8"])
+def test_npy_of_other_numbers(tmp_path, dtype):
+    values = (VALUES * 100).astype(dtype)
+    np.save(tmp_path / "a.npy", values)
+    np.testing.assert_array_equal(read_record(tmp_path / "a.npy", dt=1.0).outputs, values.astype(float))
+
+
+def test_npy_in_columns_first_order_and_one_axis(tmp_path):
+    np.save(tmp_path / "a.npy", np.asfortranarray(VALUES))
+    np.testing.assert_array_equal(read_record(tmp_path / "a.npy", dt=1.0).outputs, VALUES)
+    np.save(tmp_path / "b.npy", VALUES[:, 0])
+    np.testing.assert_array_equal(read_record(tmp_path / "b.npy", dt=1.0).outputs, VALUES[:, :1])
+
+
+def test_npy_with_fields(tmp_path):
+    rows = np.zeros(20, dtype=[("time", "f8"), ("u", "f4"), ("y", "i4")])
+    rows["time"] = 0.25 * np.arange(20)
+    rows["y"] = np.arange(20) ** 2
+    np.save(tmp_path / "a.npy", rows)
+    record = read_record(tmp_path / "a.npy", inputs="u")
+    assert record.dt == 0.25
+    np.testing.assert_array_equal(record.outputs[:, 0], np.arange(20) ** 2)
+
+
+def test_a_large_npy_stays_on_disk(tmp_path):
+    np.save(tmp_path / "a.npy", RNG.standard_normal((62_500, 68)))  # 34 MB
+    names = [f"column_{index}" for index in range(4)]
+    tracemalloc.start()
+    try:
+        record = read_record(tmp_path / "a.npy", inputs=names, dt=0.01)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert record.outputs.shape == (62_500, 64)
+    assert not record.outputs.flags.owndata
+    assert peak < 8e6
+
+
+def test_npz_with_roles_names_and_units(tmp_path):
+    np.savez(
+        tmp_path / "a.npz",
+        inputs=VALUES[:, :2],
+        outputs=VALUES[:, 2:],
+        dt=0.01,
+        input_names=["shaker", "base"],
+        input_units=["kN", "g"],
+        output_names=["tip [mm]", "root", "mid"],
+    )
+    record = read_record(tmp_path / "a.npz")
+    assert record.input_names == ("shaker", "base")
+    assert record.input_units == ("N", "m/s^2")
+    assert record.output_names == ("tip", "root", "mid")
+    assert record.output_units == ("m", "", "")
+    assert record.dt == 0.01
+    np.testing.assert_allclose(record.inputs, VALUES[:, :2] * [1000, 9.80665], rtol=1e-14)
+    np.testing.assert_allclose(record.outputs[:, 0], VALUES[:, 2] * 1e-3, rtol=1e-14)
+    chosen = read_record(tmp_path / "a.npz", inputs="base", outputs=["root"])
+    assert (chosen.input_names, chosen.output_names) == (("base",), ("root",))
+    assert read_record(tmp_path / "a.npz", outputs=["root"]).n_inputs == 0
+
+
+def test_npz_with_outputs_alone(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", outputs=VALUES, fs=200.0)
+    record = read_record(tmp_path / "a.npz")
+    assert (record.n_inputs, record.n_outputs, record.dt) == (0, 5, 0.005)
+    assert record.output_names[0] == "output_0"
+
+
+def test_npz_with_named_channels_and_time(tmp_path):
+    np.savez(tmp_path / "a.npz", time=3.0 + 0.1 * np.arange(50), force=VALUES[:, 0], acc=VALUES[:, 1:3], mass=2.5)
+    record = read_record(tmp_path / "a.npz", inputs="force")
+    assert record.output_names == ("acc_0", "acc_1")
+    assert record.dt == pytest.approx(0.1)
+    assert record.start_time == 3.0
+    np.testing.assert_array_equal(record.outputs, VALUES[:, 1:3])
+    assert any("mass left out: it is a single number" in remark for remark in describe_file(tmp_path / "a.npz").remarks)
+
+
+def test_npz_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
+    np.savez(tmp_path / "a.npz", dt=1.0, u=VALUES[:, 0], y=VALUES[:, 1], turned=VALUES.T, z=1j * VALUES[:, 0])
+    record = read_record(tmp_path / "a.npz", inputs="u")
+    assert record.output_names == ("y",)
+    with pytest.raises(InvalidDataError, match=r"'turned' .* \(5, 50\), but the record has 50 samples .*transpose"):
+        read_record(tmp_path / "a.npz", inputs="turned")
+    with pytest.raises(InvalidDataError, match=r"'z' .* complex"):
+        read_record(tmp_path / "a.npz", inputs="z")
+
+
+def test_npz_time_and_step_must_agree(tmp_path):
+    np.savez(tmp_path / "a.npz", dt=0.2, time=0.1 * np.arange(50), y=VALUES[:, 0])
+    with pytest.raises(InvalidDataError, match=r"step of 0\.1 s, but the file states 0\.2 s"):
+        read_record(tmp_path / "a.npz")
+
+
+def test_npz_names_must_fit(tmp_path):
+    np.savez(tmp_path / "a.npz", dt=0.2, outputs=VALUES, output_names=["a", "b"])
+    with pytest.raises(InvalidDataError, match=r"output_names of a.npz holds 2 texts, but outputs has 5 columns"):
+        read_record(tmp_path / "a.npz")

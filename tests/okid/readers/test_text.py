@@ -1,0 +1,191 @@
+"""Text tables as programs write them: every dialect gives the numbers that were written."""
+
+import csv
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from okid.errors import UnreadableFileError
+from okid.readers import read_record
+from okid.readers.text import read_text
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Write text (or bytes) to a file and read it as a table."""
+
+    def read(content):
+        path = tmp_path / "record.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_text(path)
+
+    return read
+
+
+NUMBERS = [[0.0, 1.5, 2.0], [0.1, -2.5, 3e5]]
+DIALECTS = {
+    "comma": "time,u,y\n0,1.5,2\n0.1,-2.5,3e5\n",
+    "blanks around": "time , u , y\n0 , 1.5 , 2\n 0.1,  -2.5 ,3E+5\n",
+    "semicolon and decimal comma": "time;u;y\n0,0;1,5;2\n0,1;-2,5;3e5\n",
+    "semicolon": "time;u;y\n0;1.5;2\n0.1;-2.5;3e5\n",
+    "tab": "time\tu\ty\n0\t1.5\t2\n0.1\t-2.5\t3e5\n",
+    "tab and decimal comma": "time\tu\ty\n0\t1,5\t2\n0,1\t-2,5\t3e5\n",
+    "bar": "time|u|y\n0|1.5|2\n0.1|-2.5|3e5\n",
+    "blanks": "time u y\n 0.0   1.5 2.\n 0.1  -2.5 3e5\n",
+    "numpy": "# time, u, y\n0.0e+00 1.5e+00 2.0e+00\n1.0e-01 -2.5e+00 3.0e+05\n",
+    "quotes": '"time","u","y"\n"0","1.5","2"\n0.1,-2.5,3e5\n',
+    "quoted decimal comma": '"time","u","y"\n"0,0","1,5","2,0"\n"0,1","-2,5","3e5"\n',
+    "windows": "time,u,y\r\n0,1.5,2\r\n0.1,-2.5,3e5\r\n",
+    "old mac": "time,u,y\r0,1.5,2\r0.1,-2.5,3e5\r",
+    "no last line end": "time,u,y\n0,1.5,2\n0.1,-2.5,3e5",
+    "byte order mark": "\ufefftime,u,y\n0,1.5,2\n0.1,-2.5,3e5\n",
+    "ends with delimiter": "time;u;y;\n0;1.5;2;\n0.1;-2.5;3e5;\n",
+    "rows end with delimiter": "time;u;y\n0;1.5;2;\n0.1;-2.5;3e5;\n",
+    "blank lines": "\ntime,u,y\n\n0,1.5,2\n0.1,-2.5,3e5\n\n\n",
+    "remarks": "# by a logger, version 2\nOperator: me\nRate;1000;Hz\n12\n\ntime,u,y\n0,1.5,2\n0.1,-2.5,3e5\n",
+    "remarks marked by percent": "% one\n%two\n% time,u,y\n0,1.5,2\n0.1,-2.5,3e5\n",
+}
+
+
+@pytest.mark.parametrize("content", DIALECTS.values(), ids=DIALECTS.keys())
+def test_dialects(table, content):
+    found = table(content)
+    assert found.names == ("time", "u", "y")
+    np.testing.assert_array_equal(found.values, NUMBERS)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
+def test_encodings(table, encoding):
+    text = "time [s],Öl [°C],d [µm]\n0,1,2\n1,2,3\n"
+    mark = b"\xff\xfe" if encoding == "utf-16-le" else b""
+    found = table(mark + text.encode(encoding))
+    assert [(column.name, column.unit) for column in found.columns] == [("time", "s"), ("Öl", "°C"), ("d", "µm")]
+
+
+def test_a_row_of_units_below_the_names(table):
+    found = table("time,u,y\ns,kN,m/s2\n0,1,2\n1,2,3\n")
+    assert [column.unit for column in found.columns] == ["s", "kN", "m/s2"]
+    found = table("force\tdisp\n(kN)\t(mm)\n0\t1\n1\t2\n")
+    assert [(column.name, column.unit) for column in found.columns] == [("force", "kN"), ("disp", "mm")]
+
+
+def test_a_remark_of_as_many_words_is_no_header(table):
+    found = table("Operator,Miller,Bay 3\nt,u,y\n0,1,2\n1,2,3\n")
+    assert found.names == ("t", "u", "y")
+
+
+def test_no_header(table):
+    found = table("1,2.5\n3,4\n")
+    assert found.names == ("column_0", "column_1")
+    assert found.time_column() is None
+    assert found.counter_column() is None
+    np.testing.assert_array_equal(found.values, [[1, 2.5], [3, 4]])
+
+
+def test_one_column(table):
+    np.testing.assert_array_equal(table("y\n1,5\n2,5\n").values, [[1.5], [2.5]])
+    np.testing.assert_array_equal(table("tip (left)\n1.5\n2\n").values, [[1.5], [2.0]])
+    np.testing.assert_array_equal(table("1.5\n2\n").values, [[1.5], [2.0]])
+
+
+@pytest.mark.parametrize("missing", ["", " ", "   ", "nan", "NaN", " nan", "NA", "null", "#N/A", "-nan(ind)", '""'])
+def test_missing_cells_are_nan(table, missing):
+    found = table(f"a,b,c\n1,2,3\n4,{missing},6\n7,8,9\n")
+    np.testing.assert_array_equal(found.values, [[1, 2, 3], [4, np.nan, 6], [7, 8, 9]])
+
+
+def test_missing_cells_in_the_first_row(table):
+    np.testing.assert_array_equal(table("a,b\n,2\n4,\n").values, [[np.nan, 2], [4, np.nan]])
+
+
+def test_channels_called_by_numbers(table):
+    assert table("time,1,2\n0,5,6\n1,6,7\n").names == ("time", "1", "2")
+
+
+@pytest.mark.parametrize("counter", ["sample", "Index", "", "no"])
+def test_a_counter_of_samples_is_no_channel(table, counter):
+    found = table(f"{counter},u,y\n0,5,6\n1,6,7\n2,6,7\n")
+    assert found.counter_column() == 0
+    assert found.channels() == [1, 2]
+    assert table(f"{counter},u,y\n0,5,6\n1,6,7\n3,6,7\n").counter_column() is None
+
+
+@pytest.mark.parametrize(
+    ("header", "is_time"),
+    [
+        *[(name, True) for name in ("time", "Time [ms]", "t", "t (s)", "T [s]", "Timestamp", "elapsed_time")],
+        *[(name, False) for name in ("T", "T [N m]", "t [kg]", "torque", "times_ten")],
+    ],
+)
+def test_which_column_is_the_time(table, header, is_time):
+    assert (table(f"{header},y\n0,1\n1,2\n").time_column() == 0) is is_time
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    values=st.integers(1, 5).flatmap(
+        lambda width: st.lists(
+            st.lists(st.floats(allow_nan=True, allow_infinity=False), min_size=width, max_size=width),
+            min_size=2,
+            max_size=12,
+        )
+    ),
+    delimiter=st.sampled_from([",", ";", "\t"]),
+)
+def test_any_numbers_come_back_to_the_last_bit(values, delimiter, tmp_path_factory):
+    if all(np.isnan(row).all() for row in values) or not np.isfinite(values[0]).any():
+        return  # a first row without any number is a row of a table only by what follows it
+    path = tmp_path_factory.mktemp("text") / "record.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, delimiter=delimiter)
+        writer.writerow([f"c{index}" for index in range(len(values[0]))])
+        writer.writerows([["" if np.isnan(cell) and len(row) > 1 else repr(cell) for cell in row] for row in values])
+    np.testing.assert_array_equal(read_text(path).values, values)
+
+
+@pytest.mark.parametrize("delimiter", [",", "\t", " "])
+def test_many_rows_in_many_blocks(tmp_path, monkeypatch, delimiter):
+    monkeypatch.setattr("okid.readers.text.BLOCK_BYTES", 4096)
+    values = np.random.default_rng(1).standard_normal((5000, 4))
+    path = tmp_path / "record.txt"
+    np.savetxt(path, values, delimiter=delimiter, header=delimiter.join("abcd"), fmt="%.17g")
+    record = read_record(path, inputs="b", dt=0.1)
+    np.testing.assert_array_equal(record.inputs[:, 0], values[:, 1])
+    np.testing.assert_array_equal(record.outputs, values[:, [0, 2, 3]])
+
+
+FAULTS = {
+    "text in a cell": ("time,u\n0,1\n1,x\n2,3\n", "line 3, column 'u' of .* holds 'x'"),
+    "text in the first row": ("time,u,y\nabc,1,2\n1,2,3\n2,3,4\n", "line 2, column 'time' .* holds 'abc'"),
+    "dates": ("date,u\n2020-01-01,1\n2020-01-02,2\n", "line 2, column 'date' .* '2020-01-01'"),
+    "hexadecimal": ("a,b\n1,2\n1,0x10\n", "line 3, column 'b' .* '0x10'"),
+    "other decimal sign": ('a,b\n1,2.5\n1,"2,5"\n', "line 3, column 'b' .* decimal sign"),
+    "long text is cut": (f"a,b\n1,2\n1,{'x' * 500}\n", "'x{37}...'"),
+    "short row": ("time,u,y\n0,1,2\n1,2,3\n2,3\n", "line 4 of .* holds 2 cells, but the table has 3 columns"),
+    "long row": ("time,u\n0,1\n1,2\n1,2,3\n", "line 4 of .* holds 3 cells, .* 2 columns"),
+    "short first row": ("time,u,y\n0,1\n1,2,3\n2,3,4\n", "line 2 of .* holds 2 cells, but the rows below it hold 3"),
+    "short second row": ("time,u,y\n0,1,2\n1,2\n2,3,4\n", "line 3 of .* holds 2 cells"),
+    "header of other length": ("time,u,y\n0,1\n1,2\n", "line 1 of .* names 3 columns, but .* 2 numbers"),
+    "no numbers": ("hello\nworld\n", "no row of numbers among its first 2 lines .*'hello'"),
+    "complex numbers": ("(1+2j)\n(3+4j)\n", "no row of numbers"),
+    "binary": (b"\x00\x01\x02\xff" * 10, "binary data, not text"),
+    "one long line": (b"1" * (1 << 21), "longer than 1048576 bytes"),
+    "broken utf-16": (b"\xff\xfe\x00\xd8\x00", "utf-16"),
+    "blank": (" \n\n \n", "no row of numbers"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), FAULTS.values(), ids=FAULTS.keys())
+def test_faults_are_named(table, content, message):
+    with pytest.raises(UnreadableFileError, match=message):
+        table(content)
+
+
+def test_a_fault_far_down_is_found_at_its_line(table, monkeypatch):
+    monkeypatch.setattr("okid.readers.text.BLOCK_BYTES", 4096)
+    rows = [f"{index},{index / 7}" for index in range(20_000)]
+    rows[15_000] = "15000,oops"
+    with pytest.raises(UnreadableFileError, match=r"line 15002, column 'b' .* 'oops'"):
+        table("a,b\n" + "\n".join(rows) + "\n")

@@ -1,0 +1,104 @@
+"""The time step: over the whole span, on a uniform grid, and in no contradiction to what is given."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.readers import read_record
+
+N_SAMPLES = 200
+TIME = 0.01 * np.arange(N_SAMPLES)
+
+
+@pytest.fixture
+def file_with_time(tmp_path):
+    def write(time, header="time [s]"):
+        path = tmp_path / "record.csv"
+        rows = "".join(f"{float(each)!r},{index % 7}\n" for index, each in enumerate(time))
+        path.write_text(f"{header},y\n{rows}")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"),
+    [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0), ("sec", 1.0)],
+)
+@pytest.mark.parametrize("brackets", ["[]", "()"])
+def test_any_unit_of_time(file_with_time, unit, scale, brackets):
+    record = read_record(file_with_time(5.0 + TIME, f"Time {brackets[0]}{unit}{brackets[1]}"))
+    assert record.dt == pytest.approx(0.01 * scale, rel=1e-12)
+    assert record.start_time == pytest.approx(5.0 * scale, rel=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(dt=st.floats(1e-6, 1e3), decimals=st.integers(2, 6))
+def test_rounded_stamps_give_the_mean_step(dt, decimals, tmp_path_factory):
+    """Stamps written with few digits jitter, but the step over the span is right to a rounding of its ends."""
+    quantum = dt * 10.0**-decimals * 5
+    time = np.round(dt * np.arange(N_SAMPLES) / quantum) * quantum
+    path = tmp_path_factory.mktemp("time") / "a.csv"
+    path.write_text("t,y\n" + "".join(f"{each!r},1.0\n" for each in time.tolist()))
+    assert abs(read_record(path).dt - dt) <= quantum / (N_SAMPLES - 1) * 1.0001
+
+
+@pytest.mark.parametrize(("off", "fails"), [(0.09, False), (-0.09, False), (0.12, True), (-0.4, True)])
+def test_samples_off_the_grid(file_with_time, off, fails):
+    time = TIME.copy()
+    time[70] += off * 0.01
+    path = file_with_time(time)
+    if fails:
+        with pytest.raises(InvalidDataError, match=rf"row 71 of 200 lies {abs(off):.3g} steps off .*at most 0\.1"):
+            read_record(path)
+    else:
+        assert read_record(path).dt == pytest.approx(0.01)
+
+
+def test_lost_samples(file_with_time):
+    with pytest.raises(InvalidDataError, match=r"not uniform: .*put the lost rows back"):
+        read_record(file_with_time(np.delete(TIME, [100, 101])))
+
+
+@pytest.mark.parametrize(
+    ("time", "message"),
+    [
+        (np.r_[TIME[:50], TIME[49:]], r"must increase, but goes from 0\.49 s to 0\.49 s at row 51"),
+        (np.r_[TIME[:50], TIME[:50]], r"must increase, but goes from 0\.49 s to 0 s at row 51 .*one file a record"),
+        (TIME[::-1], r"must increase, .* at row 2"),
+        (np.where(np.arange(N_SAMPLES) == 3, np.nan, TIME), r"missing in 1 of 200 rows, the first of them row 4"),
+    ],
+)
+def test_stamps_that_are_no_time(file_with_time, time, message):
+    with pytest.raises(InvalidDataError, match=message):
+        read_record(file_with_time(time))
+
+
+def test_one_sample_is_no_time_axis(file_with_time):
+    with pytest.raises(InsufficientDataError, match="at least 2"):
+        read_record(file_with_time([0.0]))
+
+
+def test_a_given_step_may_differ_by_rounding_only(file_with_time):
+    path = file_with_time(TIME)
+    assert read_record(path, dt=0.010005).dt == 0.010005
+    with pytest.raises(InvalidDataError, match=r"dt = 0\.0102 s was given, but .* 0\.01 s, which is 2\.00% off"):
+        read_record(path, dt=0.0102)
+    for dt in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InvalidDataError, match="positive time step"):
+            read_record(path, dt=dt)
+
+
+def test_no_time_and_no_step(file_with_time):
+    path = file_with_time(TIME, "position")
+    with pytest.raises(InvalidDataError, match=r"no time column \(its columns are position, y\).*--dt"):
+        read_record(path)
+    record = read_record(path, dt=0.5)
+    assert (record.dt, record.start_time, record.output_names) == (0.5, 0.0, ("position", "y"))
+
+
+def test_a_time_column_in_another_unit(file_with_time):
+    with pytest.raises(InvalidDataError, match="is in 'kg', which is no unit of time"):
+        read_record(file_with_time(TIME, "time [kg]"))

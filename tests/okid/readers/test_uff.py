@@ -1,0 +1,168 @@
+"""Universal files: written by pyuff, by hand after the definition of data set 58, and measured ones."""
+
+import struct
+
+import numpy as np
+import pytest
+import pyuff
+
+from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers import describe_file, read_record
+
+RNG = np.random.default_rng(10)
+N_SAMPLES = 64
+TIPS = RNG.standard_normal((N_SAMPLES, 3))
+
+
+def write(path, *, values=TIPS, dt=0.01, binary=0, func_type=1, spacing=1, **extra):
+    """One data set a channel, written by pyuff."""
+    file = pyuff.UFF(str(path))
+    for index, channel in enumerate(values.T):
+        data_set = pyuff.prepare_58(
+            binary=binary,
+            func_type=func_type,
+            rsp_node=index + 11,
+            rsp_dir=[1, -3, 2][index % 3],
+            ref_node=0,
+            ref_dir=0,
+            data=channel.copy(),
+            x=dt * np.arange(len(channel)),
+            id1="a run",
+            rsp_ent_name="NONE",
+            ref_ent_name="NONE",
+            abscissa_spacing=spacing,
+            abscissa_spec_data_type=17,
+            ordinate_spec_data_type=12,
+            orddenom_spec_data_type=0,
+        )
+        data_set.update({"ordinate_axis_units_lab": "g", "ordinate_axis_lab": "Acc"} | extra)
+        file.write_sets([data_set], "add")
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # pyuff's writer of binary sets leaves its file open
+@pytest.mark.parametrize("binary", [0, 1])
+def test_channels_are_named_by_place(tmp_path, binary):
+    path = write(tmp_path / "a.uff", binary=binary)
+    record = read_record(path, inputs="11X+")
+    assert (record.input_names, record.output_names) == (("11X+",), ("12Z-", "13Y+"))
+    assert record.output_units == ("m/s^2", "m/s^2")
+    assert record.dt == pytest.approx(0.01)
+    np.testing.assert_allclose(record.outputs, 9.80665 * TIPS[:, 1:], rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # pyuff's writer of binary sets leaves its file open
+@pytest.mark.parametrize("binary", [0, 1])
+def test_uneven_abscissa_is_a_time_column(tmp_path, binary):
+    record = read_record(write(tmp_path / "a.unv", binary=binary, spacing=0))
+    assert record.dt == pytest.approx(0.01)
+    np.testing.assert_allclose(record.outputs, 9.80665 * TIPS, rtol=1e-9)
+
+
+def hand_written(values, *, big_endian=False, double=False, node=1, name="NONE", label="Acceleration", unit="m/s2"):
+    """Data set 58b after its published definition, as analysers write it: the data end in a line end of their own."""
+    order = ">" if big_endian else "<"
+    data = struct.pack(f"{order}{len(values)}{'d' if double else 'f'}", *values)
+    lines = [
+        f"{-1:6d}",
+        f"{58:6d}b{2 if big_endian else 1:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
+        *("run", "NONE", "08-Oct-24 10:27:07", "NONE", "NONE"),
+        f"{1:5d}{0:10d}{0:5d}{0:10d} {name:<10s}{node:10d}{3:4d} {'NONE':<10s}{0:10d}{0:4d}",
+        f"{4 if double else 2:10d}{len(values):10d}{1:10d}{2.0:13.5E}{0.125:13.5E}{0.0:13.5E}",
+        f"{17:10d}{0:5d}{0:5d}{0:5d} {'Time':<20s} {'s':<20s}",
+        f"{12:10d}{0:5d}{0:5d}{0:5d} {label:<20s} {unit:<20s}",
+        *[f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20s} {'NONE':<20s}"] * 2,
+    ]
+    return "".join(f"{line}\r\n" for line in lines).encode() + data + b"\r\n    -1\r\n"
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+@pytest.mark.parametrize("double", [False, True])
+def test_binary_sets_by_their_definition(tmp_path, big_endian, double):
+    path = tmp_path / "a.ufb"
+    sets = [hand_written(TIPS[:, i], big_endian=big_endian, double=double, node=i + 1) for i in range(3)]
+    path.write_bytes(b"".join(sets))
+    record = read_record(path)
+    assert record.output_names == ("1Z+", "2Z+", "3Z+")
+    assert (record.dt, record.start_time) == (0.125, 2.0)
+    np.testing.assert_array_equal(record.outputs, TIPS if double else TIPS.astype(np.float32))
+
+
+def test_names_where_the_place_does_not_tell(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(hand_written(TIPS[:, 0], unit="N", label="Force") + hand_written(TIPS[:, 1]))
+    assert read_record(path).output_names == ("1Z+ Force", "1Z+ Acceleration")
+    path.write_bytes(hand_written(TIPS[:, 0], node=0, name="mic 1") + hand_written(TIPS[:, 1], node=0, name="mic 2"))
+    assert read_record(path).output_names == ("mic 1", "mic 2")
+    path.write_bytes(hand_written(TIPS[:, 0]) * 2)
+    assert read_record(path).output_names == ("1Z+_0", "1Z+_1")
+
+
+def test_no_unit_label(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(hand_written(TIPS[:, 0], unit="NONE"))
+    assert read_record(path).output_units == ("",)
+    units = pyuff.prepare_164(
+        units_code=1, units_description="SI", temp_mode=1, length=1.0, force=1.0, temp=1.0, temp_offset=273.15
+    )
+    pyuff.UFF(str(path)).write_sets([units], "add")
+    assert read_record(path).output_units == ("m/s^2",)
+
+
+@pytest.mark.parametrize("cut", [5, 9, 40, 200, 500, 700, 1000])
+@pytest.mark.parametrize("binary", [False, True])
+def test_cut_off(tmp_path, binary, cut):
+    path = tmp_path / "a.uff"
+    if binary:
+        path.write_bytes(hand_written(TIPS[:, 0], node=1) + hand_written(TIPS[:, 1], node=2))
+    else:
+        write(path)
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(UnreadableFileError, match="cut off"):
+        read_record(path)
+
+
+@pytest.mark.parametrize("missing", [8, 100])
+def test_data_missing_in_the_middle(tmp_path, missing):
+    whole = hand_written(TIPS[:, 0])
+    (tmp_path / "a.uff").write_bytes(whole[: -missing - 10] + whole[-10:])
+    with pytest.raises(UnreadableFileError, match=r"announces 64 samples but holds \d+"):
+        read_record(tmp_path / "a.uff")
+
+
+def test_different_time_axes(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(hand_written(TIPS[:, 0], node=1) + hand_written(TIPS[:50, 1], node=2))
+    with pytest.raises(
+        UnreadableFileError, match=r"'1Z\+' and '2Z\+' of .* different time axes: 64 and 50 samples"
+    ):
+        read_record(path)
+
+
+@pytest.mark.parametrize(("func_type", "words"), [(4, "frequency response function"), (9, "power spectral density")])
+def test_other_functions_are_refused_by_name(tmp_path, func_type, words):
+    path = write(tmp_path / "a.uff", func_type=func_type)
+    with pytest.raises(UnreadableFileError, match=f"no time history, but 3 of the kind {words}"):
+        read_record(path)
+
+
+def test_other_functions_beside_time_histories_are_left_out(tmp_path):
+    write(tmp_path / "b.uff", func_type=4, values=TIPS[:, :1])
+    path = write(tmp_path / "a.uff")
+    path.write_bytes((tmp_path / "b.uff").read_bytes() + path.read_bytes())
+    assert read_record(path).n_outputs == 3
+    assert "data set 1 left out: it is a frequency response function" in str(describe_file(path))
+
+
+@pytest.mark.parametrize(
+    "content", [b"    -1\n   151\nhi\n    -1\n", b"hi\n    -1\n", b"hi", b"    -1\n    58\n\n    -1\n"]
+)
+def test_no_measurement(tmp_path, content):
+    (tmp_path / "a.uff").write_bytes(content)
+    with pytest.raises(UnreadableFileError, match=r"holds no data set 58|does not end with|damaged"):
+        read_record(tmp_path / "a.uff")
+
+
+def test_given_step_must_agree(tmp_path):
+    with pytest.raises(InvalidDataError, match=r"dt = 0\.02 s was given"):
+        read_record(write(tmp_path / "a.uff"), dt=0.02)

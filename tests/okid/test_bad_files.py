@@ -1,0 +1,178 @@
+"""Whatever is wrong with a file: one sentence with rule, numbers and remedy, and nothing from the file is run."""
+
+import builtins
+import contextlib
+import pickle
+import zipfile
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError
+from okid.readers import guard, read_record
+from okid.readers.dispatch import READERS
+
+VALUES = np.random.default_rng(5).standard_normal((500, 3))
+
+
+class Bomb:
+    """Unpickling it would call `pytest.fail`."""
+
+    def __reduce__(self):
+        return (pytest.fail, ("a pickle was loaded",))
+
+
+def refused(path, match, **options):
+    with pytest.raises(InvalidDataError, match=match) as caught:
+        read_record(path, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 600
+    assert message.endswith((".", ")"))
+    return caught.value
+
+
+def test_no_such_file(tmp_path):
+    refused(tmp_path / "nothing.csv", "does not exist; check the path")
+
+
+def test_a_folder(tmp_path):
+    refused(tmp_path, "is a folder; give the file")
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_an_empty_file(tmp_path, suffix):
+    (tmp_path / f"a{suffix}").touch()
+    refused(tmp_path / f"a{suffix}", "is empty .0 bytes")
+
+
+@pytest.mark.parametrize("name", ["a.xlsx", "a.pkl", "a", "a.h5"])
+def test_an_unknown_type(tmp_path, name):
+    (tmp_path / name).write_text("1,2\n")
+    refused(tmp_path / name, r"which is not read; the types read are \.csv, \.txt")
+
+
+def test_upper_case_extensions_are_known(tmp_path):
+    (tmp_path / "A.CSV").write_text("time,y\n0,1\n1,2\n")
+    assert read_record(tmp_path / "A.CSV").n_samples == 2
+
+
+@pytest.mark.parametrize("suffix", READERS)
+@settings(max_examples=25, deadline=None)
+@given(junk=st.binary(min_size=1, max_size=400))
+def test_any_bytes_are_a_record_or_one_of_our_errors(suffix, junk, tmp_path_factory):
+    path = tmp_path_factory.mktemp("junk") / f"a{suffix}"
+    path.write_bytes(junk)
+    with contextlib.suppress(IdentificationError):
+        assert read_record(path, dt=1.0).n_samples > 0
+
+
+def test_pickles_are_never_loaded(tmp_path):
+    objects = np.array([Bomb()], dtype=object)
+    np.savez(tmp_path / "a.npz", outputs=VALUES, dt=1.0, extra=objects)
+    refused(tmp_path / "a.npz", "pickled Python objects, which are never loaded")
+    np.save(tmp_path / "a.npy", objects, allow_pickle=True)
+    refused(tmp_path / "a.npy", "pickled Python objects, which are never loaded")
+    (tmp_path / "b.npy").write_bytes(pickle.dumps(Bomb()))
+    refused(tmp_path / "b.npy", "pickled|damaged")
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("outputs.npy", pickle.dumps(Bomb()))
+    refused(tmp_path / "b.npz", "pickled|damaged|no array of samples")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_cut_off_npz(tmp_path, share, compressed):
+    (np.savez_compressed if compressed else np.savez)(tmp_path / "a.npz", outputs=VALUES, dt=1.0)
+    whole = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "a.npz").write_bytes(whole[: int(share * len(whole))])
+    refused(tmp_path / "a.npz", r"a\.npz is damaged or is no \.npz file")
+
+
+def test_damaged_inside_npz(tmp_path):
+    np.savez(tmp_path / "a.npz", outputs=VALUES, dt=1.0)
+    whole = bytearray((tmp_path / "a.npz").read_bytes())
+    whole[3000] ^= 0xFF
+    (tmp_path / "a.npz").write_bytes(whole)
+    refused(tmp_path / "a.npz", "damaged .*CRC")
+
+
+@pytest.mark.parametrize("share", [0.005, 0.5, 0.999])
+def test_cut_off_npy(tmp_path, share):
+    np.save(tmp_path / "a.npy", VALUES)
+    whole = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole[: int(share * len(whole))])
+    refused(tmp_path / "a.npy", "damaged")
+
+
+def test_more_channels_than_samples(tmp_path):
+    np.save(tmp_path / "a.npy", VALUES.T)
+    refused(tmp_path / "a.npy", r"a\.npy: outputs have 500 channels but only 3 samples; rows are samples", dt=1.0)
+    np.save(tmp_path / "b.npy", np.zeros((2, 5000)))
+    refused(tmp_path / "b.npy", "4096", dt=1.0)
+
+
+def test_nan_everywhere_and_infinity(tmp_path):
+    (tmp_path / "a.csv").write_text("time,u,y\n" + "".join(f"{row},1,nan\n" for row in range(9)))
+    refused(tmp_path / "a.csv", r"a\.csv: output 'y' holds no number in any of its 9 samples; leave it out")
+    assert read_record(tmp_path / "a.csv", outputs="u").n_samples == 9
+    (tmp_path / "a.csv").write_text("time,y\n0,1\n1,inf\n2,3\n")
+    refused(tmp_path / "a.csv", r"a\.csv: outputs must not hold infinite values, but sample 1 of channel 0")
+
+
+def test_arrays_that_are_no_record(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 4, 4)))
+    refused(tmp_path / "a.npy", "float64 with 3 axes", dt=1.0)
+    np.save(tmp_path / "b.npy", np.array(["a", "b"]))
+    refused(tmp_path / "b.npy", "an array of <U1", dt=1.0)
+    scipy.io.savemat(tmp_path / "a.mat", {"note": "hello", "gain": 2.0})
+    refused(tmp_path / "a.mat", r"no array of samples \(it holds 'note', 'gain'\)", dt=1.0)
+
+
+def test_double_names(tmp_path):
+    (tmp_path / "a.csv").write_text("time,y,y\n0,1,2\n1,2,3\n")
+    refused(tmp_path / "a.csv", "more than one column called 'y'")
+
+
+def test_a_file_larger_than_memory_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(guard, "_memory_bytes", lambda: 10_000)
+    np.savetxt(tmp_path / "a.csv", VALUES, delimiter=",")
+    refused(tmp_path / "a.csv", "needs about .* GiB, more than 80% .* save it as one .npy array")
+    np.savez_compressed(tmp_path / "a.npz", outputs=np.zeros((5000, 1)), dt=1.0)
+    assert (tmp_path / "a.npz").stat().st_size < 2000
+    refused(tmp_path / "a.npz", "needs about")
+    scipy.io.savemat(tmp_path / "a.mat", {"y": np.zeros((5000, 1))}, do_compression=True)
+    refused(tmp_path / "a.mat", "needs about")
+    np.save(tmp_path / "a.npy", VALUES)
+    assert read_record(tmp_path / "a.npy", dt=1.0).n_samples == 500  # mapped
+
+
+def test_a_system_that_does_not_tell_its_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(guard, "_memory_bytes", lambda: None)
+    np.savez(tmp_path / "a.npz", outputs=VALUES, dt=1.0)
+    assert read_record(tmp_path / "a.npz").n_samples == 500
+
+
+@pytest.mark.parametrize(("suffix", "library"), [(".uff", "pyuff"), (".tdms", "nptdms"), (".mat", "h5py")])
+def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch, suffix, library):
+    (tmp_path / f"a{suffix}").write_bytes(b"\x89HDF\r\n\x1a\n" + b"    -1\n    -1\n")
+    original = builtins.__import__
+
+    def without(name, *arguments, **options):
+        if name.partition(".")[0] == library:
+            raise ModuleNotFoundError(name=name)
+        return original(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(guard.importlib, "import_module", without)
+    refused(
+        tmp_path / f"a{suffix}", rf'needs the library {library}, which is not installed; run: pip install "okid-modal'
+    )
+
+
+def test_errors_are_of_one_tree():
+    assert issubclass(UnreadableFileError, InvalidDataError)
+    assert issubclass(InvalidDataError, (IdentificationError, ValueError))

@@ -1,0 +1,76 @@
+"""The excitation check against what is known of the inputs."""
+
+import numpy as np
+import pytest
+
+from okid.errors import InvalidDataError
+from okid.excitation import check_excitation
+from okid.record import Record
+
+
+def record(inputs, **options):
+    return Record(inputs, np.random.default_rng(99).standard_normal(len(inputs)), 0.01, **options)
+
+
+@pytest.mark.parametrize("n_sines", [1, 2, 4])
+def test_sines_have_twice_their_number(n_sines):
+    k = np.arange(3000)
+    u = sum(np.sin(0.35 * (j + 1) * k + j) for j in range(n_sines))
+    check = check_excitation(record(u), order=12)
+    assert check.persistency_order == 2 * n_sines
+    assert f"of order {2 * n_sines} only, 12 is needed" in check.messages[0]
+
+
+def test_white_inputs_carry_all_that_is_asked():
+    u = np.random.default_rng(1).standard_normal((3000, 2))
+    check = check_excitation(record(u), order=30)
+    z = u - u.mean(axis=0)
+    hankel = np.array([z[k - 29 : k + 1][::-1].ravel() for k in range(29, 3000)])
+    hankel = np.linalg.svd((hankel - hankel.mean(axis=0)) / np.tile(u.std(axis=0), 30), compute_uv=False)
+    assert check.persistency_order == check.needed_order == 30
+    assert check.condition == pytest.approx(hankel[0] / hankel[-1], rel=1e-6)
+    assert check.messages == ()
+    assert check.excited_share.tolist() == [1.0, 1.0]
+
+
+def test_the_band_that_an_input_moves_in_is_named():
+    rng = np.random.default_rng(2)
+    spectrum = np.fft.rfft(rng.standard_normal(8192))
+    frequency = np.fft.rfftfreq(8192, 0.01)
+    spectrum[(frequency < 10) | (frequency > 20)] = 0
+    u = np.column_stack([np.fft.irfft(spectrum), rng.standard_normal(8192)])
+    check = check_excitation(record(u, input_names=["shaker", "hammer"]), order=5)
+    (low, high), *others = check.excited_bands[0]
+    assert others == []
+    assert (low, high) == pytest.approx((10, 20), abs=0.6)
+    assert any("'shaker' moves in" in text for text in check.messages)
+    assert not any("'hammer' moves in" in text for text in check.messages)
+
+
+def test_constant_and_equal_inputs_are_named():
+    rng = np.random.default_rng(3)
+    a, b = rng.standard_normal((2, 1000))
+    names = ["a", "still", "twice", "b", "sum"]
+    check = check_excitation(
+        record(np.column_stack([a, np.full(1000, 4.0), -2 * a, b, a + b]), input_names=names), order=3
+    )
+    text = " ".join(check.messages)
+    assert check.persistency_order == 0
+    assert "input 'still' never moves (always 4)" in text
+    assert "'twice' = -2 times 'a'" in text
+    assert "inputs 'a', 'b', 'sum' are dependent" in text or "inputs 'a', 'b', 'sum' are linearly dependent" in text
+
+
+def test_gaps_and_several_records():
+    rng = np.random.default_rng(4)
+    u = rng.standard_normal(1000)
+    u[300] = np.nan
+    check = check_excitation([record(u), record(rng.standard_normal(200))], order=10)
+    assert check.persistency_order == 10
+
+
+def test_no_input_and_a_wrong_order():
+    output_only = Record([], np.arange(10.0), 0.1)
+    assert "no input was measured" in check_excitation(output_only, order=3).messages[0]
+    with pytest.raises(InvalidDataError, match="whole number of at least 1, but is 0"):
+        check_excitation(output_only, order=0)

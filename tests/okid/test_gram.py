@@ -1,0 +1,152 @@
+"""The structured Gram matrix against V V' written out, and its algebra."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from okid.errors import InvalidDataError
+from okid.gram import lag_gram
+from okid.record import Record
+from okid.scaling import channel_scaling
+
+
+def naive_regressors(records, order, scaling, masks=None):
+    """phi(k) row by row, as the definition says."""
+    rows = []
+    for number, record in enumerate(records):
+        u = (record.inputs - scaling.input_mean) / scaling.input_scale
+        y = (record.outputs - scaling.output_mean) / scaling.output_scale
+        z = np.hstack([u, y])
+        for k in range(order, len(z)):
+            if masks is not None and not masks[number][k]:
+                continue
+            row = np.concatenate([[1.0], *[z[k - j] for j in range(order + 1)]])
+            if not np.isnan(row).any():
+                rows.append(row)
+    return np.array(rows).reshape(len(rows), 1 + (order + 1) * (records[0].n_inputs + records[0].n_outputs))
+
+
+def make(rng, n_samples, n_inputs, n_outputs, *, missing=0, missing_inputs=0):
+    u = rng.standard_normal((n_samples, n_inputs)) * 3 + 100
+    y = np.cumsum(rng.standard_normal((n_samples, n_outputs)), axis=0) - 1e4
+    y[rng.integers(0, n_samples, missing), rng.integers(0, n_outputs, missing)] = np.nan
+    if n_inputs:
+        u[rng.integers(0, n_samples, missing_inputs), 0] = np.nan
+    return Record(u, y, 0.1)
+
+
+def assert_gram_is_naive(records, order, masks=None):
+    scaling = channel_scaling(records)
+    gram = lag_gram(records, order, scaling=scaling, rows=masks)
+    V = naive_regressors(records, order, scaling, masks)
+    expected = V.T @ V
+    assert gram.n_rows == len(V)
+    assert np.abs(gram.matrix - expected).max() <= 1e-12 * max(np.abs(expected).max(), 1.0)
+    assert np.abs(gram.matrix - gram.matrix.T).max() <= 1e-13 * max(np.abs(expected).max(), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "n_inputs", "n_outputs", "order", "missing"),
+    [
+        ([400], 2, 3, 7, 0),
+        ([400], 1, 1, 1, 0),
+        ([300, 200, 9, 3], 2, 2, 6, 0),  # one record shorter than the order
+        ([600, 300], 2, 2, 5, 12),
+        ([300], 0, 2, 4, 3),
+        ([900], 3, 5, 40, 4),
+    ],
+)
+def test_equals_regressors_written_out(sizes, n_inputs, n_outputs, order, missing):
+    rng = np.random.default_rng(len(sizes) * 100 + order)
+    records = [make(rng, n, n_inputs, n_outputs, missing=missing if n > 50 else 0) for n in sizes]
+    assert_gram_is_naive(records, order)
+    assert_gram_is_naive(records, order, [rng.random(n) < 0.7 for n in sizes])
+    blocks = [np.repeat(rng.random(-(-n // 50)) < 0.5, 50)[:n] for n in sizes]
+    assert_gram_is_naive(records, order, blocks)
+
+
+def test_missing_inputs_take_only_the_rows_they_touch():
+    assert_gram_is_naive([make(np.random.default_rng(4), 500, 2, 2, missing=3, missing_inputs=3)], 8)
+
+
+def test_hundreds_of_short_runs_are_folded_in_several_batches(monkeypatch):
+    monkeypatch.setattr("okid.gram._EDGE_VALUES", 200)
+    assert_gram_is_naive([make(np.random.default_rng(5), 800, 1, 2, missing=60)], 3)
+
+
+def test_chunks_of_one_block_give_the_same(monkeypatch):
+    monkeypatch.setattr("okid.correlation._BLOCK_VALUES", 1)
+    rng = np.random.default_rng(6)
+    assert_gram_is_naive([make(rng, 1500, 2, 2, missing=5)], 6, [rng.random(1500) < 0.9])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**31), n_samples=st.integers(12, 300), order=st.integers(1, 10), n_channels=st.integers(1, 4)
+)
+def test_any_shape_and_any_mask(seed, n_samples, order, n_channels):
+    rng = np.random.default_rng(seed)
+    record = make(rng, n_samples, n_channels - 1, 1, missing=int(rng.integers(0, 4)))
+    assert_gram_is_naive([record], order, [rng.random(n_samples) < rng.random()])
+
+
+def test_disjoint_masks_add_up_to_the_whole():
+    rng = np.random.default_rng(7)
+    records = [make(rng, 300, 2, 2), make(rng, 200, 2, 2)]
+    scaling = channel_scaling(records)
+    mask = [rng.random(record.n_samples) < 0.4 for record in records]
+    whole = lag_gram(records, 5, scaling=scaling)
+    part = lag_gram(records, 5, scaling=scaling, rows=mask)
+    rest = lag_gram(records, 5, scaling=scaling, rows=[~m for m in mask])
+    assert (whole - part).n_rows == rest.n_rows
+    assert np.abs((whole - part).matrix - rest.matrix).max() < 1e-11 * whole.n_rows
+    assert np.abs((part + rest).matrix - whole.matrix).max() < 1e-11 * whole.n_rows
+
+
+def test_truncated_is_the_leading_part():
+    record = make(np.random.default_rng(8), 200, 1, 2)
+    scaling = channel_scaling([record])
+    gram = lag_gram([record], 6, scaling=scaling)
+    V = naive_regressors([record], 6, scaling)[:, : 1 + 3 * 3]
+    assert gram.truncated(2).n_rows == 194
+    assert np.abs(gram.truncated(2).matrix - V.T @ V).max() < 1e-11 * 194
+    with pytest.raises(InvalidDataError, match="holds orders 0 to 6, not 7"):
+        gram.truncated(7)
+
+
+def test_a_mapped_file_gives_what_the_array_gives(tmp_path):
+    rng = np.random.default_rng(9)
+    values = rng.standard_normal((5000, 3))
+    path = tmp_path / "samples.npy"
+    np.save(path, values)
+    mapped = np.load(path, mmap_mode="r")
+    on_disk, in_memory = Record(mapped[:, :1], mapped[:, 1:], 0.1), Record(values[:, :1], values[:, 1:], 0.1)
+    matrices = [lag_gram([r], 10, scaling=channel_scaling([r])).matrix for r in (on_disk, in_memory)]
+    assert np.abs(matrices[0] - matrices[1]).max() < 1e-10
+
+
+def test_masks_must_fit():
+    record = make(np.random.default_rng(10), 50, 1, 1)
+    with pytest.raises(InvalidDataError, match=r"lengths \[50\], but have shapes \[\(49,\)\]"):
+        lag_gram([record], 2, scaling=channel_scaling([record]), rows=[np.ones(49, bool)])
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6, -1e9])
+def test_scaling_keeps_its_digits_beside_a_large_mean(offset):
+    rng = np.random.default_rng(11)
+    drift = np.linspace(0, 5, 40_000)
+    values = np.column_stack([rng.standard_normal(40_000) + drift, rng.standard_normal(40_000)])
+    values[7, 0] = np.nan
+    shifted = values + offset
+    scaling = channel_scaling([Record([], shifted[:15_000], 0.1), Record([], shifted[15_000:], 0.1)])
+    exact = shifted - offset  # what rounding left of the values
+    assert np.allclose(scaling.output_scale, np.nanstd(exact, axis=0), rtol=1e-12)
+    assert np.allclose(scaling.output_mean - offset, np.nanmean(exact, axis=0), atol=1e-15 * abs(offset) + 1e-12)
+
+
+def test_a_constant_channel_has_scale_one_and_is_listed():
+    scaling = channel_scaling([Record(np.full(1000, 0.1), np.arange(1000.0), 0.1)])
+    assert scaling.constant_inputs == (0,)
+    assert scaling.constant_outputs == ()
+    assert scaling.input_scale.tolist() == [1.0]
