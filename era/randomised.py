@@ -104,7 +104,7 @@ def _power_steps(
         left, values, turn = _tall_svd(operator.times(rows))
         outside = left - before @ (before.T @ left)
         sines = np.minimum(1.0, np.sqrt(np.square(outside).sum(axis=0)))
-        if step >= n_steps or sines[:n_wanted].max() <= SETTLED:
+        if step >= n_steps or sines[:n_wanted].max(initial=0.0) <= SETTLED:
             return rows, left, values, turn, sines
         before = left
         step += 1

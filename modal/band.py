@@ -14,10 +14,10 @@ from okid.record import Record
 
 __all__ = ["Band", "coherent_band"]
 
-COHERENT = 0.5
-"""Multiple coherence from which on an output counts as following the inputs: more signal than noise."""
-COHERENT_POWER = 0.999
-"""Share of each output's coherent power that the band must hold: a mode left out moves less than 3 % of any output."""
+COHERENT = 0.3
+"""Multiple coherence from which on an output counts as following the inputs."""
+COHERENT_POWER = 0.9999
+"""Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
 FEWEST_SAMPLES = 500
 """A record is not decimated to fewer samples than this."""
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from modal.job import FileSource, Job, carry_out, read_demo
+from modal.report.provenance import Provenance
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import InputHold
 
@@ -115,6 +116,8 @@ def run(
 ) -> None:
     """Identify the modes in measured FILES and write a report and a Rerun recording."""
     with _faults(show=traceback):
+        from modal.terminal import show_files
+
         job = Job(
             folder=folder or Path(f"modal-report-{_safe(files[0].stem)}"),
             existing="replace" if overwrite else "refuse",
@@ -123,7 +126,8 @@ def run(
             order=_whole(order, "model order"),
         )
         source = FileSource(files=files, inputs=_names(inputs), outputs=_names(outputs), dt=dt, hold=hold)
-        result, _ = carry_out(job, source.read, command=source.command(job))
+        result, written, console = carry_out(job, source.read, provenance=source.provenance(job))
+        show_files(console, written)
         raise typer.Exit(_exit_status(result))
 
 
@@ -139,11 +143,12 @@ def demo(
     """Identify an embedded example whose true modes are known, and compare what is found with what is true."""
     with _faults(show=traceback):
         from modal.examples.demo import compare_with_truth, demo_truth
-        from modal.terminal import show_comparison
+        from modal.terminal import show_comparison, show_files
 
         job = Job(folder=folder, existing="replace" if overwrite else "refuse")
-        result, console = carry_out(job, read_demo, command="modal-report demo")
+        result, written, console = carry_out(job, read_demo, provenance=Provenance(command="modal-report demo"))
         show_comparison(console, compare_with_truth(demo_truth(), result.modes))
+        show_files(console, written)
         raise typer.Exit(_exit_status(result))
 
 

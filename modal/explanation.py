@@ -10,8 +10,9 @@ import numpy as np
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from modal.identification import Choice, Fit, OrderEvidence
 from modal.mode import ModalModel
-from modal.search import Search, Trial
+from modal.search import Search
 from modal.stability import stabilisation
+from modal.trials import Trial
 from okid.excitation import Excitation
 from okid.record import Record
 
@@ -19,6 +20,8 @@ __all__ = ["EXPLAINS", "explain_search", "order_evidence", "warnings_in_words"]
 
 EXPLAINS = 0.5
 """Cross-validated fit below which the model does not explain the records and no mode is certain."""
+LEAST_EXCITED = 0.5
+"""Share of the band in which an input must move for its response not to be called narrow."""
 FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
 
@@ -43,8 +46,13 @@ def order_evidence(decomposition: HankelDecomposition, order: int, found: Search
     )
 
 
-def explain_search(found: Search, order: int) -> tuple[Choice, ...]:
-    """Why this observer order, this ridge and this model order."""
+def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
+    """Why this observer order, this ridge and this model order.
+
+    Args:
+        found: with the trial that was taken.
+        wanted: the trial that the search chose; another one is taken where it is unstable on all rows.
+    """
     chosen, limits = found.chosen, found.limits
     best = found.trials[0]
     measure = f"free run on held-out rows: fit {1.0 - chosen.error:.3f}"
@@ -66,6 +74,8 @@ def explain_search(found: Search, order: int) -> tuple[Choice, ...]:
     ]
     if len(limits.model_orders) == 1:
         reason = "given as an argument"
+    elif wanted is not chosen:
+        reason = f"{measure}; the first choice ({wanted.model_order} states) is unstable when fitted to all rows"
     elif chosen.error == best.error:
         reason = f"{measure}, the best of {len(found.trials)} models tried"
     else:
@@ -73,9 +83,7 @@ def explain_search(found: Search, order: int) -> tuple[Choice, ...]:
             f"{measure}; the smallest that is not worse than the best ({best.model_order} states, fit "
             f"{1.0 - best.error:.3f}) by more than one standard error over the held-out blocks"
         )
-    if order < chosen.model_order:
-        reason += f"; reduced from {chosen.model_order}, which all rows together make unstable"
-    choices.append(Choice(what="model order", value=str(order), reason=reason))
+    choices.append(Choice(what="model order", value=str(chosen.model_order), reason=reason))
     return tuple(choices)
 
 
@@ -128,4 +136,11 @@ def warnings_in_words(
         words.append(
             f"The largest observer order that the data allow ({largest}) was the best: a longer record may carry more."
         )
-    return (*words, *excitation.messages)
+    return (*words, *(_excitation_words(excitation) if driven else ()))
+
+
+def _excitation_words(excitation: Excitation) -> tuple[str, ...]:
+    """Lack of excitation that the fit cannot have overcome; what a ridge can is told with the data's quality."""
+    lacking = excitation.persistency_order < excitation.needed_order
+    narrow = bool((excitation.excited_share < LEAST_EXCITED).any())
+    return excitation.messages if lacking or narrow else ()

@@ -6,7 +6,7 @@ from typing import Literal
 
 from era.realisation import Realisation
 from modal.mode import ModalModel
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, frozen_with_gaps
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
@@ -46,6 +46,10 @@ class Fit:
     folds: FloatArray
     whole: FloatArray
     one_step: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("cross_validated", "folds", "whole", "one_step"):
+            object.__setattr__(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=(None,)))
 
     @property
     def mean(self) -> float:
@@ -92,6 +96,10 @@ class OrderEvidence:
     candidate_fits: FloatArray
     stabilisation: tuple[StabilisationPoint, ...]
 
+    def __post_init__(self) -> None:
+        for name in ("singular_values", "candidate_orders", "candidate_fits"):
+            object.__setattr__(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=(None,)))
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Identification:
@@ -108,7 +116,8 @@ class Identification:
         order_evidence: what the model order was decided on.
         choices: every automatic choice (and every one taken from an argument) with its reason.
         fit: free-run fits.
-        simulated: free run of the model for each record, same shape and channels as `records`.
+        simulated: free run of the model for each record, same shape and channels as `records`; without inputs its
+            one-step prediction.
         predicted: one-step prediction for each record.
         warnings: sentences that the user must read; empty when all is well.
     """

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
+from modal.report.provenance import Provenance
 from okid.errors import IdentificationWarning
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
     from modal.identification import Identification
+    from modal.report import ReportFiles
 
 __all__ = ["FileSource", "Job", "carry_out", "read_demo"]
 
@@ -62,8 +64,8 @@ class FileSource:
             remarks |= dict.fromkeys(replace(description, channels=channels).remarks)
         return records, tuple(remarks)
 
-    def command(self, job: Job) -> str:
-        """The command line that does the same again; without the folder, so that it does not change the report."""
+    def provenance(self, job: Job) -> Provenance:
+        """How to do the same again; without the folder, so that it does not change the report."""
         words = ["modal-report", "run", *(str(file) for file in self.files)]
         for option, names in (("--inputs", self.inputs), ("--outputs", self.outputs)):
             words += [option, ",".join(names)] if names else []
@@ -71,7 +73,7 @@ class FileSource:
         words += ["--hold", self.hold] if self.hold != "band_limited" else []
         for option, value in (("--observer-order", job.observer_order), ("--ridge", job.ridge), ("--order", job.order)):
             words += [option, str(value)] if value != "auto" else []
-        return shlex.join(words)
+        return Provenance(command=shlex.join(words), sources=tuple(map(str, self.files)), dt=self.dt)
 
 
 def read_demo() -> Reading:
@@ -83,12 +85,14 @@ def read_demo() -> Reading:
     return (demo_record(np.random.default_rng(DEMO_SEED)),), ()
 
 
-def carry_out(job: Job, read: Callable[[], Reading], *, command: str) -> "tuple[Identification, Console]":
-    """Read, identify, write, print; the report is complete before a word of it is printed."""
+def carry_out(
+    job: Job, read: Callable[[], Reading], *, provenance: Provenance
+) -> "tuple[Identification, ReportFiles, Console]":
+    """Read, identify, write, print what was found; the report is complete before a word of it is printed."""
     from modal.pipeline import identify
-    from modal.report import Provenance, write_report
+    from modal.report import write_report
     from modal.report.writing import refuse_existing
-    from modal.terminal import show_files, show_result
+    from modal.terminal import show_result
 
     refuse_existing(job.folder, job.existing)
     with _progress() as tell, _heard() as heard:
@@ -103,13 +107,11 @@ def carry_out(job: Job, read: Callable[[], Reading], *, command: str) -> "tuple[
         )
         tell("writing the report and the recording", 0.9)
         remarks = (*remarks, *heard)
-        sources = tuple(word for word in (record.name for record in records) if word)
-        provenance = Provenance(command=command, sources=sources, remarks=remarks)
+        provenance = replace(provenance, remarks=remarks)
         files = write_report(result, job.folder, existing=job.existing, provenance=provenance)
     console = Console(highlight=False)
     show_result(console, result, remarks=remarks)
-    show_files(console, files)
-    return result, console
+    return result, files, console
 
 
 @contextlib.contextmanager

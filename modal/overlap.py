@@ -127,7 +127,8 @@ def inner_products(first: Pulses, second: Pulses, *, n_steps: int) -> FloatArray
         turned = (first.outputs.conj().T @ second.outputs) * (first.inputs.conj() @ second.inputs.T)
         plain = plain * _geometric(first.poles[:, np.newaxis] * second.poles, n_steps)
         turned = turned * _geometric(first.poles.conj()[:, np.newaxis] * second.poles, n_steps)
-        return cast("FloatArray", weight * (plain + turned).real)
+        products: FloatArray = weight * (plain + turned).real
+        return products
 
 
 def energies(modes: Pulses, *, n_steps: int) -> FloatArray:
@@ -138,7 +139,8 @@ def energies(modes: Pulses, *, n_steps: int) -> FloatArray:
         turned = (np.abs(modes.outputs) ** 2).sum(axis=0) * (np.abs(modes.inputs) ** 2).sum(axis=1)
         plain = plain * _geometric(modes.poles**2, n_steps)
         turned = turned * _geometric(modes.poles.conj() * modes.poles, n_steps)
-        return cast("FloatArray", weight * (plain + turned).real)
+        products: FloatArray = weight * (plain + turned).real
+        return products
 
 
 def _geometric(ratio: ComplexArray, n_steps: int) -> ComplexArray:

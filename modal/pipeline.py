@@ -10,28 +10,23 @@ from typing import Literal
 
 import numpy as np
 
-from era.balanced import HankelDecomposition, decompose, realise_from
-from era.realisation import Realisation
 from modal.explanation import explain_search, order_evidence, warnings_in_words
 from modal.extraction import extract_modes
+from modal.final_model import fit_all_rows
 from modal.fits import measure_fit, model_runs
 from modal.identification import Identification
 from modal.preparation import prepare
 from modal.repetition import repeat
-from modal.search import hankel_limits, markov_lags, search
+from modal.search import search
+from modal.threads import one_blas_thread
 from modal.verdict import judge
 from okid.errors import InvalidDataError
 from okid.excitation import check_excitation
-from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 from okid.residuals import check_residuals
 from okid.rows import as_records
 
 __all__ = ["identify"]
-
-LARGEST_ORDER = 64
-"""Model orders up to which the order evidence reaches."""
 
 
 def identify(
@@ -79,12 +74,9 @@ def identify(
         >>> [f"{mode.frequency:.2f} Hz, {mode.verdict}" for mode in result.modes.system]
         ['5.00 Hz, system']
     """
-    from threadpoolctl import threadpool_limits
-
     _check_arguments(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
     settings = _Settings(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
-    # matrices of a few hundred rows: a second thread costs more than it gives, twenty times more on a busy machine
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         return _identify(as_records(records), settings, progress or (lambda _what, _share: None))
 
 
@@ -107,11 +99,9 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
         progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.65 * share),
     )
     tell("fitting all rows", 0.7)
-    chosen = found.chosen
-    observer = fit_observer(prepared, order=chosen.observer_order, ridge=chosen.ridge)
-    markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
-    decomposition = decompose(markov, max_order=min(max(LARGEST_ORDER, chosen.model_order), *hankel_limits(markov)))
-    model = _largest_stable(decomposition, chosen.model_order)
+    wanted = found.chosen
+    found, final = fit_all_rows(prepared, found)
+    observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
     fit = measure_fit(found, runs)
     tell("identifying again with other halves, orders and ridges", 0.8)
@@ -131,18 +121,18 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
         duration=max(record.duration for record in prepared),
     )
     tell("checking excitation and residuals", 0.9)
-    excitation = check_excitation(prepared, order=chosen.observer_order)
+    excitation = check_excitation(prepared, order=observer.order)
     residuals = check_residuals(observer, prepared)
     result = Identification(
         records=runs.records,
         excitation=excitation,
         observer=observer,
         residuals=residuals,
-        markov=markov,
+        markov=final.markov,
         realisation=model,
         modes=modes,
         order_evidence=order_evidence(decomposition, model.order, found),
-        choices=(*preparation, *explain_search(found, model.order)),
+        choices=(*preparation, *explain_search(found, wanted=wanted)),
         fit=fit,
         simulated=runs.simulated,
         predicted=runs.predicted,
@@ -166,13 +156,3 @@ def _check_arguments(*, observer_order: object, ridge: object, order: object, de
         isinstance(ridge, int | float | np.number) and np.isfinite(float(ridge)) and float(ridge) >= 0.0
     ):
         raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
-
-
-def _largest_stable(decomposition: HankelDecomposition, order: int) -> Realisation:
-    """The model of this order; where all rows together make it unstable, of the next lower order that is stable."""
-    highest = min(order, decomposition.rank, decomposition.max_order)
-    for n in range(highest, -1, -1):
-        poles = np.linalg.eigvals(decomposition.A[:n, :n])
-        if n == 0 or np.abs(poles).max() < 1.0:
-            return realise_from(decomposition, n)
-    raise AssertionError("order 0 is stable")  # pragma: no cover

@@ -1,16 +1,21 @@
 """What is done to the records before anything is fitted: means off, decimation to the band they speak about."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from modal.band import coherent_band
+from modal.free_run import run_edges
 from modal.identification import Choice
 from okid.errors import InsufficientDataError
 from okid.record import Record
 
-__all__ = ["prepare"]
+__all__ = ["prepare", "split_at_input_gaps"]
+
+SHORTEST = 50
+"""Samples between two input gaps from which on a stretch is worth an initial state of its own."""
 
 
 def prepare(
@@ -27,7 +32,8 @@ def prepare(
     """
     for record in records:
         _check_moves(record)
-    centred = tuple(record.detrended() for record in records)
+    parts = tuple(part for record in records for part in split_at_input_gaps(record))
+    centred = tuple(record.detrended() for record in parts)
     mean = Choice(what="mean", value="removed", reason="the model describes motion about the mean of each channel")
     if decimation == "auto":
         band = coherent_band(centred)
@@ -37,8 +43,37 @@ def prepare(
     if factor > 1:
         centred = tuple(record.decimated(factor).detrended() for record in centred)
     nyquist = 0.5 / centred[0].dt
-    chosen = Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
-    return centred, (mean, chosen)
+    band_choice = Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
+    if len(parts) == len(records):
+        return centred, (mean, band_choice)
+    gaps = Choice(
+        what="input gaps",
+        value=f"{len(parts)} records from {len(records)}",
+        reason="where an input is missing the state is lost: what follows starts a record of its own",
+    )
+    return centred, (gaps, mean, band_choice)
+
+
+def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
+    """The stretches of a record in which no input is missing; those shorter than `SHORTEST` samples are dropped.
+
+    Raises:
+        InsufficientDataError: no stretch is long enough.
+    """
+    missing = np.isnan(record.inputs).any(axis=1)
+    if not missing.any():
+        return (record,)
+    stretches = [(first, last) for first, last in run_edges(~missing).tolist() if last - first >= SHORTEST]
+    whole = [(first, last) for first, last in stretches if np.isfinite(record.outputs[first:last]).any(axis=0).all()]
+    if not whole:
+        raise InsufficientDataError(
+            f"inputs are missing in {int(missing.sum())} of {record.n_samples} samples, which leaves no stretch of "
+            f"{SHORTEST} samples with all channels; give a record with fewer gaps in its inputs."
+        )
+    return tuple(
+        replace(record.samples(first, last), name=f"{record.name or 'record'}, part {number}")
+        for number, (first, last) in enumerate(whole, 1)
+    )
 
 
 def _check_moves(record: Record) -> None:

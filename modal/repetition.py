@@ -13,7 +13,7 @@ from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
 from modal.extraction import extract_modes
 from modal.gain import held_out_gain
-from modal.search import hankel_limits, markov_lags
+from modal.trials import hankel_limits, markov_lags
 from modal.verdict import Rerun, Reruns
 from okid.arrays import BoolArray
 from okid.errors import NumericalError
@@ -27,7 +27,8 @@ from okid.scaling import ChannelScaling, channel_scaling
 __all__ = ["repeat"]
 
 N_BLOCKS = 10
-ORDER_SHARES = (0.5, 0.7, 0.85, 1.2)
+ORDER_SHARES = (0.85, 1.2, 1.4)
+"""More above than below: the chosen order is the smallest that explains the data, so a lower one must lose a mode."""
 OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
@@ -94,11 +95,15 @@ def _fewest(model_order: int, n_outputs: int) -> int:
 
 
 def _other_orders(model_order: int, largest: int) -> list[int]:
-    """Orders around the chosen one, even where it is even, so that no conjugate pair is cut."""
+    """Orders around the chosen one, even where it is even, so that no conjugate pair is cut.
+
+    None at all where the data have no higher order (noise-free data): a lower one alone would say nothing.
+    """
     step = 2 if model_order % 2 == 0 else 1
     orders = {step * round(share * model_order / step) for share in ORDER_SHARES}
     orders |= {model_order + step}
-    return sorted(n for n in orders if 0 < n <= largest and n != model_order)
+    others = sorted(n for n in orders if 0 < n <= largest and n != model_order)
+    return others if others and others[-1] > model_order else []
 
 
 def _model(gram: LagGram, ridge: float, scaling: ChannelScaling, dt: float, order: int) -> Realisation | None:

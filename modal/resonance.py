@@ -56,14 +56,15 @@ def group_overlaps(
     n_steps: int,
 ) -> FloatArray:
     """(n_runs,) overlap of the group's summed pulse response with that of the same band and shape in each run."""
-    own = inner_products(reference, reference, n_steps=n_steps)[np.ix_(members, members)].sum()
+    group = np.array(members, dtype=np.intp)
+    own = inner_products(reference, reference, n_steps=n_steps)[np.ix_(group, group)].sum()
     overlaps = np.zeros(len(runs))
     for i, (again, pulses_again) in enumerate(runs):
         if not again:
             continue
         near = np.flatnonzero(_in_band(modes[leader], reference, leader, again, pulses_again))
         theirs = inner_products(pulses_again, pulses_again, n_steps=n_steps)[np.ix_(near, near)].sum()
-        both = inner_products(reference, pulses_again, n_steps=n_steps)[np.ix_(members, near)].sum()
+        both = inner_products(reference, pulses_again, n_steps=n_steps)[np.ix_(group, near)].sum()
         largest = max(own, theirs)
         overlaps[i] = np.clip(np.nan_to_num(both / largest), 0.0, 1.0) if largest > 0 else 0.0
     return overlaps

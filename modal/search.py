@@ -10,27 +10,16 @@ and all model orders, then their neighbours, until no neighbour is better (so a 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from era.balanced import HankelDecomposition, decompose
-from era.hankel import block_sizes
-from era.realisation import Realisation
-from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor, run_edges
-from okid.arrays import BoolArray, FloatArray
-from okid.coefficients import ObserverCoefficients
+from modal.trials import Ground, Trial, make_trials, prepare_ground
+from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
-from okid.folds import interleaved_folds
-from okid.gram import LagGram, lag_gram
-from okid.markov import MarkovParameters
 from okid.record import Record
-from okid.recovery import recover_arrays, recover_system
-from okid.regression import solve
-from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["Search", "SearchLimits", "Trial", "markov_lags", "search"]
+__all__ = ["Search", "SearchLimits", "search", "search_limits"]
 
 OBSERVER_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 RIDGES = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -40,34 +29,10 @@ FINALISTS = 6
 ROUNDS = 4
 SHORT = 4000
 """Samples up to which a fold is too short to scout alone, and all of them are cheap."""
-LARGEST_PULSE = 1e4
-"""A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 WITHIN = 1.02
 """Largest ratio to the best error of a smaller model that may stand in for it."""
 ROUND_OFF = 1e-14
 """Relative squared errors below this are equal: noise-free data."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Trial:
-    """One candidate that was fitted and scored.
-
-    Attributes:
-        observer_order: of the observer.
-        ridge: of its fit.
-        model_order: of the reduced model.
-        squared_errors: (n_folds, n_outputs) on held-out rows, scaled channels; nan for folds not run.
-        block_errors: (n_blocks,) squared error of each held-out block relative to the power of all of them, mean over
-            outputs: what two trials are compared by.
-        error: relative held-out error, mean over outputs: 1 - fit.
-    """
-
-    observer_order: int
-    ridge: float
-    model_order: int
-    squared_errors: FloatArray
-    block_errors: FloatArray
-    error: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -96,24 +61,6 @@ class Search:
     limits: SearchLimits
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Ground:
-    """What every candidate is fitted to and scored on."""
-
-    scaled: tuple[Record, ...]  # gaps bridged
-    held_out: tuple[tuple[BoolArray, ...], ...]  # [fold][record] complete rows
-    trained: tuple[tuple[BoolArray, ...], ...]  # [fold][record] complete rows
-    blocks: tuple[
-        tuple[npt.NDArray[np.int64], ...], ...
-    ]  # [fold][record] first and one past the last row of each block
-    records: tuple[Record, ...]
-    scaling: ChannelScaling
-    folds: tuple[tuple[BoolArray, ...], ...]  # [fold][record] rows held out
-    grams: dict[int, tuple[LagGram, ...]]  # training Gram of each fold, for each observer order so far
-    power: FloatArray
-    n_lags: int
-
-
 def search(
     records: Sequence[Record],
     *,
@@ -132,14 +79,14 @@ def search(
         progress: called with the share done.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
-    ground = _ground(records)
+    ground = prepare_ground(records)
     every_fold = tuple(range(len(ground.folds)))
     n_samples = sum(record.n_samples for record in records)
     scouted = every_fold if n_samples <= SHORT else every_fold[:1]
     coarse_orders = tuple(n for n in limits.model_orders if n in COARSE_MODEL_ORDERS) or limits.model_orders
     scout: list[Trial] = []
     for i, candidate in enumerate(limits.ridges):
-        scout += _trials(ground, limits.observer_orders, candidate, coarse_orders, scouted)
+        scout += make_trials(ground, limits.observer_orders, candidate, coarse_orders, scouted)
         progress(0.5 * (i + 1) / len(limits.ridges))
     finalists = _best_observers(scout, FINALISTS)
     tried: dict[tuple[int, float], list[Trial]] = {}
@@ -157,7 +104,7 @@ def search(
 
 
 def _grouped(
-    ground: _Ground,
+    ground: Ground,
     observers: Sequence[tuple[int, float]],
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
@@ -166,7 +113,7 @@ def _grouped(
     tried: dict[tuple[int, float], list[Trial]] = {observer: [] for observer in observers}
     for ridge in sorted({ridge for _, ridge in observers}):
         orders = tuple(sorted(p for p, other in observers if other == ridge))
-        for trial in _trials(ground, orders, ridge, model_orders, fold_indices):
+        for trial in make_trials(ground, orders, ridge, model_orders, fold_indices):
             tried[trial.observer_order, ridge].append(trial)
     return tried
 
@@ -187,156 +134,6 @@ def search_limits(
         ridges=RIDGES if ridge is None else (ridge,),
         model_orders=MODEL_ORDERS if model_order is None else (model_order,),
     )
-
-
-def markov_lags(n_inputs: int, n_outputs: int) -> int:
-    """Lags to recover: as many as keep the Hankel matrix of many channels at a size whose SVD takes milliseconds."""
-    return int(np.clip(800 / np.sqrt(max(1, n_inputs) * n_outputs), 120, 400))
-
-
-def _ground(records: Sequence[Record]) -> _Ground:
-    scaling = channel_scaling(records)
-    folds = interleaved_folds(records)
-    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
-    if not records[0].n_inputs:
-        scaled = tuple(driven_by_outputs(record) for record in scaled)
-    complete = [record.complete_rows() for record in records]
-    held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in folds)
-    trained = tuple(tuple(~rows & there for rows, there in zip(fold, complete, strict=True)) for fold in folds)
-    return _Ground(
-        scaled=scaled,
-        held_out=held_out,
-        trained=trained,
-        blocks=tuple(tuple(run_edges(rows) for rows in fold) for fold in folds),
-        records=tuple(records),
-        scaling=scaling,
-        folds=folds,
-        grams={},
-        power=np.array([_held_out_power(scaled, fold) for fold in held_out]),
-        n_lags=markov_lags(records[0].n_inputs, records[0].n_outputs),
-    )
-
-
-def _training(ground: _Ground, observer_order: int) -> tuple[LagGram, ...]:
-    """Gram of the rows outside each fold, made once for each observer order.
-
-    A Gram shared by all orders would drop the rows that only the largest cannot use, which a short record misses, and
-    would save but a quarter of the work.
-    """
-    if observer_order not in ground.grams:
-        whole = lag_gram(ground.records, observer_order, scaling=ground.scaling)
-        ground.grams[observer_order] = tuple(
-            whole - lag_gram(ground.records, observer_order, scaling=ground.scaling, rows=fold) for fold in ground.folds
-        )
-    return ground.grams[observer_order]
-
-
-def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
-    """The record with every channel at zero mean and unit standard deviation."""
-    return replace(
-        record,
-        inputs=(record.inputs - scaling.input_mean) / scaling.input_scale,
-        outputs=(record.outputs - scaling.output_mean) / scaling.output_scale,
-    )
-
-
-def _held_out_power(scaled: Sequence[Record], fold: Sequence[BoolArray]) -> FloatArray:
-    held = np.vstack([record.outputs[rows] for record, rows in zip(scaled, fold, strict=True)])
-    power: FloatArray = np.square(held).sum(axis=0)
-    return np.maximum(power, np.finfo(np.float64).tiny)
-
-
-def _trials(
-    ground: _Ground,
-    observer_orders: Sequence[int],
-    ridge: float,
-    model_orders: Sequence[int],
-    fold_indices: Sequence[int],
-) -> list[Trial]:
-    """Fit every observer order with one ridge and score all model orders."""
-    errors: dict[tuple[int, int], list[FloatArray]] = {}
-    for i in fold_indices:
-        for p in observer_orders:
-            coefficients = solve(_training(ground, p)[i], ridge)
-            decomposition = decompose_coefficients(coefficients, ground.n_lags, ground.scaled[0].dt, max(model_orders))
-            if decomposition is None:
-                continue
-            for n in model_orders:
-                blocks = _block_errors(ground, decomposition, n, i)
-                if blocks is not None:
-                    errors.setdefault((p, n), []).append(blocks)
-    power = ground.power[list(fold_indices)]
-    return [_trial(p, ridge, n, blocks, power) for (p, n), blocks in errors.items() if len(blocks) == len(fold_indices)]
-
-
-def _trial(
-    observer_order: int, ridge: float, model_order: int, blocks: Sequence[FloatArray], power: FloatArray
-) -> Trial:
-    squared = np.array([errors.sum(axis=0) for errors in blocks])
-    whole = power.sum(axis=0)
-    return Trial(
-        observer_order=observer_order,
-        ridge=ridge,
-        model_order=model_order,
-        squared_errors=squared,
-        block_errors=(np.concatenate(blocks) / whole).mean(axis=1),
-        error=float(np.sqrt(squared.sum(axis=0) / whole).mean()),
-    )
-
-
-def decompose_coefficients(
-    coefficients: ObserverCoefficients, n_lags: int, dt: float, max_order: int
-) -> HankelDecomposition | None:
-    """Markov parameters and SVD of an observer in scaled channels; None where the pulse response diverges."""
-    arrays = (coefficients.feedthrough, coefficients.input_coefficients, coefficients.output_coefficients)
-    gain: FloatArray | None = None
-    with np.errstate(over="ignore", invalid="ignore"):
-        if coefficients.feedthrough.shape[1]:
-            system = recover_system(*arrays, n_lags)
-        else:
-            system, gain = recover_arrays(*arrays, n_lags)
-    largest = np.abs(system if gain is None else gain).max()
-    if not largest < LARGEST_PULSE:  # nan is not below either
-        return None
-    markov = MarkovParameters(system=system, gain=gain, dt=dt, observer_order=coefficients.order)
-    return decompose(markov, max_order=min(max_order, *hankel_limits(markov)))
-
-
-def corner(decomposition: HankelDecomposition, order: int) -> Realisation | None:
-    """The model of one order without its Hankel factors, which a candidate does not need; None beyond the rank."""
-    found = decomposition
-    if order > min(found.rank, found.max_order):
-        return None
-    gain = None if found.K is None else found.K[:order]
-    return Realisation(found.A[:order, :order], found.B[:order], found.C[:, :order], found.D, found.dt, K=gain)
-
-
-def hankel_limits(markov: MarkovParameters) -> tuple[int, int]:
-    """Rows and columns of the block Hankel matrix that `decompose` would make."""
-    n_channels = markov.n_inputs or markov.n_outputs
-    a, b = block_sizes(markov.n_lags, markov.n_outputs, n_channels, n_block_rows=None, n_block_columns=None)
-    return a * markov.n_outputs, b * n_channels
-
-
-def _block_errors(
-    ground: _Ground, decomposition: HankelDecomposition, model_order: int, fold: int
-) -> FloatArray | None:
-    """(n_blocks, n_outputs) squared error of the free run on the fold's blocks; None when the model cannot run."""
-    realisation = corner(decomposition, model_order)
-    if realisation is None:
-        return None
-    form = modal_form(realisation if realisation.n_inputs else one_step_predictor(realisation))
-    if form is None:
-        return None
-    errors = []
-    for record, trained, held_out, edges in zip(
-        ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
-    ):
-        if edges.size:
-            run = free_run(form, record, trained)
-            squared = np.square(record.outputs - run.outputs) * held_out[:, np.newaxis]
-            errors += [squared[first:last].sum(axis=0) for first, last in edges]
-    return np.array(errors)
 
 
 def _best_observers(trials: Sequence[Trial], count: int) -> list[tuple[int, float]]:

@@ -57,7 +57,7 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
         table.add_row(
             f"{row.frequency:.4g}",
             _number(row.found_frequency, "{:.4g}"),
-            _number(100 * (row.found_frequency / row.frequency - 1), "{:+.2f} %"),
+            _number(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
             f"{100 * row.damping_ratio:.2f} %",
             _number(100 * row.found_damping_ratio, "{:.2f} %"),
             _number(row.assurance, "{:.3f}"),

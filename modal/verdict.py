@@ -39,6 +39,8 @@ NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 LEAST_FIT = 0.5
 """Cross-validated fit below which the model does not explain the data."""
+LARGEST_UNDRIVEN_DAMPING = 0.05
+"""Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
 SAME_FREQUENCY = 0.01
 SAME_SHAPE = 0.95
 
@@ -99,7 +101,8 @@ def judge(
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for r
     >= 0.71, "noise" for r < 0.42, else "doubtful". At most doubtful are: a second pole within 1 % of a mode's
     frequency and with its shape; a mode whose mean held-out gain is negative; an oscillation that decays by less than
-    1 - 1/e over the longest record, unless its held-out gain is 0.1 or more; every mode of a model that does not
+    1 - 1/e over the longest record, unless its held-out gain is 0.1 or more; without inputs a pole damped by more
+    than 5 %; every mode of a model that does not
     explain the data (fit < 0.5). A real pole is judged like the others but named as what it is.
 
     Whether the damping of an oscillatory mode is resolved: see `modal.damping`.
@@ -144,6 +147,9 @@ def judge(
         undriven = undriven_doubt(mode, _mean_gain(found, reruns, i), duration)
         if verdict == "system" and undriven:
             verdict, words = "doubtful", (*undriven, *words)
+        colour = _colour_doubt(mode)
+        if verdict == "system" and colour:
+            verdict, words = "doubtful", (*colour, *words)
         if verdict == "system" and fit < LEAST_FIT:
             verdict, words = "doubtful", (_poor_fit(fit), *words)
         doubt = damping_doubt(
@@ -232,6 +238,13 @@ def _mean_gain(found: Repeatability, reruns: Reruns, index: int) -> float:
         if run.gain is not None and found.continuation[i, index] >= 0
     ]
     return float(np.mean(gains)) if gains else np.nan
+
+
+def _colour_doubt(mode: Mode) -> tuple[str, ...]:
+    """Without an input, a heavily damped pole may describe the spectrum of what drives the system."""
+    if mode.participation.size or mode.damping_ratio <= LARGEST_UNDRIVEN_DAMPING:
+        return ()
+    return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
 
 
 def _poor_fit(fit: float) -> str:

@@ -18,6 +18,7 @@ __all__ = [
     "column_block",
     "frozen",
     "frozen_complex",
+    "frozen_with_gaps",
     "row_chunks",
     "time_major",
 ]
@@ -94,6 +95,13 @@ def frozen(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | 
             f"{name} must be finite, but {int((~np.isfinite(array)).sum())} of its {array.size} values are NaN or "
             "infinite."
         )
+    return _read_only(array)
+
+
+def frozen_with_gaps(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | None = None) -> FloatArray:
+    """As `frozen`, for numbers of which some may not be known (NaN)."""
+    array = _as_float(values, name)
+    _check_shape(array, name, shape)
     return _read_only(array)
 
 

@@ -186,9 +186,8 @@ def _bands(excited: BoolArray, nyquist: float) -> tuple[tuple[float, float], ...
 
 def _constant_messages(record: Record, scaling: ChannelScaling) -> list[str]:
     return [
-        f"input {record.input_names[i]!r} never moves (always {scaling.input_mean[i]:.6g}): nothing can be "
-        "identified from it; "
-        f"leave it out."
+        f"input {record.input_names[i]!r} never moves (always {scaling.input_mean[i]:.6g}): nothing can be identified "
+        "from it; leave it out."
         for i in scaling.constant_inputs
     ]
 
@@ -198,17 +197,16 @@ def _order_messages(order: int, persistency: int, condition: float) -> list[str]
         return [
             (
                 f"the inputs are persistently exciting of order {persistency} only, {order} is needed: at most "
-                f"{persistency} past "
-                f"samples can be told apart; use a lower observer order, a ridge, or inputs with more frequencies."
+                f"{persistency} past samples can be told apart; use a lower observer order, a ridge, or inputs with "
+                "more frequencies."
             )
         ]
     if condition > _POOR_CONDITION:
         return [
             (
-                f"the inputs of {order} successive samples are nearly dependent (condition number {condition:.1e}; below "
-                f"{_POOR_CONDITION:.0e} is safe): some of what the inputs do hardly shows; use a ridge, or decimate to "
-                "the band "
-                f"that is excited."
+                f"the inputs of {order} successive samples are nearly dependent (condition {condition:.1e}; below "
+                f"{_POOR_CONDITION:.0e} is safe): some of what the inputs do hardly shows; use a ridge, or decimate "
+                "to the band that is excited."
             )
         ]
     return []
@@ -226,8 +224,7 @@ def _collinear_messages(names: Sequence[str], same_time: FloatArray, scaling: Ch
                 ratio = np.sign(correlation) * scaling.input_scale[j] / scaling.input_scale[i]
                 messages.append(
                     f"inputs {names[i]!r} and {names[j]!r} are the same signal ({names[j]!r} = {ratio:.4g} times "
-                    f"{names[i]!r}): "
-                    f"their effects cannot be told apart; leave one out."
+                    f"{names[i]!r}): their effects cannot be told apart; leave one out."
                 )
                 paired.add(j)
     rest = [i for i in moving if i not in paired]
@@ -239,8 +236,7 @@ def _collinear_messages(names: Sequence[str], same_time: FloatArray, scaling: Ch
             )
             messages.append(
                 f"inputs {involved} are linearly dependent: one is a combination of the others, so their effects "
-                "cannot be "
-                f"told apart; leave one out."
+                "cannot be told apart; leave one out."
             )
     return messages
 
@@ -260,7 +256,6 @@ def _band_messages(
         more = f" and {len(bands[i]) - 4} narrower bands" if len(bands[i]) > 4 else ""
         messages.append(
             f"input {name!r} moves in {100 * shares[i]:.0f} % of the band up to {nyquist:.4g} Hz ({shown}{more}): "
-            "elsewhere "
-            f"the response to it is not in the data."
+            "elsewhere the response to it is not in the data."
         )
     return messages

@@ -224,10 +224,8 @@ def _warn_where_poor(coefficients: ObserverCoefficients, gram: LagGram, record: 
         if inputs > _POOR_INPUT:
             warnings.warn(
                 f"the inputs do not excite enough for observer order {order}: their {order + 1} lags have condition "
-                "number "
-                f"{inputs:.1e} (below {_POOR_INPUT:.0e} is safe), so the Markov parameters are uncertain however "
-                "small the "
-                f"one-step error is; {remedy}.",
+                f"number {inputs:.1e} (below {_POOR_INPUT:.0e} is safe), so the Markov parameters are uncertain "
+                f"however small the one-step error is; {remedy}.",
                 IdentificationWarning,
                 stacklevel=3,
             )

@@ -92,7 +92,7 @@ def choose_observer(
     if not np.isfinite(best):
         raise InsufficientDataError(
             f"the free run of every observer of order {tried[0]} to {tried[-1]} diverges on held-out rows; the inputs "
-            f"do not explain the outputs as a stable linear system. Check the channels, or give the order and the "
+            "do not explain the outputs as a stable linear system. Check the channels, or give the order and the "
             "ridge."
         )
     row = int(np.flatnonzero(errors.min(axis=1) <= _AS_GOOD * best)[0])
@@ -126,7 +126,6 @@ def _feasible(records: Sequence[Record], orders: Sequence[int]) -> tuple[int, ..
         total = sum(record.n_samples for record in records)
         raise InsufficientDataError(
             f"choosing an observer order needs twice as many training rows as unknowns, but {total} samples are too "
-            "few "
-            f"even for order {min(orders)} with {n_inputs} inputs and {n_outputs} outputs; give a longer record."
+            f"few even for order {min(orders)} with {n_inputs} inputs and {n_outputs} outputs; give a longer record."
         )
     return tried

@@ -65,9 +65,8 @@ def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
     have, want = (record.n_inputs, record.n_outputs), (observer.n_inputs, observer.n_outputs)
     if have != want:
         raise InvalidDataError(
-            f"the record must have the observer's channels, {want[0]} inputs and {want[1]} outputs, but has "
-            f"{have[0]} and "
-            f"{have[1]}; select them with record.select."
+            f"the record must have the observer's channels, {want[0]} inputs and {want[1]} outputs, but has {have[0]} "
+            f"and {have[1]}; select them with record.select."
         )
     order = observer.order
     residual = np.full((record.n_samples, record.n_outputs), np.nan)
@@ -215,23 +214,20 @@ def _messages(ratio: float, p_value: float, input_ratio: float, lags: int, order
     if ratio > _NOT_WHITE:
         found.append(
             f"the residual is not white: statistic over degrees of freedom {ratio:.2f} at {lags} lags (1 is white), "
-            "so the "
-            f"observer of order {order} leaves dynamics of the noise out; a higher order helps if the record is long "
-            "enough."
+            f"so the observer of order {order} leaves dynamics of the noise out; a higher order helps if the record "
+            "is long enough."
         )
     elif p_value < 0.05:
         found.append(
             f"the residual is nearly white: statistic over degrees of freedom {ratio:.2f} (1 is white); its p-value "
-            f"{p_value:.2g} "
-            f"is weak evidence, since the test rejects too often for a truncated observer."
+            f"{p_value:.2g} is weak evidence, since the test rejects too often for a truncated observer."
         )
     else:
         found.append(f"the residual is white: statistic over degrees of freedom {ratio:.2f}, p-value {p_value:.2g}.")
     if input_ratio > _NOT_WHITE:
         found.append(
             f"inputs more than {order} samples old still explain part of the residual (ratio {input_ratio:.2f}, 1 is "
-            "none): "
-            f"the observer order is too low, or the system is not linear."
+            "none): the observer order is too low, or the system is not linear."
         )
     return tuple(found)
 

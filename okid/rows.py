@@ -125,9 +125,8 @@ def check_rows_left(records: Sequence[Record], order: int, n_rows: int) -> None:
     runs = [stop - start for rows in complete for start, stop in runs_of(rows)]
     raise InsufficientDataError(
         f"observer order {order} needs {n_unknowns} rows of {order + 1} samples without a gap, but only {n_rows} are "
-        "left "
-        f"by the {n_missing} of {n_samples} samples that miss a channel. Use {_largest(runs, n_inputs, n_outputs)}, "
-        f"leave out the channel that fails, or fill the gaps."
+        f"left by the {n_missing} of {n_samples} samples that miss a channel. Use "
+        f"{_largest(runs, n_inputs, n_outputs)}, leave out the channel that fails, or fill the gaps."
     )
 
 

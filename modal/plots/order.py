@@ -102,17 +102,11 @@ def stabilisation_diagram(
             label=word,
         )
     axis.axhline(evidence.order, color=theme.model, lw=1.0)
-    for mode in modes.system:
+    for mode, level in zip(modes.system, _levels(modes.frequencies, 0.05 * nyquist), strict=True):
         axis.axvline(mode.frequency, color=theme.system, lw=0.8, alpha=0.55)
-        axis.text(
-            *(mode.frequency, highest * 1.055),
-            f"{mode.frequency:.4g}",
-            color=theme.system,
-            fontsize=8,
-            ha="center",
-            va="bottom",
-            rotation=90 if len(modes.system) > 6 else 0,
-        )
+        height = highest * (1.055 + 0.05 * level)
+        label = f"{mode.frequency:.4g}"
+        axis.text(mode.frequency, height, label, color=theme.system, fontsize=8, ha="center", va="bottom")
     axis.set_xlim(0, nyquist)
     axis.set_ylim(0, highest * 1.05)
     axis.set_xlabel("frequency [Hz]")
@@ -135,3 +129,14 @@ def _mean_spectrum(records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
     total = power.sum(axis=0)
     share = power / np.where(total > 0, total, 1.0)
     return frequency, share.mean(axis=1)
+
+
+def _levels(frequencies: FloatArray, room: float) -> list[int]:
+    """On which line the label of each mode stands, so that no two labels nearer than `room` share one."""
+    ends: list[float] = []
+    levels = []
+    for frequency in frequencies.tolist():
+        level = next((level for level, end in enumerate(ends) if frequency - end >= room), len(ends))
+        ends[level : level + 1] = [frequency]
+        levels.append(level)
+    return levels

@@ -217,7 +217,7 @@ def _shape(plan: Plan, number: int, n_sticks: int) -> Any:
     import rerun.blueprint as rrb
 
     mode = plan.modes[number - 1]
-    damping = f"{100 * mode.damping_ratio:.2g} %" if mode.damping_resolved else "damping open"
+    damping = f"{100 * mode.damping_ratio:#.2g} %" if mode.damping_resolved else "damping unresolved"
     title = f"Mode {number}: {mode.frequency:.4g} Hz, {damping}"
     if mode.verdict != "system":
         title = f"{mode.verdict.capitalize()} {number}: {mode.frequency:.4g} Hz"

@@ -205,5 +205,5 @@ def _draw_response(figure: Figure, frequencies: FloatArray, size: FloatArray) ->
     low = max(float(np.nanmin(level)), high - RESPONSE_DECADES)
     share = (level - low) / (high - low) if high > low else np.where(there, 0.5, np.nan)
     figure.line(
-        "response", frequencies, figure.y.low + (figure.y.high - figure.y.low) * 0.88 * share, DIM_BLUE, order=2.0
+        "response", frequencies, figure.y.low + (figure.y.high - figure.y.low) * 0.8 * share, DIM_BLUE, order=2.0
     )

@@ -32,9 +32,9 @@ FRAMES: Final = 32
 
 HALF_LENGTH: Final = 1.0
 SPACING: Final = 0.7
-NAMED_SENSORS: Final = 8
+NAMED_LETTERS: Final = 48
 NAMED_SHAPES: Final = 4
-"""Sensors carry their names where there are few of them, and few pictures."""
+"""Sensors carry their names where there is room: so many letters in all, in so many pictures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -137,6 +137,7 @@ def _log_still(
     import rerun as rr
 
     n = len(stick.outputs)
+    texts = [label(name, 14) for name in names]
     reach = np.array([[0.12, 0.0, 0.0]]) if n == 1 else np.zeros((1, 3))
     ends = stick.rest[[0, -1]] + np.concatenate([-reach, reach])
     recording.log(
@@ -148,8 +149,8 @@ def _log_still(
             stick.rest,
             radii=rr.Radius.ui_points(2.5),
             colors=GREY,
-            labels=[label(name, 14) for name in names],
-            show_labels=n <= NAMED_SENSORS and len(plan.shapes) <= NAMED_SHAPES,
+            labels=texts,
+            show_labels=len(plan.shapes) <= NAMED_SHAPES and sum(map(len, texts)) <= NAMED_LETTERS,
         ),
         static=True,
         strict=True,

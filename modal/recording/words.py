@@ -1,6 +1,7 @@
 """The pages in words and tables, as Markdown: the fit, the modes, the choices."""
 
 from collections.abc import Iterable, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from modal.recording.plan import SHOWN_OUTPUTS, Plan
 
 __all__ = ["choices_text", "fit_text", "modes_text"]
 
-LISTED_OUTPUTS = 40
+LISTED_OUTPUTS: Final = 40
+UNKNOWN: Final = "–"
+REASON_LETTERS: Final = 110
 
 
 def fit_text(identification: Identification, plan: Plan) -> str:
@@ -27,8 +30,8 @@ def fit_text(identification: Identification, plan: Plan) -> str:
     listed = range(min(first.n_outputs, LISTED_OUTPUTS))
     rows = [
         [
-            cell(first.output_names[i], 40),
-            cell(first.output_units[i], 12) if first.output_units[i] else "–",
+            cell(first.output_names[i], 24),
+            cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
             f"**{_share(fit.cross_validated[i])}**",
             _share(fit.whole[i]),
             _share(fit.one_step[i]),
@@ -52,19 +55,30 @@ def fit_text(identification: Identification, plan: Plan) -> str:
 
 def modes_text(identification: Identification, plan: Plan) -> str:
     """The table of all modes, noise included, with every indicator, the verdict and its reason."""
-    head = ["", "f [Hz]", "±", "ζ [%]", "±", "verdict", "γ", "EMAC", "MPC", "CMI", "MSV", "MPD [°]", "repeats", "P"]
+    head = ["", "f [Hz]", "±", "ζ [%]", "± ", "verdict", "γ", "EMAC", "MPC", "CMI", "MSV", "MPD [°]", "repeats", "P"]
     rows = [_mode_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
-    parts = [_table([*head, "kind", "why"], rows) if rows else "The model has no mode."]
+    parts = [_table(*_with_content([*head, "kind", "why"], rows)) if rows else "The model has no mode."]
+    parts += _bullets(
+        [
+            f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {mode.reason}"
+            for number, mode in enumerate(plan.modes, start=1)
+            if _start(mode.reason) != mode.reason
+        ]
+    )
     if identification.modes.indicators_missing:
         parts.append(f"Indicators are missing: {cell(identification.modes.indicators_missing)}")
     caution = identification.modes.indicator_caution
+    spread = "±: one standard deviation. " if np.isfinite([mode.frequency_std for mode in plan.modes]).any() else ""
     parts.append(
         f"γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase collinearity. CMI = EMAC · MPC. "
-        f"MSV: mode singular value over the largest. MPD: mean phase deviation. ±: one standard deviation. n/(pq) = "
+        f"MSV: mode singular value over the largest. MPD: mean phase deviation. {spread}n/(pq) = "
         f"{_number(caution, 2)}" + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
     )
     if len(set(identification.records[0].output_units)) > 1 and plan.shapes:
-        parts.append("The outputs have different units: each unit has a line of its own, scaled to its own largest.")
+        parts.append(
+            "The outputs have different units: each unit has a line of its own, scaled to its own largest. The "
+            "assurance is that of the numbers as they are, so units with large numbers weigh more in it."
+        )
     return "\n\n".join(parts)
 
 
@@ -101,7 +115,7 @@ def _observer_line(identification: Identification) -> str:
 
 def _records_table(identification: Identification, plan: Plan) -> str:
     rows = [
-        [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else "–"]
+        [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else UNKNOWN]
         for record, start, stop, shift in zip(identification.records, plan.starts, plan.stops, plan.shifts, strict=True)
     ]
     return _table(["record", "shown from", "to", "moved by"], rows)
@@ -116,15 +130,26 @@ def _mode_row(number: int, mode: Mode) -> list[str]:
         f"{strong}{mode.frequency:#.5g}{strong}",
         _figures(mode.frequency_std),
         damping,
-        _figures(100 * mode.damping_ratio_std) if mode.damping_resolved else "–",
+        _figures(100 * mode.damping_ratio_std) if mode.damping_resolved else UNKNOWN,
         f"{strong}{mode.verdict}{strong}",
         *[_number(value, 2) for value in indicators],
         _number(mode.mpd, 0),
         _number(mode.repeatability, 2),
         _number(mode.probability, 2),
         mode.kind,
-        cell(mode.reason) if mode.reason else "–",
+        cell(_start(mode.reason)) if mode.reason else UNKNOWN,
     ]
+
+
+def _start(reason: str) -> str:
+    """What fits beside the numbers on a common screen; the whole of a longer reason stands below the table."""
+    return reason if len(reason) <= REASON_LETTERS else reason[: REASON_LETTERS - 1].rstrip() + "…"
+
+
+def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """Leave out columns that say nothing: no value in any row, or every pole oscillatory."""
+    said = [k for k in range(len(head)) if {row[k] for row in rows} - {UNKNOWN, "oscillatory"}]
+    return [head[k] for k in said], [[row[k] for k in said] for row in rows]
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -138,12 +163,12 @@ def _bullets(*groups: Sequence[str]) -> list[str]:
 
 
 def _share(value: float) -> str:
-    return f"{100 * value:.1f} %" if np.isfinite(value) else "–"
+    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
 
 
 def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if np.isfinite(value) else "–"
+    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
 
 
 def _figures(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else "–"
+    return f"{value:.2g}" if np.isfinite(value) else UNKNOWN

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["html_text", "markdown_text"]
 
 VERDICTS = (
-    ("system", "Modes of the system", "Found again whenever they were looked for."),
+    ("system", "Modes of the system", "Found again in other data, with other observers and at other orders."),
     ("doubtful", "Doubtful", "May be modes of the system; the data do not settle it. Do not quote them."),
     ("noise", "Noise", "What the model needs to describe this record, but no property of the system."),
 )
@@ -113,16 +113,23 @@ def _title(result: Identification) -> str:
 def _snippet(result: Identification, provenance: Provenance) -> str:
     """Python that makes the result again; names are written as Python literals of ASCII."""
     record = result.records[0]
-    reading = [
-        f"okid.read_record({source!a}, inputs={list(record.input_names)!a},"
-        f" outputs={list(record.output_names)!a}, input_hold={record.input_hold!a})"
-        for source in provenance.sources or ("FILE",)
-    ]
-    records = reading[0] if len(reading) == 1 else "[\n    " + ",\n    ".join(reading) + ",\n]"
+    reading = "...  # the records of this result"
+    if provenance.sources:
+        step = "" if provenance.dt is None else f"    dt={provenance.dt!r},\n"
+        reading = (
+            "okid.read_records(\n"
+            f"    {list(provenance.sources)!a},\n"
+            f"    inputs={list(record.input_names)!a},\n"
+            f"    outputs={list(record.output_names)!a},\n"
+            f"{step}    input_hold={record.input_hold!a},\n)"
+        )
+    chosen = (
+        f"observer_order={result.observer.order}, ridge={result.observer.ridge:g}, order={result.realisation.order}"
+    )
     return (
         "import modal\nimport okid\n\n"
-        f"records = {records}\n"
-        "result = modal.identify(records)\n"
+        f"records = {reading}\n"
+        f"result = modal.identify(records)  # it chose {chosen}\n"
         'modal.write_report(result, "report")'
     )
 

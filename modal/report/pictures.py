@@ -144,17 +144,19 @@ def _mode_pictures(result: Identification) -> dict[str, Picture]:
         return {}
     names = result.records[0].output_names
     which = "" if len(shown) == len(system) else f" The first {len(shown)} of {len(system)} modes."
+    units = set(result.records[0].output_units)
+    mixed = "" if len(units) == 1 else " The outputs have different units: compare only components of the same unit."
     pictures = {
         "shapes": _picture(
             plots.mode_shapes(shown, output_names=names),
             "shapes",
             "Shapes of the modes of the system: sensors in the order of the record, greatest component 1, without the "
-            f"geometry of the structure.{which}",
+            f"geometry of the structure.{mixed}{which}",
         ),
         "complexity": _picture(
             plots.shape_complexity(shown),
             "complexity",
-            f"Shape components as phasors: those of a real mode lie on one line.{which}",
+            f"Shape components as phasors: those of a real mode lie on one line.{mixed}{which}",
         ),
     }
     if len(system) > 1:

@@ -14,12 +14,14 @@ class Provenance:
 
     Attributes:
         command: command line that made the result, "" where there was none.
-        sources: names of the files that were read.
+        sources: paths of the files that were read, as they were given.
+        dt: time step that was given with them [s], None where the files have their own.
         remarks: what the reader did to the data, such as units that it converted, in words.
     """
 
     command: str = ""
     sources: tuple[str, ...] = ()
+    dt: float | None = None
     remarks: tuple[str, ...] = ()
 
 

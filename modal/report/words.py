@@ -55,7 +55,7 @@ def judge(result: Identification) -> Judgement:
     n_system = len(result.modes.system)
     reasons = [fit_sentence(result)]
     if not n_system:
-        reasons.append("No mode passed the test of being found again, so there is nothing to quote.")
+        reasons.append("No pole of the model is accepted as a mode of the system, so there is nothing to quote.")
     if n_system and (damping := damping_sentence(result)):
         reasons.append(damping)
     reasons += [sentence for sentence in (doubtful_sentence(result), caution_sentence(result)) if sentence]
@@ -67,15 +67,21 @@ def judge(result: Identification) -> Judgement:
 
 
 def headline(result: Identification) -> str:
-    """How many modes there are, in one sentence."""
-    modes = result.modes.system
-    if not modes:
+    """How many modes there are, in one sentence; an overdamped pole is no vibration mode and is counted apart."""
+    system = result.modes.system
+    modes = [mode for mode in system if mode.kind == "oscillatory"]
+    n_others = len(system) - len(modes)
+    others = f"{_count(n_others)} overdamped pole{'s' if n_others > 1 else ''}"
+    if not system:
         return "No mode of the system was found."
+    if not modes:
+        return f"No vibration mode was found, but {others} of the system."
+    also = f", and {others}" if n_others else ""
     if len(modes) == 1:
-        return f"One mode of the system was found, at {modes[0].frequency:.4g} Hz."
+        return f"One mode of the system was found, at {modes[0].frequency:.4g} Hz{also}."
     return (
         f"{_count(len(modes)).capitalize()} modes of the system were found, "
-        f"between {modes[0].frequency:.4g} and {modes[-1].frequency:.4g} Hz."
+        f"between {modes[0].frequency:.4g} and {modes[-1].frequency:.4g} Hz{also}."
     )
 
 
@@ -102,12 +108,13 @@ def fit_sentence(result: Identification) -> str:
     word = "well" if fit >= GOOD_FIT else "in the main"
     how = "Fed with the inputs alone" if result.records[0].n_inputs else "No input was measured; one step ahead"
     sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {fit:.2f}"
-    return sentence + (f" (least for {names[worst]}: {fits[worst]:.2f})." if len(names) > 1 else ".")
+    differs = f"{fits[worst]:.2f}" != f"{fit:.2f}"
+    return sentence + (f" (least for {names[worst]}: {fits[worst]:.2f})." if differs else ".")
 
 
 def damping_sentence(result: Identification) -> str:
     """Which damping ratios are not to be quoted; "" when all are resolved."""
-    unresolved = [mode for mode in result.modes.system if not mode.damping_resolved]
+    unresolved = [mode for mode in result.modes.system if not mode.damping_resolved and mode.kind == "oscillatory"]
     if not unresolved:
         return ""
     which = ", ".join(f"{mode.frequency:.4g}" for mode in unresolved)
@@ -122,11 +129,12 @@ def doubtful_sentence(result: Identification) -> str:
         return ""
     best = sorted(doubtful, key=lambda mode: -(mode.repeatability if math.isfinite(mode.repeatability) else 0.0))[:3]
     which = ", ".join(f"{mode.frequency:.4g}" for mode in best)
+    more = "more " if result.modes.system else ""
     if len(doubtful) == 1:
-        return f"One more pole, at {which} Hz, is doubtful: the data do not settle whether it is a mode."
+        return f"One {more}pole, at {which} Hz, is doubtful: the data do not settle whether it is a mode."
     rest = f" and {len(doubtful) - 3} more" if len(doubtful) > 3 else ""
     return (
-        f"{_count(len(doubtful)).capitalize()} more poles are doubtful ({which} Hz{rest}): the data do not settle "
+        f"{_count(len(doubtful)).capitalize()} {more}poles are doubtful ({which} Hz{rest}): the data do not settle "
         "whether they are modes."
     )
 
@@ -149,6 +157,8 @@ def damping_text(mode: Mode) -> str:
 
     A standard deviation, where known, is shown as a 95 % interval.
     """
+    if mode.kind == "real":
+        return "overdamped"
     if not mode.damping_resolved:
         return "not resolved"
     return percent(mode.damping_ratio, mode.damping_ratio_std)

@@ -1,7 +1,9 @@
 """Which columns of a table are inputs and which are outputs."""
 
 import difflib
+from collections import Counter
 from collections.abc import Sequence
+from typing import NoReturn
 
 from okid.errors import InvalidDataError
 from okid.readers.table import Table
@@ -39,7 +41,7 @@ def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[i
     """
     into, out = chosen_names(table, inputs, outputs)
     _check_once(into, out)
-    indices = [_index(table, name) for name in into], [_index(table, name) for name in out]
+    indices = _indices(table, into), _indices(table, out)
     if not indices[1]:
         raise InvalidDataError(
             f"no output is left in {table.path.name}: its channels are {_listed(table)}, and all of them are inputs; "
@@ -49,10 +51,10 @@ def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[i
 
 
 def _check_once(into: list[str], out: list[str]) -> None:
-    both = [name for name in into if name in out]
+    both = sorted(set(into) & set(out))
     if both:
         raise InvalidDataError(f"{', '.join(map(repr, both))} cannot be both input and output; name each channel once.")
-    double = sorted({name for name in into + out if (into + out).count(name) > 1})
+    double = sorted(name for name, count in Counter(into + out).items() if count > 1)
     if double:
         raise InvalidDataError(f"channel {', '.join(map(repr, double))} is named more than once; name each once.")
 
@@ -65,10 +67,17 @@ def _find(table: Table, name: str) -> int | None:
     return None
 
 
-def _index(table: Table, name: str) -> int:
-    index = _find(table, name)
-    if index is not None and index in table.channels():
-        return index
+def _indices(table: Table, names: Sequence[str]) -> list[int]:
+    places = {column.header: index for index, column in enumerate(table.columns)}
+    places |= {column.name: index for index, column in enumerate(table.columns)}
+    channels = set(table.channels())
+    for name in names:
+        if places.get(name) not in channels:
+            _refuse(table, name, places.get(name))
+    return [places[name] for name in names]
+
+
+def _refuse(table: Table, name: str, index: int | None) -> NoReturn:
     if index is not None:
         what = "the time axis" if index == table.time_column() else "a counter of the samples"
         raise InvalidDataError(

@@ -7,7 +7,7 @@ from types import ModuleType
 
 from okid.errors import UnreadableFileError
 
-__all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", "require"]
+__all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", "first_line", "require"]
 
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
@@ -59,6 +59,11 @@ def check_channel_count(path: Path, n_channels: int) -> None:
             f"{path.name} holds {n_channels} columns, more than the {MAX_CHANNELS} that one record may have; rows must "
             "be samples and columns channels, so save its transpose or fewer channels."
         )
+
+
+def first_line(error: Exception) -> str:
+    """What a foreign error says, in one line of bounded length; its kind if it says nothing."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
 
 
 def require(module: str, path: Path) -> ModuleType:

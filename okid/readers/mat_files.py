@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_memory, require
+from okid.readers.guard import check_memory, first_line, require
 from okid.readers.named_arrays import Content, table_from_arrays
 from okid.readers.table import Table
 
@@ -152,5 +152,6 @@ def _shortened(contents: dict[str, Content]) -> dict[str, Content]:
 
 
 def _unreadable(path: Path, error: Exception) -> UnreadableFileError:
-    what = (str(error) or type(error).__name__).splitlines()[0]
-    return UnreadableFileError(f"{path.name} is damaged, cut off or no MAT file ({what}); save or copy it again.")
+    return UnreadableFileError(
+        f"{path.name} is damaged, cut off or no MAT file ({first_line(error)}); save or copy it again."
+    )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_memory
+from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.named_arrays import Content, table_from_arrays
 from okid.readers.table import Column, Table
 
@@ -37,6 +37,7 @@ def read_npy(path: Path) -> Table:
             "of shape (n_samples, n_channels)."
         )
     values = array if array.ndim == 2 else array[:, np.newaxis]
+    check_channel_count(path, values.shape[1])
     columns = tuple(Column(name=f"column_{index}") for index in range(values.shape[1]))
     return Table(path=path, format="NPY", columns=columns, values=values)
 
@@ -51,11 +52,13 @@ def read_npz(path: Path) -> Table:
         with zipfile.ZipFile(path) as archive:
             check_memory(path, 2.0 * sum(entry.file_size for entry in archive.infolist()))
         with np.load(path, allow_pickle=False) as arrays:
-            contents = {name: _content(arrays[name]) for name in arrays.files}
+            members = {name: arrays[name] for name in arrays.files}
     except UnreadableFileError:
         raise
     except _DAMAGE as error:
         raise _unreadable(path, error) from error
+    # a member that is no array comes as its bytes: it is nothing to us
+    contents = {name: _content(member) for name, member in members.items() if isinstance(member, np.ndarray)}
     return table_from_arrays(contents, path=path, file_format="NPZ")
 
 
@@ -66,9 +69,11 @@ def _content(array: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> Conten
 
 
 def _unreadable(path: Path, error: Exception) -> UnreadableFileError:
-    if "pickle" in str(error):
+    if "pickle" in str(error) or "Python objects" in str(error):
         return UnreadableFileError(
             f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; save "
             "plain arrays of numbers."
         )
-    return UnreadableFileError(f"{path.name} is damaged or is no {path.suffix} file ({error}); save or copy it again.")
+    return UnreadableFileError(
+        f"{path.name} is damaged or is no {path.suffix} file ({first_line(error)}); save or copy it again."
+    )

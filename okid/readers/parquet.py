@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory
+from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.headers import split_header, unique_names
 from okid.readers.table import Column, LeftOut, Table
 
@@ -33,7 +33,7 @@ def read_parquet(path: Path) -> Table:
         if isinstance(error, UnreadableFileError):
             raise
         raise UnreadableFileError(
-            f"{path.name} is damaged, cut off or no Parquet file ({str(error).splitlines()[0]}); save or copy it again."
+            f"{path.name} is damaged, cut off or no Parquet file ({first_line(error)}); save or copy it again."
         ) from error
     headers, units, series, left_out = [], [], [], []
     for field, column in zip(table.schema, table.itercolumns(), strict=True):

@@ -79,8 +79,9 @@ class Table:
 
     def counter_column(self) -> int | None:
         """Index of a column that only counts the samples (0, 1, 2, ... or 1, 2, 3, ...), None if there is none."""
+        has_headers = any(column.header for column in self.columns)
         for index, column in enumerate(self.columns):
-            unnamed = not column.header and any(other.header for other in self.columns)  # the index that pandas writes
+            unnamed = has_headers and not column.header  # the index that pandas writes
             if unnamed or _plain(column.name) in COUNTER_NAMES:
                 values = self.values[:, index]
                 if values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values))):

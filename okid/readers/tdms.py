@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, require
+from okid.readers.guard import check_channel_count, check_memory, first_line, require
 from okid.readers.headers import unique_names
 from okid.readers.table import Column, LeftOut, Table
 
@@ -25,7 +25,9 @@ def read_tdms(path: Path) -> Table:
         found = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]
         series = [(channel, np.asarray(channel[:])) for channel in found]
     except Exception as error:  # damage shows as whatever the decoding stumbles over
-        raise UnreadableFileError(f"{path.name} is damaged or is no TDMS file ({error}); export it again.") from error
+        raise UnreadableFileError(
+            f"{path.name} is damaged or is no TDMS file ({first_line(error)}); export it again."
+        ) from error
     usable = [(channel, values) for channel, values in series if values.dtype.kind in "iuf" and values.size]
     if not usable:
         raise UnreadableFileError(f"{path.name} holds no channel of numbers (it has {len(found)} channels).")

@@ -15,7 +15,7 @@ import numpy as np
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory
+from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.headers import split_header, unique_names
 from okid.readers.table import Column, Table
 from okid.readers.text_cells import MISSING, Dialect, is_missing, is_number, split_cells
@@ -109,7 +109,7 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
     except (pa.ArrowException, ValueError) as error:
         file.seek(start)
         _raise_fault(io.TextIOWrapper(file, encoding="latin-1"), layout, names, path)
-        raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({error}).") from error
+        raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({first_line(error)}).") from error
     values = np.empty((table.num_rows, layout.n_columns))
     for index, column in enumerate(table.itercolumns()):
         values[:, index] = column.to_numpy()

@@ -13,7 +13,7 @@ import numpy as np
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, require
+from okid.readers.guard import check_channel_count, check_memory, first_line, require
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
@@ -100,7 +100,7 @@ def _guarded(path: Path, read: Callable[[], Any]) -> Any:
         return read()
     except Exception as error:  # pyuff raises bare Exception for everything
         raise UnreadableFileError(
-            f"{path.name} is damaged or is no universal file ({error}); export it again."
+            f"{path.name} is damaged or is no universal file ({first_line(error)}); export it again."
         ) from error
 
 

@@ -1,9 +1,10 @@
-"""A mapped file of a million samples: CPU time, and memory beyond the file, of the observer fit and 200 Markov parameters.
+"""A mapped file of a million samples: CPU time and memory beyond the file of the fit and 200 Markov parameters.
 
     python tests/benchmarks/mapped_file_benchmark.py [--samples 1000000] [--outputs 64] [--inputs 4] [--order 40]
 
-Wanted: about 2 s of one core and less than 250 MB. Memory is the process's anonymous memory (RssAnon of /proc/self/status,
-sampled every 5 ms): pages of the mapped file belong to the file cache. The interpreter with its libraries is included.
+Wanted: about 2 s of one core and less than 250 MB. Memory is the process's anonymous memory (RssAnon of
+/proc/self/status, sampled every 5 ms): pages of the mapped file belong to the file cache. The interpreter with its
+libraries is included.
 """
 
 import argparse

@@ -6,7 +6,7 @@ import pytest
 
 from modal import plots
 from modal.identification import OrderEvidence
-from modal.plots.order import OVERLAP_CLASSES
+from modal.plots.order import OVERLAP_CLASSES, _levels
 from modal.plots.spectra import power_spectra
 from modal.plots.style import envelope
 from modal.synthesis import measured_frf
@@ -178,3 +178,11 @@ def test_missing_samples_do_not_break_the_histories(identification):
     figure = plots.measured_against_simulated(gappy, identification.simulated[0])
     assert np.isnan(figure.axes[0].lines[0].get_ydata()).any()
     plots.output_spectra([gappy], identification.simulated)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "levels"),
+    [([], []), ([1.0, 5.0], [0, 0]), ([1.0, 1.1, 1.2, 2.3], [0, 1, 2, 0]), ([1.0, 1.5, 2.1], [0, 1, 0])],
+)
+def test_labels_of_close_modes_stand_on_lines_of_their_own(frequencies, levels):
+    assert _levels(np.array(frequencies), 1.0) == levels

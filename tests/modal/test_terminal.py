@@ -68,7 +68,7 @@ def test_comparison_shows_true_beside_found_and_what_is_missing():
         verdict=None,
     )
     text = printed(show_comparison, (found, missed))
-    for words in ("+0.50 %", "1.03 %", "0.999", "not found"):
+    for words in ("+0.500 %", "1.03 %", "0.999", "not found"):
         assert words in text
 
 

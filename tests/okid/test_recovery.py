@@ -49,8 +49,8 @@ def test_any_observer_of_a_system_gives_its_markov_parameters(gain):
     A = 0.9 * np.linalg.qr(rng.standard_normal((n, n)))[0]
     B, C, D = rng.standard_normal((n, 3)), rng.standard_normal((q, n)), rng.standard_normal((q, 3))
     # Two outputs see four states within two steps: A - K C is nilpotent for this K.
-    O = np.vstack([C, C @ A])
-    K = A @ A @ np.linalg.solve(O, np.vstack([np.zeros((q, q)), np.eye(q)]))
+    seen = np.vstack([C, C @ A])
+    K = A @ A @ np.linalg.solve(seen, np.vstack([np.zeros((q, q)), np.eye(q)]))
     Abar = A - K @ C
     assert np.abs(Abar @ Abar).max() < 1e-9 * max(1.0, np.abs(K).max())
     alpha = np.array([gain * C @ np.linalg.matrix_power(Abar, i) @ (B - K @ D) for i in range(2)])

@@ -34,7 +34,7 @@ def written_out(record, scaling, order, largest):
     return V, y[largest:]
 
 
-def textbook(V, Y, order, n_inputs, n_outputs, ridge):
+def textbook(V, Y, order, ridge, *, n_inputs=2, n_outputs=2):
     """Ridge regression by lstsq on augmented rows: weight ridge (1 + lag) n_rows."""
     lags = np.concatenate([np.zeros(n_inputs), np.repeat(np.arange(1, order + 1), n_inputs + n_outputs)])
     weight = np.concatenate([[0.0], ridge * (1 + lags) * len(V)])
@@ -56,7 +56,7 @@ def test_nested_orders_equal_lstsq(ridge):
     gram = lag_gram([record], 8, scaling=scaling)
     for order, observer in zip(ORDERS, solve_nested(gram, ORDERS, ridge), strict=True):
         V, Y = written_out(record, scaling, order, 8)
-        theta = textbook(V, Y, order, 2, 2, ridge)
+        theta = textbook(V, Y, order, ridge)
         assert np.abs(as_solution(observer) - theta).max() < 1e-10
         residual = Y - V @ theta
         covariance = residual.T @ residual / (len(V) - V.shape[1])
@@ -75,7 +75,7 @@ def test_every_path_gives_the_least_squares_solution(monkeypatch, path, ridge):
         monkeypatch.setattr(regression, "_QR_OPERATIONS", 0.0)
     observer = solve(gram, ridge, source=RegressionRows(records=[record], scaling=scaling))
     V, Y = written_out(record, scaling, 5, 5)
-    theta = textbook(V, Y, 5, 2, 2, ridge)
+    theta = textbook(V, Y, 5, ridge)
     residual = Y - V @ theta
     assert observer.method == path
     assert observer.rank == V.shape[1]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from modal.recording import save_recording
+from modal.recording.blueprint import blueprint
 from modal.recording.plan import planned
 from okid.record import Record
 
@@ -39,6 +40,31 @@ def test_hostile_names_are_harmless_and_nothing_is_lost(build, tmp_path, read):
     assert len(text) < 5000
     # as data they stand as they were
     assert stored.table("/fit/outputs", "output")["name"] == HOSTILE
+
+
+def drawn_by_the_viewer(text):
+    """Not the code's own table: Latin, Greek, Cyrillic and a few signs that were seen in pictures."""
+    return re.fullmatch(r"[\n -~\u00a0-\u017f\u0384-\u03cf\u0401-\u045c–…□±²°≤≥−]*", text)
+
+
+def test_nothing_is_shown_that_a_viewer_without_fonts_cannot_draw(build, tmp_path, read):
+    # Rerun 0.41 stops with "No glyph for ..." when a character is in none of its own fonts nor of the machine's
+    found = build(n_outputs=8, output_names=HOSTILE, input_names=["\x00\x1b[2J", '𝕏 \\ "'], units=["位", "°"] * 4)
+    plan = planned(found)
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    shown = [view.name for view in views(blueprint(found, plan).root_container)]
+    for component in ("SeriesLines:names", "Points2D:labels", "Points3D:labels", "TextDocument:text"):
+        for path in stored.entities(component):
+            shown += stored.static(path, component)
+    assert len(shown) > 100
+    assert [text for text in shown if not drawn_by_the_viewer(text)] == []
+    assert any("X" in text and "\\" in text for text in shown)
+    assert any("□" in text for text in shown)
+
+
+def views(container):
+    for part in container.contents:
+        yield from views(part) if hasattr(part, "contents") and not hasattr(part, "origin") else [part]
 
 
 def test_missing_samples_stay_gaps(build, tmp_path, read):

@@ -1,5 +1,7 @@
 """What is drawn is stored: the file is read back and compared with the identification, number by number."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,3 +150,15 @@ def test_a_warning_stands_on_the_first_page(build, tmp_path, read):
     text = read(path).static("/fit/text", "TextDocument:text")[0]
     assert text.startswith("### No mode is certain")
     assert "below 0.5: no mode is certain" in text
+
+
+def test_a_long_reason_is_cut_in_the_table_and_whole_below_it(identification, tmp_path, read):
+    long = "; ".join(f"reason {k} of this verdict" for k in range(9))
+    modes = identification.modes.modes
+    changed = replace(identification.modes, modes=(replace(modes[0], reason=long), *modes[1:]))
+    stored = read(save_recording(replace(identification, modes=changed), tmp_path / "run.rrd"))
+    rows, below = stored.static("/modes/text", "TextDocument:text")[0].split("\n\n", 1)
+    assert long not in rows
+    assert "reason 0 of this verdict" in rows
+    assert long in below
+    assert modes[1].reason not in below

@@ -1,9 +1,14 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
+
+from modal.report.pages import html_text, markdown_text
+from modal.report.pictures import draw_pictures
+from modal.report.provenance import Provenance
 
 VOID = {"meta", "br", "img", "input", "link", "hr"}
 
@@ -120,12 +125,7 @@ def test_markdown_tables_have_equal_rows(nasty_files):
 
 
 def test_page_without_system_modes(make_once):
-    from modal.report.pages import html_text, markdown_text
-    from modal.report.provenance import Provenance
-
     result = make_once()
-    from dataclasses import replace
-
     nothing = replace(result, modes=replace(result.modes, modes=result.modes.modes[3:]))
     page = Skeleton(html_text(nothing, Provenance(), {}))
     assert "No mode of the system was found." in " ".join(page.words)
@@ -140,3 +140,11 @@ def test_a_browser_has_nothing_to_complain_about(nasty_files, tmp_path):
     run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert "CONSOLE" not in run.stderr
     assert run.stdout.count("<svg") == nasty_files.html.read_text(encoding="utf-8").count("<svg")
+
+
+@pytest.mark.parametrize("unit", ["m/s^2", "m"])
+def test_shapes_of_mixed_units_are_said_to_be_mixed(make_once, unit):
+    result = make_once()
+    record = replace(result.records[0], output_units=("m/s^2", "m/s^2", unit))
+    caption = draw_pictures(replace(result, records=(record,)))["shapes"].caption
+    assert ("different units" in caption) == (unit == "m")

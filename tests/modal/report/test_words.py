@@ -36,6 +36,24 @@ def test_headline_counts_the_system_modes_alone(identification, count, beginning
     assert headline(with_system(identification, count)).startswith(beginning)
 
 
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (0, "between 3.67 and 16.6 Hz."),
+        (1, "between 3.67 and 11.1 Hz, and one overdamped pole."),
+        (2, "at 3.67 Hz, and two overdamped poles."),
+        (3, "but three overdamped poles of the system."),
+    ],
+)
+def test_overdamped_poles_are_not_called_vibration_modes(identification, count, words):
+    modes = tuple(
+        replace(mode, kind="real") if i >= 3 - count else mode for i, mode in enumerate(identification.modes.system)
+    )
+    result = replace(identification, modes=replace(identification.modes, modes=modes))
+    assert headline(result).endswith(words)
+    assert [damping_text(mode) for mode in modes].count("overdamped") == count
+
+
 def test_headline_gives_the_range(identification):
     assert headline(identification).endswith("between 3.67 and 16.6 Hz.")
 
@@ -59,6 +77,8 @@ def test_a_fit_below_one_half_says_that_no_mode_is_certain(identification):
 def test_fit_sentence_names_the_worst_output(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.array([0.9, 0.6, 0.8])))
     assert "least for floor_2: 0.60" in fit_sentence(result)
+    even = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, 0.9)))
+    assert "least for" not in fit_sentence(even)
 
 
 def test_an_unknown_fit_is_said_to_be_unknown(identification):
@@ -112,6 +132,8 @@ def test_doubtful_poles_are_counted(identification, count, words):
     assert doubtful_sentence(result).startswith(words)
     assert bool(doubtful_sentence(result)) == bool(count)
     assert (" and 2 more" in doubtful_sentence(result)) == (count == 5)
+    alone = replace(identification, modes=replace(identification.modes, modes=(doubtful,) * count))
+    assert "more pole" not in doubtful_sentence(alone)
 
 
 def test_caution_about_the_classical_indicators(identification):

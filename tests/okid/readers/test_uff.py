@@ -133,9 +133,7 @@ def test_data_missing_in_the_middle(tmp_path, missing):
 def test_different_time_axes(tmp_path):
     path = tmp_path / "a.uff"
     path.write_bytes(hand_written(TIPS[:, 0], node=1) + hand_written(TIPS[:50, 1], node=2))
-    with pytest.raises(
-        UnreadableFileError, match=r"'1Z\+' and '2Z\+' of .* different time axes: 64 and 50 samples"
-    ):
+    with pytest.raises(UnreadableFileError, match=r"'1Z\+' and '2Z\+' of .* different time axes: 64 and 50 samples"):
         read_record(path)
 
 

@@ -1,0 +1,78 @@
+"""The chosen candidate fitted to all rows; where that makes it unstable, the next best candidate that stays stable.
+
+Every candidate was stable on each fold, but a pole at the edge (an integrator, an undamped line) may fall on either
+side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.balanced import HankelDecomposition, decompose, realise_from
+from era.realisation import Realisation
+from modal.search import Search
+from modal.trials import Trial, hankel_limits, markov_lags
+from okid.errors import NumericalError
+from okid.markov import MarkovParameters
+from okid.observer import ObserverFit, fit_observer
+from okid.record import Record
+from okid.recovery import recover_markov
+
+__all__ = ["FinalModel", "fit_all_rows"]
+
+LARGEST_ORDER = 64
+"""Model orders up to which the order evidence reaches."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FinalModel:
+    """Observer, Markov parameters, decomposition and realisation of all rows."""
+
+    observer: ObserverFit
+    markov: MarkovParameters
+    decomposition: HankelDecomposition
+    realisation: Realisation
+
+
+def fit_all_rows(records: Sequence[Record], found: Search) -> tuple[Search, FinalModel]:
+    """Fit the chosen trial, else the next best stable one, to all rows.
+
+    Returns:
+        The search with the trial that was taken as its chosen one, and the model.
+
+    Raises:
+        NumericalError: every trial is unstable on all rows.
+    """
+    done: dict[tuple[int, float], FinalModel | None] = {}
+    for trial in (found.chosen, *found.trials):
+        observer = (trial.observer_order, trial.ridge)
+        if observer not in done:
+            done[observer] = _decomposed(records, trial)
+        fitted = done[observer]
+        model = None if fitted is None else _stable(fitted.decomposition, trial.model_order)
+        if fitted is not None and model is not None:
+            return replace(found, chosen=trial), replace(fitted, realisation=model)
+    raise NumericalError(
+        f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can be "
+        "trusted; give a longer record, or remove a drift from the outputs."
+    )
+
+
+def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
+    observer = fit_observer(records, order=trial.observer_order, ridge=trial.ridge)
+    try:
+        markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
+    except NumericalError:
+        return None
+    largest = max(LARGEST_ORDER, trial.model_order)
+    decomposition = decompose(markov, max_order=min(largest, *hankel_limits(markov)))
+    nothing = realise_from(decomposition, 0)
+    return FinalModel(observer=observer, markov=markov, decomposition=decomposition, realisation=nothing)
+
+
+def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | None:
+    """The model of this order, or of the rank where that is lower (noise-free data); None where it is unstable."""
+    order = min(order, decomposition.rank, decomposition.max_order)
+    poles = np.linalg.eigvals(decomposition.A[:order, :order])
+    return realise_from(decomposition, order) if np.abs(poles).max(initial=0.0) < 1.0 else None
