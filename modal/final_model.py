@@ -4,6 +4,7 @@ Every candidate was stable on each fold, but a pole at the edge (an integrator, 
 side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
 from modal.search import Search
 from modal.trials import Trial, hankel_limits, markov_lags
-from okid.errors import NumericalError
+from okid.errors import IdentificationWarning, NumericalError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
@@ -54,13 +55,16 @@ def fit_all_rows(records: Sequence[Record], found: Search) -> tuple[Search, Fina
         if fitted is not None and model is not None:
             return replace(found, chosen=trial), replace(fitted, realisation=model)
     raise NumericalError(
-        f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can be "
-        "trusted; give a longer record, or remove a drift from the outputs."
+        f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
+        "be trusted; give a longer record, or remove a drift from the outputs."
     )
 
 
 def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
-    observer = fit_observer(records, order=trial.observer_order, ridge=trial.ridge)
+    with warnings.catch_warnings():
+        # poor conditioning is told by the excitation check; what it does to the model, the free run has judged
+        warnings.simplefilter("ignore", IdentificationWarning)
+        observer = fit_observer(records, order=trial.observer_order, ridge=trial.ridge)
     try:
         markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
     except NumericalError:
