@@ -60,7 +60,7 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
     Raises:
         InsufficientDataError: no stretch is long enough.
     """
-    missing = np.isnan(record.inputs).any(axis=1)
+    missing = np.asarray(np.isnan(record.inputs).any(axis=1))
     if not missing.any():
         return (record,)
     stretches = [(first, last) for first, last in run_edges(~missing).tolist() if last - first >= SHORTEST]

@@ -173,7 +173,11 @@ class Record:
     def select(
         self, *, inputs: Sequence[str | int] | None = None, outputs: Sequence[str | int] | None = None
     ) -> "Record":
-        """The record with these channels in this order, by name or index; None keeps all.
+        """The record with these channels in this order.
+
+        Args:
+            inputs: names or indices of the inputs to keep; None keeps all, an empty sequence none.
+            outputs: names or indices of the outputs to keep; None keeps all.
 
         Raises:
             InvalidDataError: no such channel; the message lists those there are.

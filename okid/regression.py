@@ -114,7 +114,7 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
     """
     _check_ridge(ridge)
     system = _normal_equations(gram, ridge)
-    norm = scipy.linalg.lapack.dlange("1", system.matrix)  # type: ignore[call-arg]  # scipy declares no signature
+    norm = scipy.linalg.lapack.dlange("1", system.matrix)
     factor = _cholesky(system.matrix.copy(order="F") if source is None else system.matrix)
     if factor is not None:
         reciprocal, _ = scipy.linalg.lapack.dpocon(factor, norm, uplo="L")
