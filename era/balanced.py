@@ -16,8 +16,9 @@ import numpy as np
 from era.decomposition import HankelDecomposition, Method, RealiseOn, decompose
 from era.order import OrderChoice, choose_order
 from era.realisation import HankelFactors, Realisation
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters
+from okid.scalars import whole_number
 
 __all__ = ["HankelDecomposition", "Method", "RealiseOn", "decompose", "order_choice", "realise", "realise_from"]
 
@@ -39,8 +40,7 @@ def realise_from(decomposition: HankelDecomposition, order: int) -> Realisation:
         1
     """
     found = decomposition
-    if order < 0:
-        raise InvalidDataError(f"a model order must be at least 0, but is {order}.")
+    order = whole_number(order, name="a model order", least=0)
     if order > found.rank:
         largest = found.singular_values[0] if found.singular_values.size else 0.0
         raise InsufficientDataError(
@@ -126,15 +126,16 @@ def realise(
         >>> model.order, np.abs(np.linalg.eigvals(model.A)).round(9)
         (2, array([0.9, 0.9]))
     """
-    if order != "auto" and (isinstance(order, bool | str) or order != int(order)):
-        raise InvalidDataError(f'order must be a whole number or "auto", but is {order!r}.')
+    wanted = None
+    if not (isinstance(order, str) and order == "auto"):
+        wanted = whole_number(order, name="order", least=0, otherwise='or "auto"')
     found = decompose(
         markov,
         n_block_rows=n_block_rows,
         n_block_columns=n_block_columns,
-        max_order=None if order == "auto" else int(order),
+        max_order=wanted,
         method=method,
         realise_on=realise_on,
         rng=rng,
     )
-    return realise_from(found, order_choice(found).order if order == "auto" else int(order))
+    return realise_from(found, order_choice(found).order if wanted is None else wanted)

@@ -11,7 +11,7 @@
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -121,7 +121,8 @@ def decompose(
 
     Raises:
         InsufficientDataError: too few lags for the block sizes or for max_order.
-        InvalidDataError: the joint form, or no inputs, without Markov parameters of a gain.
+        InvalidDataError: the joint form, or no inputs, without Markov parameters of a gain; a method or realise_on that
+            is none of those above.
 
     Example:
         >>> markov = MarkovParameters(system=0.9 ** np.arange(20.0).reshape(20, 1, 1), dt=0.1)
@@ -129,6 +130,9 @@ def decompose(
         >>> found.rank, round(float(found.A[0, 0]), 12)
         (1, 0.9)
     """
+    for name, choice, known in (("method", method, get_args(Method)), ("realise_on", realise_on, get_args(RealiseOn))):
+        if choice not in known:
+            raise InvalidDataError(f"{name} must be one of {', '.join(known)}, but is {choice!r}.")
     scaled = _scaled_markov(markov, realise_on)
     _, n_outputs, n_channels = scaled.shape
     a, b = block_sizes(markov.n_lags, n_outputs, n_channels, n_block_rows=n_block_rows, n_block_columns=n_block_columns)

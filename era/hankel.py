@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 
 from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.errors import InsufficientDataError
+from okid.scalars import whole_number
 
 __all__ = ["BlockHankelOperator", "block_hankel", "block_sizes", "hankel_energy"]
 
@@ -101,9 +102,10 @@ def block_sizes(
             f"a realisation needs Markov parameters of at least 2 lags beyond lag 0, but there is {n_lags}; recover "
             "more."
         )
-    for name, size in (("n_block_rows", n_block_rows), ("n_block_columns", n_block_columns)):
-        if size is not None and size < 1:
-            raise InvalidDataError(f"{name} must be at least 1, but is {size}.")
+    if n_block_rows is not None:
+        n_block_rows = whole_number(n_block_rows, name="n_block_rows", least=1)
+    if n_block_columns is not None:
+        n_block_columns = whole_number(n_block_columns, name="n_block_columns", least=1)
     if n_block_rows is None and n_block_columns is None:
         share = min(max(n_inputs / (n_outputs + n_inputs), 1 / 3), 2 / 3)
         n_block_rows = min(max(round(share * n_lags), 1), n_lags - 1)

@@ -104,8 +104,9 @@ def _horizon(model: Realisation, n_samples: int) -> int:
     return int(min(n_samples, max(growth, 2 * model.order, 8)))
 
 
-def _block_length(n_outputs: int) -> int:
-    length: int = 1 << max(3, (1024 // n_outputs).bit_length())
+def _block_length(n_rows: int, n_outputs: int) -> int:
+    """A power of two, no longer than the rows need: of an unstable model a higher power would overflow."""
+    length: int = 1 << min(max(3, (1024 // n_outputs).bit_length()), (n_rows - 1).bit_length())
     return length
 
 
@@ -114,7 +115,7 @@ def _normal_equations(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gradient, energy matrix over all rows, and energy matrix over the usable samples, of the free response."""
     order, n_outputs = model.order, model.n_outputs
-    length = _block_length(n_outputs)
+    length = _block_length(residual.shape[0], n_outputs)
     block, power = lifted(model.A, model.C, length)
     start = np.eye(order)
     gradient, whole, given = np.zeros(order), np.zeros((order, order)), np.zeros((order, order))
@@ -138,7 +139,7 @@ def _normal_equations(
 
 def _gradient(model: Realisation, residual: FloatArray) -> FloatArray:
     """Sum over rows of (C A^k)' residual(k), by Horner's rule over blocks, last block first."""
-    length = _block_length(model.n_outputs)
+    length = _block_length(*residual.shape)
     block, power = lifted(model.A, model.C, length)
     gradient = np.zeros(model.order)
     for first in reversed(range(0, residual.shape[0], length)):

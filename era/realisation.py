@@ -9,10 +9,9 @@ The states x answer to the inputs u and to the innovations e, what the outputs y
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from okid.arrays import FloatArray, frozen
 from okid.errors import InvalidDataError
+from okid.scalars import time_step, whole_number
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -120,9 +119,7 @@ class Realisation:
         if self.K is not None:
             set_(self, "K", frozen(self.K, name="K", shape=(order, n_outputs)))
         set_(self, "singular_values", frozen(self.singular_values, name="singular_values", shape=(None,)))
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InvalidDataError(f"dt must be a positive time step in seconds, but is {self.dt}.")
-        set_(self, "dt", float(self.dt))
+        set_(self, "dt", time_step(self.dt))
         if self.factors is not None and self.factors.observability.shape[1] != order:
             raise InvalidDataError(
                 f"the Hankel factors must be those of the model's order {order}, but hold "
@@ -154,7 +151,8 @@ class Realisation:
             InvalidDataError: an order outside 0 ... order, or a model whose states are not balanced (no Hankel
                 factors).
         """
-        if not 0 <= order <= self.order:
+        order = whole_number(order, name="a model order", least=0)
+        if order > self.order:
             raise InvalidDataError(
                 f"a model of order {self.order} can be truncated to orders 0 to {self.order}, not to {order}."
             )

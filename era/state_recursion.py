@@ -4,11 +4,17 @@ Over a block of samples the outputs are one product with the block's inputs and 
 states at the starts of blocks are themselves a recursion that is blocked again. What is left for a Python loop is one
 small product every few hundred samples. No eigenvectors are used, so defective and nearly defective models are as exact
 as any; a state that grows without bound ends in infinite values, without a warning.
+
+A squared power of A is known to eps |A^k|^2 only. Where |A^k| grows by orders before it decays (the companion form of
+poles that lie close together, as of a transfer function of oversampled data) that error outgrows the power itself, and
+a stable model would diverge. Such models are run sample by sample; which they are is asked in coordinates balanced by
+powers of two, so that the units of the states do not count.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
@@ -17,6 +23,8 @@ __all__ = ["checked_state", "free_run", "lifted", "simulate_array"]
 
 CHUNK_SAMPLES = 1 << 15
 """Samples that are worked on at a time, so that intermediate arrays stay in cache and mapped inputs on disk."""
+TRUSTED = 500.0
+"""Rounding errors that a squared power of A may have, |A^k|^2 relative to |A^2k| or to that of a rotation."""
 
 
 def simulate_array(
@@ -57,20 +65,32 @@ def free_run(
     if A.shape[0] == 0:
         return inputs @ D.T, state
     outputs = np.empty((n_samples, n_outputs))
-    blocks = _Blocks.of(A, B, C, D, n_samples)
+    balanced, (size, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+    blocks = _Blocks.of(balanced, B / size[:, np.newaxis], C * size, D, n_samples)
+    state = state / size
     with np.errstate(over="ignore", invalid="ignore"):
         for start in range(0, n_samples, CHUNK_SAMPLES):
             rows = slice(start, min(start + CHUNK_SAMPLES, n_samples))
             state = blocks.run(inputs[rows], state, outputs[rows])
-    return outputs, state
+    return outputs, state * size
 
 
 def lifted(A: FloatArray, C: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
-    """Observability matrix [C; C A; ...] of `length` block rows, by doubling, and A^length; length a power of two."""
+    """Observability matrix [C; C A; ...] of `length` block rows, and A^length; length a power of two.
+
+    By doubling, or power by power where squares of A lose digits.
+    """
     observability, power = C, A
-    while observability.shape[0] < length * C.shape[0]:
-        observability = np.vstack([observability, observability @ power])
-        power = power @ power
+    with np.errstate(over="ignore", invalid="ignore"):
+        if _trusted_length(A, length) < length:
+            rows = [C]
+            for _ in range(length - 1):
+                rows.append(rows[-1] @ A)
+                power = power @ A
+            return np.vstack(rows), power
+        while observability.shape[0] < length * C.shape[0]:
+            observability = np.vstack([observability, observability @ power])
+            power = power @ power
     return observability, power
 
 
@@ -94,7 +114,8 @@ class _Blocks:
     @classmethod
     def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, n_samples: int) -> "_Blocks":
         order, (n_outputs, n_inputs) = A.shape[0], D.shape
-        length, n_inner = _block_lengths(order, n_outputs, n_inputs, n_samples)
+        longest = _trusted_length(A, max(1, n_samples // 4))
+        length, n_inner = _block_lengths(order, n_outputs, n_inputs, n_samples, longest=longest)
         with np.errstate(over="ignore", invalid="ignore"):
             observability, power = lifted(A, C, length)
             pulses, reach = _response_to_inputs(A, B, D, observability, length)
@@ -154,12 +175,29 @@ class _Blocks:
         return states, state
 
 
-def _block_lengths(order: int, n_outputs: int, n_inputs: int, n_samples: int) -> tuple[int, int]:
+def _trusted_length(A: FloatArray, longest: int) -> int:
+    """Length of block up to which powers of A may be used: `longest`, or 1 where squaring any of them loses digits."""
+    power, squares = A, float(np.square(A).sum())
+    reached = 1
+    with np.errstate(over="ignore", invalid="ignore"):
+        while reached < longest:
+            power = power @ power
+            above = float(np.square(power).sum())
+            if not np.isfinite(above):
+                return longest  # unstable: what overflows is not looked at, or said by the caller
+            # As sums of squares: |A^k|^2 against |A^2k|, which grows as fast where A itself is unstable.
+            if squares > TRUSTED * max(float(A.shape[0]), np.sqrt(above)):
+                return 1
+            reached, squares = 2 * reached, above
+    return longest
+
+
+def _block_lengths(order: int, n_outputs: int, n_inputs: int, n_samples: int, *, longest: int) -> tuple[int, int]:
     """Powers of two with the least estimated cost a sample: 25 flops a ns, 1.5 us a step of the loop over blocks."""
     best, choice = np.inf, (1, 1)
     for length in (1, 2, 4, 8, 16, 32, 64):
         for n_inner in (1, 2, 4, 8, 16, 32):
-            if length * n_inner > max(1, n_samples // 4):
+            if length * n_inner > min(longest, max(1, n_samples // 4)):
                 continue
             flops = 2.0 * (length * n_outputs * n_inputs + order * (n_outputs + n_inputs))
             flops += (2 * order * order * (n_inner + 2)) / length if n_inner > 1 else 0.0
@@ -190,7 +228,10 @@ def checked_state(order: int, initial_state: FloatArray | None) -> FloatArray:
     """The initial state as an array, zeros for None; an InvalidDataError unless it is `order` finite numbers."""
     if initial_state is None:
         return np.zeros(order)
-    state = np.asarray(initial_state, dtype=np.float64)
+    try:
+        state = np.asarray(initial_state, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidDataError(f"the initial state must be {order} finite numbers ({error}).") from error
     if state.shape != (order,) or not np.isfinite(state).all():
         raise InvalidDataError(
             f"the initial state must be {order} finite numbers, one for each state, but has shape {state.shape}."

@@ -62,7 +62,8 @@ def coherent_band(records: Sequence[Record]) -> Band:
             coherence=np.ones((frequencies.size, records[0].n_outputs)),
             reason="the whole band is kept: there is no input to compare the outputs with"
             if n_inputs == 0
-            else f"the whole band is kept: the record is too short to judge coherence ({n_averages} averages)",
+            else "the whole band is kept: the record is too short between its gaps to judge coherence "
+            f"({n_averages} averages of {n_segment} samples)",
         )
     coherence = _multiple_coherence(spectra, n_inputs, n_averages)
     upper = _upper_frequency(frequencies, spectra, coherence)
@@ -103,9 +104,11 @@ def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: 
 def _segment_length(records: Sequence[Record]) -> int:
     """About forty half-overlapping segments, at most 1024 samples each."""
     total = sum(record.n_samples for record in records)
-    shortest = min(record.n_samples for record in records)
-    wanted = int(2 ** np.floor(np.log2(max(32, total / 20))))
-    return int(min(1024, wanted, max(16, shortest)))
+    wanted = min(1024, int(2 ** np.floor(np.log2(max(32, total / 20)))))
+    lengths = np.sort([record.n_samples for record in records])[::-1]
+    # records shorter than a segment give none: at most a quarter of the samples may be lost so
+    enough = int(lengths[np.searchsorted(np.cumsum(lengths), 0.75 * total)])
+    return int(min(wanted, max(16, enough)))
 
 
 def _spectra(records: Sequence[Record], n_segment: int) -> tuple[ComplexArray, int]:

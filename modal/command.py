@@ -86,7 +86,11 @@ def _root(
 def run(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="CSV, NPZ, MAT, UFF 58 or Parquet; several files are several records."),
+        typer.Argument(
+            metavar="FILE...",
+            help="CSV, NPY, NPZ, MAT, UFF 58, Parquet or TDMS; several files are several records of one system, or the "
+            "channels of one record.",
+        ),
     ],
     *,
     inputs: Annotated[
@@ -125,7 +129,9 @@ def run(
             ridge=_ridge(ridge),
             order=_whole(order, "model order"),
         )
-        source = FileSource(files=files, inputs=_names(inputs), outputs=_names(outputs), dt=dt, hold=hold)
+        source = FileSource(
+            files=files, inputs=_names(inputs, "inputs"), outputs=_names(outputs, "outputs"), dt=dt, hold=hold
+        )
         result, written, console = carry_out(job, source.read, provenance=source.provenance(job))
         show_files(console, written)
         raise typer.Exit(_exit_status(result))
@@ -182,10 +188,16 @@ def _complain(sentence: str) -> None:
     typer.echo(f"modal-report: {visible(sentence)}", err=True)
 
 
-def _names(given: list[str] | None) -> list[str] | None:
-    if not given:
+def _names(given: list[str] | None, what: str) -> list[str] | None:
+    if given is None:
         return None
-    return [name.strip() for text in given for name in text.split(",") if name.strip()]
+    names = [name.strip() for text in given for name in text.split(",") if name.strip()]
+    if not names:
+        raise InvalidDataError(
+            f"the {what} are given as {', '.join(given)!r}, which names no channel; name at least one, or leave the "
+            "option out."
+        )
+    return names
 
 
 def _whole(text: str, what: str) -> int | Auto:

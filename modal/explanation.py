@@ -10,7 +10,7 @@ import numpy as np
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from modal.identification import Choice, Fit, OrderEvidence
 from modal.mode import ModalModel
-from modal.search import Search
+from modal.search import WITHIN, Search
 from modal.stability import stabilisation
 from modal.trials import Trial
 from okid.excitation import Excitation
@@ -131,12 +131,21 @@ def warnings_in_words(
         )
     if not modes.system and fit.mean >= EXPLAINS:
         words.append("No mode was found again often enough to be called a mode of the system.")
-    largest = max(found.limits.observer_orders)
-    if len(found.limits.observer_orders) > 1 and found.chosen.observer_order == largest:
+    if _wants_a_longer_observer(found):
         words.append(
-            f"The largest observer order that the data allow ({largest}) was the best: a longer record may carry more."
+            f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "
+            "record may carry more."
         )
     return (*words, *(_excitation_words(excitation) if driven else ()))
+
+
+def _wants_a_longer_observer(found: Search) -> bool:
+    """The largest order was taken, and every lower one that was tried is clearly worse."""
+    orders = found.limits.observer_orders
+    if len(orders) == 1 or found.chosen.observer_order < max(orders):
+        return False
+    lower = min((t.error for t in found.trials if t.observer_order < max(orders)), default=np.inf)
+    return lower > WITHIN * found.chosen.error
 
 
 def _excitation_words(excitation: Excitation) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
+from modal.free_run import modal_form, one_step_predictor
 from modal.search import Search
 from modal.trials import Trial, hankel_limits, markov_lags
 from okid.errors import IdentificationWarning, NumericalError
@@ -76,7 +77,12 @@ def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
 
 
 def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | None:
-    """The model of this order, or of the rank where that is lower (noise-free data); None where it is unstable."""
-    order = min(order, decomposition.rank, decomposition.max_order)
-    poles = np.linalg.eigvals(decomposition.A[:order, :order])
-    return realise_from(decomposition, order) if np.abs(poles).max(initial=0.0) < 1.0 else None
+    """The model of this order, or of the rank where that is lower (noise-free data).
+
+    None where it is unstable or cannot be run as it was when it was scored (without inputs: its one-step predictor).
+    """
+    model = realise_from(decomposition, min(order, decomposition.rank, decomposition.max_order))
+    if np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
+        return None
+    runs = modal_form(model if model.n_inputs else one_step_predictor(model)) is not None
+    return model if runs else None

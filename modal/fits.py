@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor
+from modal.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
 from modal.identification import Fit
 from modal.search import Search
 from okid.arrays import BoolArray, FloatArray
+from okid.errors import NumericalError
 from okid.record import Record
 from okid.scaling import channel_scaling
 
@@ -35,15 +36,24 @@ def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns
     """Run the model through every record, initial state and level fitted to all of its rows.
 
     Channels are brought to unit standard deviation first, so that no unit outweighs another in that fit.
+
+    Raises:
+        NumericalError: the model cannot run freely: it is unstable, or its eigenvectors are nearly dependent.
     """
     scaling = channel_scaling(records)
     scaled_model = _scaled(realisation, scaling.input_scale, scaling.output_scale)
     predictor = _predictor(scaled_model)
+    runner = modal_form(scaled_model) if records[0].n_inputs else predictor
+    if runner is None:
+        raise NumericalError(
+            f"a free run needs a stable model with independent eigenvectors, which this one of order "
+            f"{realisation.order} is not; choose another order."
+        )
     levelled, simulated, predicted = [], [], []
     for record, whole in zip(records, filled(records), strict=True):
         unit = replace(whole, inputs=whole.inputs / scaling.input_scale, outputs=whole.outputs / scaling.output_scale)
         there = record.complete_rows()
-        free, level = _run(scaled_model if record.n_inputs else predictor, unit, there)
+        free, level = _run(runner, unit, there)
         one_step = free
         if record.n_inputs and predictor is not None:
             one_step, _ = _run(predictor, replace(unit, outputs=unit.outputs - level), there)
@@ -95,24 +105,17 @@ def _scaled(realisation: Realisation, input_scale: FloatArray, output_scale: Flo
     )
 
 
-def _predictor(realisation: Realisation) -> Realisation | None:
-    """The one-step predictor driven by [inputs, outputs], None where it is missing or unstable."""
-    if realisation.K is None:
-        return None
-    predictor = one_step_predictor(realisation)
-    stable = predictor.order == 0 or np.abs(np.linalg.eigvals(predictor.A)).max() < 1.0
-    return predictor if stable else None
+def _predictor(realisation: Realisation) -> ModalForm | None:
+    """The one-step predictor driven by [inputs, outputs], None where there is no gain.
+
+    It is None, too, where it is unstable, or deadbeat (noise-free data) and so without independent eigenvectors.
+    """
+    return None if realisation.K is None else modal_form(one_step_predictor(realisation))
 
 
-def _run(model: Realisation | None, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Outputs and level of a run; what the model cannot run is nan."""
-    nothing = np.full(record.outputs.shape, np.nan), np.zeros(record.n_outputs)
-    if model is None:
-        return nothing
-    if model.B.shape[1] != record.n_inputs:
+def _run(model: ModalForm, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Outputs and level of a run."""
+    if model.realisation.n_inputs != record.n_inputs:
         record = driven_by_outputs(record)
-    form = modal_form(model)
-    if form is None:
-        return nothing
-    run = free_run(form, record, rows)
+    run = free_run(model, record, rows)
     return run.outputs, run.level

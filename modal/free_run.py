@@ -1,8 +1,8 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
-The model runs in modal form, one first-order recursion a pole, so a run costs a few nanoseconds a sample and pole. The
-initial state and a constant level of each output come from the training rows of the same run, by least squares in
-closed form; an initial state fitted on the scored rows would favour models that are too large.
+The run from rest is one pass of block products. The initial state and a constant level of each output come from the
+training rows of the same run, by least squares whose sums have a closed form in the poles; an initial state fitted on
+the scored rows would favour models that are too large.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from era.realisation import Realisation
+from era.state_recursion import simulate_array
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -34,21 +35,19 @@ STATE_REGULARISATION = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModalForm:
-    """A model as parallel first-order recursions, one of each conjugate pair.
+    """A stable model with the free responses of its poles, one of each conjugate pair.
 
     Attributes:
         poles: (n_poles,) discrete-time poles with imaginary part >= 0.
         weights: (n_poles,) 2 for a pair, 1 for a real pole: y = Re(shapes @ (weights * state)) + D u.
         shapes: (n_outputs, n_poles).
-        participations: (n_poles, n_inputs).
-        feedthrough: (n_outputs, n_inputs).
+        realisation: the same model as it was given.
     """
 
     poles: ComplexArray
     weights: FloatArray
     shapes: ComplexArray
-    participations: ComplexArray
-    feedthrough: FloatArray
+    realisation: Realisation
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,14 +68,12 @@ def modal_form(realisation: Realisation) -> ModalForm | None:
     poles, vectors = np.linalg.eig(realisation.A)
     if poles.size and (np.abs(poles).max() >= 1.0 or np.linalg.cond(vectors) > LARGEST_EIGENVECTOR_CONDITION):
         return None
-    participations = np.linalg.solve(vectors, realisation.B.astype(np.complex128))
     one_of_each = poles.imag >= 0.0
     return ModalForm(
         poles=poles[one_of_each].astype(np.complex128),
         weights=np.where(poles[one_of_each].imag > 0.0, 2.0, 1.0),
         shapes=(realisation.C @ vectors)[:, one_of_each].astype(np.complex128),
-        participations=participations[one_of_each],
-        feedthrough=realisation.D,
+        realisation=realisation,
     )
 
 
@@ -88,7 +85,8 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
         record: without NaN (see `filled`).
         training_rows: (n_samples,) True where the initial state may look: never a row that was filled.
     """
-    outputs = _driven_response(model, record.inputs)
+    system = model.realisation
+    outputs = np.array(simulate_array(system.A, system.B, system.C, system.D, record.inputs))
     remainder = record.outputs - outputs
     remainder[~training_rows] = 0.0
     state, level, powers = _fit_initial_state(model, remainder, training_rows)
@@ -141,18 +139,6 @@ def driven_by_outputs(record: Record) -> Record:
     return filled([twin])[0]
 
 
-def _driven_response(model: ModalForm, inputs: FloatArray) -> FloatArray:
-    """Outputs from zero initial state."""
-    import scipy.signal
-
-    forced = inputs @ model.participations.T  # (n_samples, n_poles)
-    states = np.zeros_like(forced)
-    for i, pole in enumerate(model.poles):
-        states[1:, i] = scipy.signal.lfilter([1.0], [1.0, -pole], forced[:-1, i])
-    weighted: FloatArray = (states @ (model.weights * model.shapes).T).real + inputs @ model.feedthrough.T
-    return weighted
-
-
 def _fit_initial_state(
     model: ModalForm, remainder: FloatArray, rows: BoolArray
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
@@ -202,12 +188,12 @@ def run_edges(rows: BoolArray) -> npt.NDArray[np.int64]:
 def _sums(left: ComplexArray, right: npt.NDArray[np.inexact], edges: npt.NDArray[np.int64]) -> ComplexArray:
     """(n_left, n_right) sum over the runs' rows k of left_i^k right_j^k, by the geometric series of each run."""
     ratio = np.outer(left, right)
-    ends = np.zeros_like(ratio)
-    for first, last in edges:
-        ends += np.outer(left**first, right**first) - np.outer(left**last, right**last)
+    first, last = edges[:, 0], edges[:, 1]
+    starts = (left[:, np.newaxis] ** first) @ (right[:, np.newaxis] ** first).T
+    ends = starts - (left[:, np.newaxis] ** last) @ (right[:, np.newaxis] ** last).T
     # a ratio of 1 (an integrator): every term of the series is 1
     one = np.abs(1.0 - ratio) < 1e-12
-    return np.where(one, float((edges[:, 1] - edges[:, 0]).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
+    return np.where(one, float((last - first).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
 
 
 def _powers(poles: ComplexArray, n_samples: int) -> ComplexArray:

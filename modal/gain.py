@@ -47,7 +47,7 @@ def held_out_gain(
 
     Returns:
         (n_modes,) at most 1; negative where the free run is better without the mode; nan for growing modes, and for all
-        without inputs.
+        without inputs or without a complete held-out row.
     """
     modes = model.modes
     gains = np.full(len(modes), np.nan)
@@ -55,10 +55,13 @@ def held_out_gain(
         return gains
     poles, is_pair = discrete_poles(modes, realisation.dt)
     driven = [i for i in range(len(modes)) if modes[i].kind != "unstable"]
-    without, error = np.zeros(len(modes)), 0.0
+    without, error, scored = np.zeros(len(modes)), 0.0, False
     for record, held_out in zip(records, rows, strict=True):
         inputs = np.nan_to_num(record.inputs)
         kept = held_out & ~np.isnan(record.outputs).any(axis=1)
+        if not kept.any():
+            continue
+        scored = True
         weight = np.where(is_pair, 2.0, 1.0)
         parts = [
             _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, kept)
@@ -70,7 +73,8 @@ def held_out_gain(
         error += float((rest**2).sum())
         for i, part in zip(driven, parts, strict=True):
             without[i] += float(((rest + part - part.mean(axis=0)) ** 2).sum())
-    gains[driven] = 1 - error / np.maximum(without[driven], np.finfo(float).tiny)
+    if scored:
+        gains[driven] = 1 - error / np.maximum(without[driven], np.finfo(float).tiny)
     return gains
 
 

@@ -95,7 +95,7 @@ def amplitude_coherence(factors: HankelFactors, basis: ModalBasis) -> FloatArray
         (n_poles,) in [0, 1]; nan with a single block column, where there is nothing to compare.
     """
     n_poles, n_columns = basis.poles.size, factors.n_block_columns
-    if n_columns < 2 or factors.controllability.shape[1] == 0:
+    if n_poles == 0 or n_columns < 2 or factors.controllability.shape[1] == 0:
         return np.full(n_poles, np.nan)
     measured = (basis.left @ factors.controllability).reshape(n_poles, n_columns, -1)
     powers = _powers(basis.poles, n_columns)
@@ -118,6 +118,8 @@ def extended_amplitude_coherence(
     Returns:
         output and input EMAC, each (n_poles,) in [0, 1]; nan with a single block.
     """
+    if basis.poles.size == 0:
+        return np.empty(0), np.empty(0)
     observability = factors.observability.reshape(factors.n_block_rows, -1, factors.observability.shape[1])
     order = factors.controllability.shape[0]
     controllability = factors.controllability.reshape(order, factors.n_block_columns, -1).transpose(1, 2, 0)

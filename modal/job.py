@@ -51,15 +51,14 @@ class FileSource:
 
     def read(self) -> Reading:
         """Records, and remarks on what was done to the units of their channels."""
-        from okid.readers import describe_file, read_records
+        from okid.readers import read_described
 
-        records = tuple(
-            read_records(self.files, inputs=self.inputs, outputs=self.outputs, dt=self.dt, input_hold=self.hold)
+        records, descriptions = read_described(
+            self.files, inputs=self.inputs, outputs=self.outputs, dt=self.dt, input_hold=self.hold
         )
         used = {name for record in records for name in (*record.input_names, *record.output_names)}
         remarks: dict[str, None] = {}  # in order, once each: several files of one test say the same
-        for file in self.files:
-            description = describe_file(file)
+        for description in descriptions:
             channels = tuple(channel for channel in description.channels if channel.channel in used)
             remarks |= dict.fromkeys(replace(description, channels=channels).remarks)
         return records, tuple(remarks)

@@ -96,7 +96,7 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
         observer_order=None if settings.observer_order == "auto" else settings.observer_order,
         ridge=None if settings.ridge == "auto" else float(settings.ridge),
         model_order=None if settings.order == "auto" else settings.order,
-        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.65 * share),
+        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.6 * share),
     )
     tell("fitting all rows", 0.7)
     wanted = found.chosen
@@ -153,6 +153,9 @@ def _check_arguments(*, observer_order: object, ridge: object, order: object, de
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidDataError(f'{name} must be "auto" or a whole number of at least {least}, but is {value!r}.')
     if ridge != "auto" and not (
-        isinstance(ridge, int | float | np.number) and np.isfinite(float(ridge)) and float(ridge) >= 0.0
+        isinstance(ridge, int | float | np.number)
+        and not isinstance(ridge, bool)
+        and np.isfinite(float(ridge))
+        and float(ridge) >= 0.0
     ):
         raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')

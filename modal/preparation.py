@@ -9,6 +9,7 @@ import numpy as np
 from modal.band import coherent_band
 from modal.free_run import run_edges
 from modal.identification import Choice
+from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
 
@@ -16,6 +17,8 @@ __all__ = ["prepare", "split_at_input_gaps"]
 
 SHORTEST = 50
 """Samples between two input gaps from which on a stretch is worth an initial state of its own."""
+SHORTEST_SHARE = 0.02
+"""Of the record's longest stretch: a shorter one tells next to nothing, but would limit decimation."""
 
 
 def prepare(
@@ -28,10 +31,9 @@ def prepare(
         decimation: factor, or "auto" for the band in which the outputs follow the inputs.
 
     Raises:
-        InsufficientDataError: a channel that never moves.
+        InsufficientDataError: an output that never moves in some record, or an input that moves in none.
     """
-    for record in records:
-        _check_moves(record)
+    _check_channels_move(records)
     parts = tuple(part for record in records for part in split_at_input_gaps(record))
     centred = tuple(record.detrended() for record in parts)
     mean = Choice(what="mean", value="removed", reason="the model describes motion about the mean of each channel")
@@ -55,7 +57,9 @@ def prepare(
 
 
 def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
-    """The stretches of a record in which no input is missing; those shorter than `SHORTEST` samples are dropped.
+    """The stretches of a record in which no input is missing.
+
+    Those shorter than `SHORTEST` samples, or than `SHORTEST_SHARE` of the longest, are dropped.
 
     Raises:
         InsufficientDataError: no stretch is long enough.
@@ -63,7 +67,9 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
     missing = np.asarray(np.isnan(record.inputs).any(axis=1))
     if not missing.any():
         return (record,)
-    stretches = [(first, last) for first, last in run_edges(~missing).tolist() if last - first >= SHORTEST]
+    runs = run_edges(~missing).tolist()
+    least = max(SHORTEST, SHORTEST_SHARE * max((last - first for first, last in runs), default=0))
+    stretches = [(first, last) for first, last in runs if last - first >= least]
     whole = [(first, last) for first, last in stretches if np.isfinite(record.outputs[first:last]).any(axis=0).all()]
     if not whole:
         raise InsufficientDataError(
@@ -76,16 +82,21 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
     )
 
 
-def _check_moves(record: Record) -> None:
-    for kind, array, names in (
-        ("input", record.inputs, record.input_names),
-        ("output", record.outputs, record.output_names),
-    ):
-        for values, name in zip(array.T, names, strict=True):
-            low, high = np.nanmin(values), np.nanmax(values)
-            if low == high:
-                where = f" of record {record.name!r}" if record.name else ""
-                raise InsufficientDataError(
-                    f"{kind} {name!r}{where} is {low:.6g} in all {record.n_samples} samples, so nothing can be learnt "
-                    "from it; leave it out."
-                )
+def _check_channels_move(records: Sequence[Record]) -> None:
+    """An output that rests in one record has failed there; an input may rest in some records, but not in all."""
+    for record in records:
+        _refuse_constant("output", record.outputs, record.output_names, record)
+    for i, name in enumerate(records[0].input_names):
+        if all(np.nanmin(record.inputs[:, i]) == np.nanmax(record.inputs[:, i]) for record in records):
+            _refuse_constant("input", records[0].inputs[:, [i]], (name,), records[0])
+
+
+def _refuse_constant(kind: str, array: FloatArray, names: Sequence[str], record: Record) -> None:
+    for values, name in zip(array.T, names, strict=True):
+        low, high = np.nanmin(values), np.nanmax(values)
+        if low == high:
+            where = f" of record {record.name!r}" if record.name else ""
+            raise InsufficientDataError(
+                f"{kind} {name!r}{where} is {low:.6g} in all {record.n_samples} samples, so nothing can be learnt "
+                "from it; leave it out."
+            )

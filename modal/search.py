@@ -14,10 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.trials import Ground, Trial, make_trials, prepare_ground
+from modal.trials import Ground, Trial, hankel_shape, make_trials, prepare_ground
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
+from okid.rows import check_enough_rows
 
 __all__ = ["Search", "SearchLimits", "search", "search_limits"]
 
@@ -29,6 +30,8 @@ FINALISTS = 6
 ROUNDS = 4
 SHORT = 4000
 """Samples up to which a fold is too short to scout alone, and all of them are cheap."""
+LEAST_ROWS = 0.75
+"""Share of the samples that an observer order must leave as rows; a short record among long ones does not limit it."""
 WITHIN = 1.02
 """Largest ratio to the best error of a smaller model that may stand in for it."""
 ROUND_OFF = 1e-14
@@ -77,9 +80,15 @@ def search(
         ridge: likewise.
         model_order: likewise.
         progress: called with the share done.
+
+    Raises:
+        InsufficientDataError: the records are too short for the observer order that was given, or no candidate gave a
+            stable model.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
     ground = prepare_ground(records)
+    if model_order is not None:
+        _check_model_order(model_order, ground)
     every_fold = tuple(range(len(ground.folds)))
     n_samples = sum(record.n_samples for record in records)
     scouted = every_fold if n_samples <= SHORT else every_fold[:1]
@@ -103,6 +112,16 @@ def search(
     return Search(trials=tuple(trials), chosen=_chosen(trials), power=ground.power, limits=limits)
 
 
+def _check_model_order(model_order: int, ground: Ground) -> None:
+    first = ground.records[0]
+    largest = min(hankel_shape(ground.n_lags, first.n_inputs, first.n_outputs))
+    if model_order > largest:
+        raise InsufficientDataError(
+            f"model order {model_order} was asked for, but the block Hankel matrix of {ground.n_lags} lags allows at "
+            f"most {largest}; use order <= {largest}."
+        )
+
+
 def _grouped(
     ground: Ground,
     observers: Sequence[tuple[int, float]],
@@ -124,8 +143,11 @@ def search_limits(
     """The grid that the records can carry: an observer needs several rows an unknown, and a Gram that fits a cache."""
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)
-    shortest = min(record.n_samples for record in records)
-    largest = max(1, min(256, n_samples // (3 * n_channels), 1600 // n_channels, shortest // 4))
+    if observer_order is not None:
+        check_enough_rows(records, observer_order)
+    largest = max(1, min(256, n_samples // (3 * n_channels), 1600 // n_channels))
+    while largest > 1 and sum(max(0, record.n_samples - largest) for record in records) < LEAST_ROWS * n_samples:
+        largest -= 1
     doubling = [p for p in OBSERVER_ORDERS if p <= largest]
     if largest >= 1.4 * doubling[-1]:
         doubling.append(largest)
@@ -180,4 +202,4 @@ def _as_good(trial: Trial, best: Trial) -> bool:
     worse = trial.block_errors - best.block_errors
     spread = float(np.sqrt(worse.size) * worse.std(ddof=1)) if worse.size > 1 else 0.0
     significantly = float(worse.sum()) > spread + ROUND_OFF
-    return not significantly and trial.error <= WITHIN * best.error + np.sqrt(ROUND_OFF)
+    return not significantly and trial.error <= WITHIN * best.error + ROUND_OFF**0.5

@@ -15,7 +15,8 @@ from modal.examples.demo import ModeComparison
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import visible
-from modal.report.words import damping_text, frequency_text, headline, judge
+from modal.numbering import numbered
+from modal.report.words import damping_text, data_sentences, frequency_text, headline, judge
 from modal.report.writing import ReportFiles
 
 __all__ = ["plain", "show_comparison", "show_files", "show_result"]
@@ -40,11 +41,12 @@ def show_result(console: Console, result: Identification, *, remarks: Sequence[s
     console.print(_mode_table(result.modes.modes))
     hidden = sum(mode.verdict == "noise" for mode in result.modes) - MOST_NOISE
     if hidden > 0:
-        console.print(plain(f"and {hidden} more noise poles, all in the report", "bright_black"))
+        poles = "pole" if hidden == 1 else "poles"
+        console.print(plain(f"and {hidden} more noise {poles}, all in the report", "bright_black"))
     console.print()
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
     _list(console, "Warnings", result.warnings, "yellow")
-    _list(console, "Data", (*result.excitation.messages, *remarks), "")
+    _list(console, "Data", (*data_sentences(result), *remarks), "")
 
 
 def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> None:
@@ -80,30 +82,26 @@ def show_files(console: Console, files: ReportFiles) -> None:
 
 def _mode_table(modes: Sequence[Mode]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
+    table.add_column("", justify="right", no_wrap=True)
     table.add_column("Hz", justify="right", no_wrap=True)
     table.add_column("damping", justify="right", no_wrap=True)
     table.add_column("repeat.", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     table.add_column("why", ratio=1)
-    n_noise = 0
-    for verdict in ("system", "doubtful", "noise"):
-        for mode in modes:
-            if mode.verdict != verdict:
-                continue
-            n_noise += verdict == "noise"
-            if n_noise > MOST_NOISE:
-                break
-            colour = _COLOURS[verdict]
-            table.add_row(
-                plain(frequency_text(mode), f"bold {colour}" if verdict == "system" else colour),
-                plain(damping_text(mode), colour),
-                plain(_number(mode.repeatability, "{:.2f}"), colour),
-                plain(verdict, colour),
-                plain(
-                    mode.reason if verdict != "noise" else _first_part(mode.reason),
-                    "" if verdict == "system" else colour,
-                ),
-            )
+    n_believed = sum(mode.verdict != "noise" for mode in modes)
+    for number, mode in numbered(modes)[: n_believed + MOST_NOISE]:
+        colour = _COLOURS[mode.verdict]
+        table.add_row(
+            plain(str(number), "bright_black"),
+            plain(frequency_text(mode), f"bold {colour}" if mode.verdict == "system" else colour),
+            plain(damping_text(mode), colour),
+            plain(_number(mode.repeatability, "{:.2f}"), colour),
+            plain(mode.verdict, colour),
+            plain(
+                mode.reason if mode.verdict != "noise" else _first_part(mode.reason),
+                "" if mode.verdict == "system" else colour,
+            ),
+        )
     return table
 
 

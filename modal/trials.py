@@ -24,7 +24,7 @@ from okid.recovery import recover_arrays, recover_system
 from okid.regression import solve
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["Ground", "Trial", "hankel_limits", "make_trials", "markov_lags", "prepare_ground"]
+__all__ = ["Ground", "Trial", "hankel_limits", "hankel_shape", "make_trials", "markov_lags", "prepare_ground"]
 
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
@@ -195,9 +195,19 @@ def corner(decomposition: HankelDecomposition, order: int) -> Realisation | None
 
 def hankel_limits(markov: MarkovParameters) -> tuple[int, int]:
     """Rows and columns of the block Hankel matrix that `decompose` would make."""
-    n_channels = markov.n_inputs or markov.n_outputs
-    a, b = block_sizes(markov.n_lags, markov.n_outputs, n_channels, n_block_rows=None, n_block_columns=None)
-    return a * markov.n_outputs, b * n_channels
+    return hankel_shape(markov.n_lags, markov.n_inputs, markov.n_outputs)
+
+
+def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
+    """Rows and columns of the block Hankel matrix of so many lags; without inputs it is that of the gain.
+
+    Example:
+        >>> hankel_shape(9, 1, 2)
+        (8, 6)
+    """
+    n_channels = n_inputs or n_outputs
+    a, b = block_sizes(n_lags, n_outputs, n_channels, n_block_rows=None, n_block_columns=None)
+    return a * n_outputs, b * n_channels
 
 
 def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_order: int, fold: int) -> FloatArray | None:

@@ -120,7 +120,8 @@ def frozen_complex(values: npt.ArrayLike, *, name: str, shape: tuple[int | None,
 def time_major(values: npt.ArrayLike, *, name: str) -> FloatArray:
     """A read-only (n_samples, n_channels) float64 array; NaN is allowed, infinity is not.
 
-    One-dimensional values are one channel. Strided views of a read-only memory map stay views.
+    One-dimensional values are one channel; masked values are missing. Strided views of a read-only memory map stay
+    views.
 
     Raises:
         InvalidDataError: not numbers, more than two axes, or infinite values.
@@ -157,7 +158,9 @@ def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
         if isinstance(error, InvalidDataError):
             raise
         raise InvalidDataError(f"{name} must be an array of real numbers ({error}).") from error
-    return given.astype(np.float64, copy=False)
+    array = given.astype(np.float64, copy=False)
+    # What lies under a mask is no measurement, and numpy.asarray would bring it back.
+    return np.where(np.ma.getmaskarray(values), np.nan, array) if isinstance(values, np.ma.MaskedArray) else array
 
 
 def _check_shape(array: npt.NDArray[np.generic], name: str, shape: tuple[int | None, ...] | None) -> None:

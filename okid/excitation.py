@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import InvalidDataError
 from okid.gram import lag_gram
 from okid.record import Record
 from okid.rows import as_records, runs_of
+from okid.scalars import whole_number
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["Excitation", "check_excitation"]
@@ -75,10 +75,7 @@ def check_excitation(records: Record | Sequence[Record], *, order: int) -> Excit
         the inputs are persistently exciting of order 2 only, 6 is needed: at most 2 past samples can be told apart; ...
     """
     several = as_records(records)
-    if isinstance(order, bool) or order != int(order) or order < 1:
-        raise InvalidDataError(
-            f"an order of persistent excitation must be a whole number of at least 1, but is {order!r}."
-        )
+    order = whole_number(order, name="an order of persistent excitation", least=1)
     if several[0].n_inputs == 0:
         return Excitation(
             needed_order=order,

@@ -10,6 +10,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, frozen
 from okid.errors import InvalidDataError
+from okid.scalars import time_step
 
 __all__ = ["MarkovParameters"]
 
@@ -49,11 +50,10 @@ class MarkovParameters:
             raise InvalidDataError(
                 f"Markov parameters need at least lags 0 and 1 and one output, but have shape {system.shape}."
             )
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InvalidDataError(f"dt must be a positive time step in seconds, but is {self.dt}.")
+        dt = time_step(self.dt)
         n_outputs, n_inputs = system.shape[1:]
         object.__setattr__(self, "system", system)
-        object.__setattr__(self, "dt", float(self.dt))
+        object.__setattr__(self, "dt", dt)
         if self.gain is not None:
             gain = frozen(self.gain, name="gain Markov parameters", shape=(system.shape[0], n_outputs, n_outputs))
             object.__setattr__(self, "gain", gain)

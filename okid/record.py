@@ -15,6 +15,7 @@ from okid.arrays import BoolArray, FloatArray, column_block, row_chunks, time_ma
 from okid.conditioning import decimated, detrended, filter_half_length
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record_checks import as_inputs, channel_indices, check_lengths, check_names, check_not_empty, labels
+from okid.scalars import real_number, time_step, whole_number
 
 __all__ = ["InputHold", "Record"]
 
@@ -63,9 +64,8 @@ class Record:
         outputs = time_major(self.outputs, name="outputs")
         inputs = as_inputs(self.inputs, outputs.shape[0])
         check_lengths(inputs, outputs)
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InvalidDataError(f"dt must be a positive time step in seconds, but is {self.dt}.")
-        if not np.isfinite(self.start_time):
+        dt = time_step(self.dt)
+        if not np.isfinite(real_number(self.start_time)):
             raise InvalidDataError(f"start_time must be a finite time in seconds, but is {self.start_time}.")
         if self.input_hold not in get_args(InputHold):
             choices = ", ".join(get_args(InputHold))
@@ -73,7 +73,7 @@ class Record:
         set_ = object.__setattr__
         set_(self, "inputs", inputs)
         set_(self, "outputs", outputs)
-        set_(self, "dt", float(self.dt))
+        set_(self, "dt", dt)
         set_(self, "start_time", float(self.start_time))
         set_(self, "input_names", labels(self.input_names, inputs.shape[1], "input", named=True))
         set_(self, "output_names", labels(self.output_names, outputs.shape[1], "output", named=True))
@@ -146,11 +146,16 @@ class Record:
 
     def seconds(self, start: float | None = None, stop: float | None = None) -> "Record":
         """Samples whose time lies in start <= time < stop [s]; None leaves an end open."""
-        edges = [
-            None if time is None else max(0, int(np.ceil((time - self.start_time) / self.dt - 1e-9)))
-            for time in (start, stop)
-        ]
-        return self.samples(edges[0] or 0, edges[1])
+        return self.samples(self._first_at(start, 0), self._first_at(stop, self.n_samples))
+
+    def _first_at(self, time: float | None, otherwise: int) -> int:
+        """Index of the first sample at or after a time [s], within the record."""
+        if time is None:
+            return otherwise
+        if np.isnan(real_number(time)):
+            raise InvalidDataError(f"a time must be a number of seconds or None, but is {time!r}.")
+        index = np.ceil((time - self.start_time) / self.dt - 1e-9)
+        return int(np.clip(index, 0, self.n_samples))
 
     def split(self, *shares: float) -> tuple["Record", ...]:
         """Consecutive parts in the given shares; what the shares leave up to 1 is one more part.
@@ -163,7 +168,8 @@ class Record:
         Raises:
             InvalidDataError: a share that is not positive, or shares of more than 1 together.
         """
-        if not shares or min(shares) <= 0 or sum(shares) > 1 + 1e-12:
+        numbers = [real_number(share) for share in shares]
+        if not numbers or not all(number > 0 for number in numbers) or sum(numbers) > 1 + 1e-12:
             raise InvalidDataError(f"shares must be positive and at most 1 together, but are {shares}.")
         edges = np.round(np.cumsum([0.0, *shares]) * self.n_samples).astype(int).tolist()
         if edges[-1] < self.n_samples:
@@ -200,9 +206,8 @@ class Record:
         Raises:
             InvalidDataError: a degree below 0.
         """
-        if degree != int(degree) or degree < 0:
-            raise InvalidDataError(f"the degree of a trend must be a whole number of at least 0, but is {degree}.")
-        return replace(self, inputs=detrended(self.inputs, int(degree)), outputs=detrended(self.outputs, int(degree)))
+        degree = whole_number(degree, name="the degree of a trend", least=0)
+        return replace(self, inputs=detrended(self.inputs, degree), outputs=detrended(self.outputs, degree))
 
     def decimated(self, factor: int) -> "Record":
         """Every `factor`-th sample after an anti-alias filter, the same for inputs and outputs.
@@ -217,11 +222,9 @@ class Record:
             InvalidDataError: a factor below 1.
             InsufficientDataError: the record is shorter than the filter.
         """
-        if factor != int(factor) or factor < 1:
-            raise InvalidDataError(f"a decimation factor must be a whole number of at least 1, but is {factor}.")
+        factor = whole_number(factor, name="a decimation factor", least=1)
         if factor == 1:
             return self
-        factor = int(factor)
         half = filter_half_length(factor)
         needed = 2 * half + factor * max(self.n_inputs, self.n_outputs)
         if self.n_samples <= needed:

@@ -1,7 +1,7 @@
 """What must hold of the parts of a record; each check raises one sentence that says what to change."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +14,8 @@ __all__ = ["as_inputs", "channel_indices", "check_lengths", "check_names", "chec
 
 def as_inputs(values: npt.ArrayLike, n_samples: int) -> FloatArray:
     """The inputs as an array; nothing at all means no inputs, (n_samples, 0)."""
-    if np.size(values) == 0:
-        values = np.empty((n_samples, 0))
-    return time_major(values, name="inputs")
+    inputs = time_major(values, name="inputs")
+    return inputs if inputs.size else time_major(np.empty((n_samples, 0)), name="inputs")
 
 
 def check_lengths(inputs: FloatArray, outputs: FloatArray) -> None:
@@ -37,14 +36,17 @@ def check_lengths(inputs: FloatArray, outputs: FloatArray) -> None:
             )
 
 
-def labels(given: Sequence[str], count: int, kind: str, *, named: bool) -> tuple[str, ...]:
+def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -> tuple[str, ...]:
     """The names or units of the channels: those given, else input_0, ... or empty units."""
+    what = "names" if named else "units"
     if isinstance(given, str):
         given = (given,)
+    if given is not None and not isinstance(given, Iterable):
+        raise InvalidDataError(f"{kind} {what} must be a sequence of words, one for each channel, but are {given!r}.")
+    given = () if given is None else tuple(given)
     if len(given) == 0:
         return tuple(f"{kind}_{i}" if named else "" for i in range(count))
     if len(given) != count:
-        what = "names" if named else "units"
         raise InvalidDataError(f"{len(given)} {kind} {what} were given for {count} {kind}s; give one for each channel.")
     return tuple(str(label) for label in given)
 

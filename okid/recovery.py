@@ -10,10 +10,11 @@ the parameters are wrong by about half on noise-free data. The number of lags is
 import numpy as np
 
 from okid.arrays import FloatArray
-from okid.errors import InvalidDataError, NumericalError
+from okid.errors import NumericalError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
 from okid.recursion import solve_recursion
+from okid.scalars import whole_number
 
 __all__ = ["recover_arrays", "recover_markov", "recover_system"]
 
@@ -48,15 +49,14 @@ def recover_markov(observer: ObserverFit, *, n_lags: int | None = None) -> Marko
     """
     if n_lags is None:
         n_lags = max(20, 2 * observer.order)
-    if isinstance(n_lags, bool) or n_lags != int(n_lags) or n_lags < 1:
-        raise InvalidDataError(f"n_lags must be a whole number of at least 1, but is {n_lags!r}.")
+    n_lags = whole_number(n_lags, name="n_lags", least=1)
     # In scaled channels the recursion sees no units, so none of its sums is lost to another's size.
     size, into = observer.output_scale, observer.input_scale
     system, gain = recover_arrays(
         observer.feedthrough * into / size[:, np.newaxis],
         observer.input_coefficients * into / size[:, np.newaxis],
         observer.output_coefficients * size / size[:, np.newaxis],
-        int(n_lags),
+        n_lags,
     )
     if not (np.isfinite(system).all() and np.isfinite(gain).all()):
         raise NumericalError(

@@ -24,6 +24,7 @@ from okid.errors import InvalidDataError
 from okid.gram import LagGram
 from okid.record import Record
 from okid.row_factor import factor_rows, residual_products, solve_factor
+from okid.scalars import real_number
 from okid.scaling import ChannelScaling
 
 __all__ = ["RegressionRows", "solve", "solve_nested"]
@@ -261,5 +262,6 @@ def _observer(
 
 
 def _check_ridge(ridge: float) -> None:
-    if not (np.isfinite(ridge) and ridge >= 0.0):
+    number = real_number(ridge)
+    if not (np.isfinite(number) and number >= 0.0):
         raise InvalidDataError(f"a ridge must be a number of at least 0, but is {ridge!r}; 0.01 is a strong one.")

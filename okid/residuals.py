@@ -11,6 +11,7 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.observer import ObserverFit
 from okid.record import Record
 from okid.rows import as_records, complete_rows
+from okid.scalars import whole_number
 
 __all__ = ["ResidualCheck", "check_residuals", "one_step_residuals"]
 
@@ -120,9 +121,9 @@ def check_residuals(
     """
     several = as_records(records)
     order, q = observer.order, observer.n_outputs
-    lags = order + max(20, order // 2) if n_lags is None else n_lags
-    if isinstance(lags, bool) or lags != int(lags) or lags <= order:
-        raise InvalidDataError(f"n_lags must be a whole number above the observer order {order}, but is {lags!r}.")
+    lags = order + max(20, order // 2)
+    if n_lags is not None:
+        lags = whole_number(n_lags, name=f"n_lags for an observer of order {order}", least=order + 1)
     residuals = [one_step_residuals(observer, record) / observer.output_scale for record in several]
     there = [complete_rows(residual) for residual in residuals]
     n_rows = sum(int(mask.sum()) for mask in there)
@@ -157,14 +158,14 @@ def check_residuals(
     )
     ratio = statistic / freedom
     p_value = float(scipy.special.gammaincc(0.5 * freedom, 0.5 * statistic))
-    input_ratio = _input_ratio(several, clean, n_rows, whiten, order=order, lags=int(lags))
+    input_ratio = _input_ratio(several, clean, n_rows, whiten, order=order, lags=lags)
     return ResidualCheck(
         autocorrelation=_closed(autocorrelation),
         whiteness_ratio=float(ratio),
         whiteness_p_value=p_value,
         input_correlation_ratio=input_ratio,
         confidence_limit=float(limit),
-        messages=_messages(ratio, p_value, input_ratio, int(lags), order),
+        messages=_messages(ratio, p_value, input_ratio, lags, order),
     )
 
 

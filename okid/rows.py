@@ -5,13 +5,14 @@ first `order` samples of every record are dropped, which makes the fit right for
 takes only the rows that it touches.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
+from okid.scalars import whole_number
 from okid.scaling import ChannelScaling
 
 __all__ = [
@@ -36,7 +37,7 @@ def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
         >>> len(as_records(Record([0.0, 1.0], [0.0, 0.5], 0.1)))
         1
     """
-    several = (records,) if isinstance(records, Record) else tuple(records)
+    several = tuple(records) if isinstance(records, Iterable) else (records,)
     if not several or not all(isinstance(record, Record) for record in several):
         kinds = ", ".join(sorted({type(record).__name__ for record in several})) or "nothing"
         raise InvalidDataError(f"one okid.Record or a sequence of them is needed, but {kinds} was given.")
@@ -93,8 +94,7 @@ def check_enough_rows(records: Sequence[Record], order: int) -> None:
         InvalidDataError: an order below 1.
         InsufficientDataError: too few samples, or too few rows left between the missing ones.
     """
-    if isinstance(order, bool) or order != int(order) or order < 1:
-        raise InvalidDataError(f"an observer order must be a whole number of at least 1, but is {order!r}.")
+    whole_number(order, name="an observer order", least=1)
     n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
     n_unknowns = n_inputs + order * (n_inputs + n_outputs)
     lengths = [record.n_samples for record in records]

@@ -20,6 +20,7 @@ from modal.recording.palette import BACKGROUND
 from modal.recording.plan import SHOWN_INPUTS, Plan
 from modal.recording.series import TIMELINE
 from modal.recording.shapes import HALF_LENGTH, PERIODS, SPACING, deflection, shape_path
+from modal.report.words import damping_text
 
 if TYPE_CHECKING:
     import rerun.blueprint
@@ -217,8 +218,7 @@ def _shape(plan: Plan, number: int, n_sticks: int) -> Any:
     import rerun.blueprint as rrb
 
     mode = plan.modes[number - 1]
-    damping = f"{100 * mode.damping_ratio:#.2g} %" if mode.damping_resolved else "damping unresolved"
-    title = f"Mode {number}: {mode.frequency:.4g} Hz, {damping}"
+    title = f"Mode {number}: {mode.frequency:.4g} Hz, {damping_text(mode).replace('not', 'damping not')}"
     if mode.verdict != "system":
         title = f"{mode.verdict.capitalize()} {number}: {mode.frequency:.4g} Hz"
     return rrb.Spatial3DView(

@@ -74,13 +74,17 @@ def _log_output(
     predicted = [record.outputs[:, output] for record in identification.predicted]
     simulated = [record.outputs[:, output] for record in identification.simulated]
     # lines are painted in the order of their paths: measured, wide, below predicted below simulated
-    for part, channels, name, colour, width in (
+    lines = [
         ("measured", measured, "measured", BLUE, 3.0),
         ("predicted", predicted, "one step ahead", PREDICTED, 1.0),
-        ("simulated", simulated, "simulated", ORANGE, 1.3),
-        ("residual/free_run", _less(measured, simulated), "less simulated", RED, 1.0),
         ("residual/one_step", _less(measured, predicted), "less one step ahead", ONE_STEP, 1.0),
-    ):
+    ]
+    if identification.records[0].n_inputs:  # without inputs nothing runs freely: what is called simulated is one step
+        lines += [
+            ("simulated", simulated, "simulated", ORANGE, 1.3),
+            ("residual/free_run", _less(measured, simulated), "less simulated", RED, 1.0),
+        ]
+    for part, channels, name, colour, width in lines:
         log_series(recording, f"{path}/{part}", times, channels, plan=plan, name=name, colour=colour, width=width)
 
 

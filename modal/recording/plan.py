@@ -14,9 +14,11 @@ import numpy as np
 
 from modal.identification import Identification
 from modal.mode import Mode
+from modal.numbering import numbered
 from modal.recording.levels import bucket_length, series_budget
 from modal.recording.names import path_parts
 from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
 
 __all__ = ["SERIES_PER_OUTPUT", "Plan", "planned"]
 
@@ -24,6 +26,9 @@ SHOWN_INPUTS: Final = 6
 SHOWN_OUTPUTS: Final = 12
 SHOWN_MODES: Final = 9
 """Views stay bounded, whatever comes; the numbers of all the others are stored as well."""
+
+LATEST: Final = 9.2e9
+"""Rerun counts time in nanoseconds, with 63 bits [s]."""
 
 SERIES_PER_OUTPUT: Final = 5  # measured, predicted, simulated, residuals of both
 
@@ -36,8 +41,8 @@ class Plan:
         input_paths: entity of each input.
         output_paths: entity above the series of each output.
         shown_outputs: outputs that have views of their own.
-        modes: every mode, those of the system first, then the doubtful ones, then noise, each by frequency; their
-            position from 1 is the number used on every page and on the timeline "mode".
+        modes: every mode in the order of its number (`modal.numbering`); their position from 1 is the number used on
+            every page, in the report and on the timeline "mode".
         shapes: numbers (from 1) of the modes whose shapes are drawn.
         shifts: seconds by which each record is moved on the timeline.
         starts: when each record begins on the timeline [s].
@@ -74,14 +79,27 @@ class Plan:
 
 
 def planned(identification: Identification) -> Plan:
-    """The plan for one identification."""
+    """The plan for one identification.
+
+    Args:
+        identification: what will be recorded.
+
+    Raises:
+        InvalidDataError: the records reach further than the time axis of a recording does.
+    """
     records = identification.records
     first = records[0]
     starts, stops = _laid_out(np.array([[r.start_time, r.start_time + (r.n_samples - 1) * r.dt] for r in records]))
+    furthest = max(abs(starts[0]), abs(stops[-1]))
+    if not furthest <= LATEST:
+        raise InvalidDataError(
+            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count time "
+            "in a larger unit, so that dt is smaller."
+        )
     n_samples = sum(record.n_samples for record in records)
     budget = series_budget(first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
     bucket = bucket_length(n_samples, budget)
-    modes = _ordered(identification.modes.modes)
+    modes = tuple(mode for _, mode in numbered(identification.modes.modes))
     return Plan(
         input_paths=tuple(f"fit/input/{part}" for part in path_parts(first.input_names)),
         output_paths=tuple(f"fit/output/{part}" for part in path_parts(first.output_names)),
@@ -105,11 +123,6 @@ def _laid_out(spans: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
         starts.append(float(begin) if begin > stops[-1] else stops[-1] + pause)
         stops.append(starts[-1] + float(length))
     return tuple(starts), tuple(stops)
-
-
-def _ordered(modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    rank = {"system": 0, "doubtful": 1, "noise": 2}
-    return tuple(sorted(modes, key=lambda mode: (rank[mode.verdict], mode.frequency)))
 
 
 def _drawn(modes: tuple[Mode, ...]) -> tuple[int, ...]:

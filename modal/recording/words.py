@@ -9,6 +9,7 @@ from modal.identification import Identification
 from modal.mode import Mode
 from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
+from modal.report.words import damping_text, data_sentences, headline
 
 __all__ = ["choices_text", "fit_text", "modes_text"]
 
@@ -21,11 +22,12 @@ def fit_text(identification: Identification, plan: Plan) -> str:
     """What was found in one line, what must be read first, how well the outputs are repeated, and what is left over."""
     fit = identification.fit
     first = identification.records[0]
-    parts = [f"### {_headline(identification)}"]
+    parts = [f"### {headline(identification)}"]
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
+    seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
     parts.append(
-        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: the model sees the inputs alone and is scored "
-        "on rows that it was not fitted to."
+        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
+        "fitted to."
     )
     listed = range(min(first.n_outputs, LISTED_OUTPUTS))
     rows = [
@@ -42,7 +44,7 @@ def fit_text(identification: Identification, plan: Plan) -> str:
     if first.n_outputs > SHOWN_OUTPUTS:
         parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
     parts.append(_observer_line(identification))
-    parts += _bullets(identification.excitation.messages, identification.residuals.messages)
+    parts += _bullets(data_sentences(identification), identification.residuals.messages)
     if len(identification.records) > 1:
         parts.append(_records_table(identification, plan))
     if max(plan.buckets) > 1:
@@ -90,14 +92,6 @@ def choices_text(identification: Identification) -> str:
     return "\n\n".join(parts)
 
 
-def _headline(identification: Identification) -> str:
-    system = identification.modes.system
-    if not system:
-        return "No mode is certain"
-    listed = ", ".join(f"{mode.frequency:.4g}" for mode in system[:6]) + (", …" if len(system) > 6 else "")
-    return f"{len(system)} mode{'s' if len(system) > 1 else ''} of the system: {listed} Hz"
-
-
 def _observer_line(identification: Identification) -> str:
     observer, residuals = identification.observer, identification.residuals
     first = identification.records[0]
@@ -123,14 +117,15 @@ def _records_table(identification: Identification, plan: Plan) -> str:
 
 def _mode_row(number: int, mode: Mode) -> list[str]:
     strong = "**" if mode.verdict == "system" else ""
-    damping = f"{strong}{100 * mode.damping_ratio:#.3g}{strong}" if mode.damping_resolved else "not resolved"
+    known = mode.kind != "real" and mode.damping_resolved
+    damping = f"{strong}{100 * mode.damping_ratio:#.3g}{strong}" if known else damping_text(mode)
     indicators = [mode.amplitude_coherence, mode.emac, mode.phase_collinearity, mode.cmi, mode.msv]
     return [
         str(number),
         f"{strong}{mode.frequency:#.5g}{strong}",
         _figures(mode.frequency_std),
         damping,
-        _figures(100 * mode.damping_ratio_std) if mode.damping_resolved else UNKNOWN,
+        _figures(100 * mode.damping_ratio_std) if known else UNKNOWN,
         f"{strong}{mode.verdict}{strong}",
         *[_number(value, 2) for value in indicators],
         _number(mode.mpd, 0),

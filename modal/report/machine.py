@@ -12,6 +12,7 @@ import numpy as np
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import csv_cell
+from modal.numbering import numbered
 from modal.report.provenance import Provenance, installed_version
 from modal.report.words import judge
 from okid.record import Record
@@ -47,7 +48,7 @@ def json_text(result: Identification, provenance: Provenance) -> str:
         "modes": {
             "indicator_caution": result.modes.indicator_caution,
             "indicators_missing": result.modes.indicators_missing,
-            "table": result.modes.modes,
+            "table": _mode_table(result),
         },
         "order_evidence": result.order_evidence,
         "residuals": result.residuals,
@@ -59,7 +60,7 @@ def json_text(result: Identification, provenance: Provenance) -> str:
 
 
 def csv_text(result: Identification) -> str:
-    """One row a mode, every verdict; shapes in columns of their own, an empty cell for what is not known."""
+    """One row a mode in the order of its number; shapes in columns of their own, empty cells for what is not known."""
     outputs, inputs = result.records[0].output_names, result.records[0].input_names
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
@@ -67,7 +68,7 @@ def csv_text(result: Identification) -> str:
     for word, names in (("shape", outputs), ("participation", inputs)):
         header += [csv_cell(f"{word} {name} {part}") for name in names for part in ("real", "imaginary")]
     writer.writerow(header)
-    for number, mode in enumerate(result.modes, start=1):
+    for number, mode in numbered(result.modes):
         row: list[object] = [number, mode.verdict, mode.kind]
         row += [_cell(getattr(mode, name)) for name in _MODE_NUMBERS]
         row += [_cell(mode.pole.real), _cell(mode.pole.imag), csv_cell(mode.reason)]
@@ -75,6 +76,12 @@ def csv_text(result: Identification) -> str:
             row += [_cell(component.real), _cell(component.imag)]
         writer.writerow(row)
     return file.getvalue()
+
+
+def _mode_table(result: Identification) -> list[dict[str, object]]:
+    """Every mode by frequency, as the model has them, with the number that it has on every page."""
+    numbers = {id(mode): number for number, mode in numbered(result.modes)}
+    return [{"number": numbers[id(mode)], **_members(mode)} for mode in result.modes]
 
 
 def _cell(value: object) -> object:

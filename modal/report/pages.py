@@ -8,6 +8,7 @@ import numpy as np
 
 from modal.identification import Identification
 from modal.names import escape_markdown, visible
+from modal.numbering import numbered
 from modal.report import words
 from modal.report.columns import INDICATORS, shown
 from modal.report.pictures import Picture, shape_assurance
@@ -58,6 +59,8 @@ def _environment(*, html: bool) -> "jinja2.Environment":
     environment.filters["literal"] = _literal
     environment.filters["frequency"] = words.frequency_text
     environment.filters["damping"] = words.damping_text
+    environment.filters["percent"] = words.percent
+    environment.filters["fit"] = words.fit_text
     return environment
 
 
@@ -89,9 +92,10 @@ def _context(result: Identification, provenance: Provenance) -> dict[str, object
             "band_limited": "band-limited, as behind an anti-alias filter",
         }[record.input_hold],
         "groups": [
-            (verdict, heading, meaning, [mode for mode in modes if mode.verdict == verdict])
+            (verdict, heading, meaning, [row for row in numbered(modes) if row[1].verdict == verdict])
             for verdict, heading, meaning in VERDICTS
         ],
+        "data_sentences": words.data_sentences(result),
         "indicators": INDICATORS,
         "caution": words.caution_sentence(result),
         "assurance": shape_assurance(modes).tolist() if modes.system else [],

@@ -151,7 +151,7 @@ def _mode_pictures(result: Identification) -> dict[str, Picture]:
             plots.mode_shapes(shown, output_names=names),
             "shapes",
             "Shapes of the modes of the system: sensors in the order of the record, greatest component 1, without the "
-            f"geometry of the structure.{mixed}{which}",
+            f"geometry of the structure; dotted, the imaginary part where it exceeds 0.05.{mixed}{which}",
         ),
         "complexity": _picture(
             plots.shape_complexity(shown),

@@ -9,13 +9,16 @@ from typing import Literal
 
 from modal.identification import Identification
 from modal.mode import Mode
+from modal.names import shorten
 
 __all__ = [
     "Judgement",
     "caution_sentence",
     "damping_sentence",
+    "data_sentences",
     "doubtful_sentence",
     "fit_sentence",
+    "fit_text",
     "fit_word",
     "headline",
     "judge",
@@ -29,6 +32,9 @@ GOOD_FIT = 0.8
 
 MOST_CAUTION = 0.3
 """n / (p q) above which the classical indicators test the observer rather than the data."""
+
+LONGEST_NAME = 40
+"""Letters of a channel name in a sentence; the tables have the whole of it."""
 
 Trust = Literal["carried", "with care", "not carried"]
 
@@ -92,6 +98,19 @@ def fit_word(fit: float) -> str:
     return "good" if fit >= GOOD_FIT else "fair" if fit >= LEAST_FIT else "poor"
 
 
+def fit_text(fit: float) -> str:
+    """A fit to two digits, a dash where it is not known; one below 0.5 is never rounded up to it.
+
+    Example:
+        >>> fit_text(0.4987), fit_text(0.7647), fit_text(-0.0012)
+        ('0.49', '0.76', '0.00')
+    """
+    if not math.isfinite(fit):
+        return "–"
+    shown = math.floor(100 * fit) / 100 if 0 < fit < LEAST_FIT else round(fit, 2)
+    return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
+
+
 def fit_sentence(result: Identification) -> str:
     """What the cross-validated fit says about the model."""
     fit = result.fit.mean
@@ -99,7 +118,7 @@ def fit_sentence(result: Identification) -> str:
         return "No fit on held-out data is known, so nothing here has been tested against data the model had not seen."
     if fit < LEAST_FIT:
         return (
-            f"The model does not explain the record: its fit on rows that it was not fitted to is {fit:.2f}, "
+            f"The model does not explain the record: its fit on rows that it was not fitted to is {fit_text(fit)}, "
             f"below {LEAST_FIT}, so no mode of it is certain."
         )
     names = result.records[0].output_names
@@ -107,9 +126,14 @@ def fit_sentence(result: Identification) -> str:
     worst = int(fits.argmin())
     word = "well" if fit >= GOOD_FIT else "in the main"
     how = "Fed with the inputs alone" if result.records[0].n_inputs else "No input was measured; one step ahead"
-    sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {fit:.2f}"
-    differs = f"{fits[worst]:.2f}" != f"{fit:.2f}"
-    return sentence + (f" (least for {names[worst]}: {fits[worst]:.2f})." if differs else ".")
+    least, mean = fit_text(fits[worst]), fit_text(fit)
+    sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {mean}"
+    return sentence + (f" (least for {shorten(names[worst], LONGEST_NAME)}: {least})." if least != mean else ".")
+
+
+def data_sentences(result: Identification) -> tuple[str, ...]:
+    """What the inputs cannot show, as far as it is not among the warnings already."""
+    return tuple(message for message in result.excitation.messages if message not in result.warnings)
 
 
 def damping_sentence(result: Identification) -> str:

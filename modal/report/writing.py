@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from modal.identification import Identification
+from modal.names import shorten
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import draw_pictures
@@ -17,6 +18,9 @@ from modal.report.provenance import Provenance
 from okid.errors import InvalidDataError
 
 __all__ = ["ReportFiles", "refuse_existing", "write_report"]
+
+LONGEST_PATH = 200
+"""Letters of a path in a sentence."""
 
 Existing = Literal["refuse", "replace"]
 
@@ -104,13 +108,30 @@ def refuse_existing(folder: Path, existing: Existing) -> None:
     Raises:
         InvalidDataError: as in `write_report`.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InvalidDataError(f"{str(folder)!r} is a file, not a folder; choose another folder for the report.")
-    there = [path.name for path in ReportFiles.in_folder(folder) if path.exists()]
+    try:
+        nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        there = [path.name for path in ReportFiles.in_folder(folder) if path.exists()]
+    except OSError as error:  # a name that is too long, a folder that may not be looked into
+        raise _cannot_write(folder, error) from error
+    if not nearest.is_dir():
+        raise InvalidDataError(
+            f"{_named(folder)} cannot be a folder, because {str(nearest)!r} is a file; choose another folder for the "
+            "report."
+        )
     if there and existing == "refuse":
         raise InvalidDataError(
-            f"{str(folder)!r} already holds {', '.join(there)}; choose another folder or ask for them to be replaced."
+            f"{_named(folder)} already holds {', '.join(there)}; choose another folder, or replace them (--overwrite, "
+            'in Python existing="replace").'
         )
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InvalidDataError(
+            f"{_named(folder)} cannot be written (no right to write in {str(nearest)!r}); choose another folder for "
+            "the report."
+        )
+
+
+def _named(folder: Path) -> str:
+    return repr(shorten(str(folder), LONGEST_PATH))
 
 
 def _write_all(result: Identification, files: ReportFiles, provenance: Provenance) -> None:
@@ -152,5 +173,5 @@ def _move(temporary: Path, target: Path) -> None:
 
 def _cannot_write(target: Path, error: OSError) -> InvalidDataError:
     return InvalidDataError(
-        f"{str(target)!r} cannot be written ({error.strerror or error}); choose another folder for the report."
+        f"{_named(target)} cannot be written ({error.strerror or error}); choose another folder for the report."
     )

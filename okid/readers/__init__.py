@@ -1,7 +1,8 @@
 """Records from files: CSV and other text tables, NPY, NPZ, MAT, universal files, Parquet, TDMS.
 
 `read_record` reads one file, `read_records` several, `describe_file` says what a file holds and what becomes of its
-units. Nothing in a file is ever executed; sizes that do not fit into memory are refused before they are read.
+units, `read_described` does both in one reading. Nothing in a file is ever executed; sizes that do not fit into memory
+are refused before they are read.
 """
 
 from collections.abc import Sequence
@@ -9,13 +10,14 @@ from pathlib import Path
 
 from okid.errors import InvalidDataError
 from okid.readers.assembly import to_record
-from okid.readers.description import FileDescription, describe_file
+from okid.readers.description import FileDescription, describe_file, describe_table
 from okid.readers.dispatch import read_table
 from okid.readers.joining import records_of_tables
+from okid.readers.table import Table
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record
 
-__all__ = ["FileDescription", "UnitConversion", "describe_file", "read_record", "read_records"]
+__all__ = ["FileDescription", "UnitConversion", "describe_file", "read_described", "read_record", "read_records"]
 
 
 def read_record(
@@ -78,11 +80,43 @@ def read_records(
         InvalidDataError: as in `read_record`; or files that share some channels and not others, or that do not fit
             together in time step or units.
     """
-    listed = [paths] if isinstance(paths, str | Path) else list(paths)
+    return records_of_tables(_tables(paths), inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+
+
+def read_described(
+    paths: Sequence[str | Path] | str | Path,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    input_hold: InputHold = "band_limited",
+) -> tuple[tuple[Record, ...], tuple[FileDescription, ...]]:
+    """The records in one or several files, and what each file holds; every file is read once.
+
+    Args:
+        paths: as in `read_records`.
+        inputs: as in `read_records`.
+        outputs: as in `read_records`.
+        dt: as in `read_records`.
+        input_hold: as in `read_records`.
+
+    Returns:
+        The records as `read_records` gives them, and one description a file in the order of the files.
+
+    Raises:
+        UnreadableFileError: as in `read_records`.
+        InvalidDataError: as in `read_records`.
+    """
+    tables = _tables(paths)
+    records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    return records, tuple(describe_table(table) for table in tables)
+
+
+def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
+    listed = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
     double = sorted({str(path) for path in listed if listed.count(path) > 1})
     if double:
         raise InvalidDataError(f"{', '.join(double)} is given more than once; a record counts once.")
-    tables = [read_table(path) for path in listed]
-    return records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    return [read_table(path) for path in listed]

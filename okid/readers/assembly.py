@@ -29,6 +29,7 @@ def to_record(
         InvalidDataError: as `choose_channels`, `time_step` and `Record` say, with the file's name before it.
     """
     into, out = choose_channels(table, inputs, outputs)
+    _check_orientation(table, into, out)
     step, start_time = time_step(table, dt)
     input_units = [_conversion(table, index) for index in into]
     output_units = [_conversion(table, index) for index in out]
@@ -47,6 +48,16 @@ def to_record(
         )
     except InvalidDataError as error:
         raise type(error)(f"{table.path.name}: {error}") from error
+
+
+def _check_orientation(table: Table, into: Sequence[int], out: Sequence[int]) -> None:
+    """Refuse more channels than samples here, where the remedy is to save the file otherwise."""
+    for kind, indices in (("inputs", into), ("outputs", out)):
+        if len(indices) > table.n_samples:
+            raise InvalidDataError(
+                f"{table.path.name} holds {len(indices)} {kind} but only {table.n_samples} samples; rows must be "
+                f"samples and columns channels, so save its transpose, or name fewer {kind}."
+            )
 
 
 def _conversion(table: Table, index: int) -> UnitConversion:

@@ -42,6 +42,12 @@ def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[i
     into, out = chosen_names(table, inputs, outputs)
     _check_once(into, out)
     indices = _indices(table, into), _indices(table, out)
+    if not table.channels():
+        left = "".join(f"; {left.name!r} was left out: {left.reason}" for left in table.left_out[:3])
+        raise InvalidDataError(
+            f"{table.path.name} holds no channel, only {', '.join(table.names[:3])}{left}; a channel is a column of "
+            "measured numbers beside the time."
+        )
     if not indices[1]:
         raise InvalidDataError(
             f"no output is left in {table.path.name}: its channels are {_listed(table)}, and all of them are inputs; "

@@ -8,7 +8,7 @@ from okid.readers.table import LeftOut, Table
 from okid.readers.time_axis import stated_step
 from okid.readers.units import UnitConversion, convert_unit
 
-__all__ = ["FileDescription", "describe_file"]
+__all__ = ["FileDescription", "describe_file", "describe_table"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,14 @@ def describe_file(path: str | Path) -> FileDescription:
 
 
 def describe_table(table: Table) -> FileDescription:
-    """The description of a table that has been read already."""
+    """The description of a table that has been read already.
+
+    Args:
+        table: of one file.
+
+    Raises:
+        InvalidDataError: its time column is no uniform grid.
+    """
     step, _ = stated_step(table)
     columns = [table.columns[index] for index in table.channels()]
     return FileDescription(

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import stat
 from pathlib import Path
 from types import ModuleType
 
@@ -12,6 +13,9 @@ __all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", 
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
 
+LONGEST_PATH = 200
+"""Letters of a path in a sentence."""
+
 MEMORY_SHARE = 0.8
 """Share of the machine's memory that reading one file may take."""
 
@@ -20,16 +24,20 @@ def check_file(path: Path) -> None:
     """Raise unless `path` is a file that holds something.
 
     Raises:
-        UnreadableFileError: no such file, a folder, an empty file, or one that may not be read.
+        UnreadableFileError: no such file, a folder, a pipe, an empty file, or one that may not be read.
     """
-    if path.is_dir():
-        raise UnreadableFileError(f"{path} is a folder; give the file in it that holds the record.")
     try:
-        size = path.stat().st_size
+        found = path.stat()
     except OSError as error:
         reason = "does not exist" if isinstance(error, FileNotFoundError) else f"cannot be opened ({error.strerror})"
-        raise UnreadableFileError(f"{path} {reason}; check the path.") from error
-    if size == 0:
+        raise UnreadableFileError(f"{_shortened(path)} {reason}; check the path.") from error
+    if stat.S_ISDIR(found.st_mode):
+        raise UnreadableFileError(f"{path} is a folder; give the file in it that holds the record.")
+    if not stat.S_ISREG(found.st_mode):
+        raise UnreadableFileError(
+            f"{path} is a pipe or a device, and no file; save what comes out of it as a file first."
+        )
+    if found.st_size == 0:
         raise UnreadableFileError(f"{path} is empty (0 bytes); save the measurement again.")
 
 
@@ -59,6 +67,12 @@ def check_channel_count(path: Path, n_channels: int) -> None:
             f"{path.name} holds {n_channels} columns, more than the {MAX_CHANNELS} that one record may have; rows must "
             "be samples and columns channels, so save its transpose or fewer channels."
         )
+
+
+def _shortened(path: Path) -> str:
+    """The path as text of bounded length: one that is too long for the system is too long for a sentence as well."""
+    text = str(path)
+    return text if len(text) <= LONGEST_PATH else f"{text[: LONGEST_PATH // 2]}…{text[-LONGEST_PATH // 2 :]}"
 
 
 def first_line(error: Exception) -> str:

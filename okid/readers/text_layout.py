@@ -60,9 +60,11 @@ def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
     if not found:
         _refuse_text_column(lines, file_name)
         shown = next((line.strip() for line in lines if line.strip()), "")[:60]
+        n_lines = min(len(lines), MAX_REMARKS)
+        searched = "in its only line" if n_lines == 1 else f"among its first {n_lines} lines"
         raise UnreadableFileError(
-            f"{file_name} holds no row of numbers among its first {min(len(lines), MAX_REMARKS)} lines (it begins with "
-            f"{shown!r}); a record is a table of numbers, one row a sample, one column a channel."
+            f"{file_name} holds no row of numbers {searched} (it begins with {shown!r}); a record is a table "
+            "of numbers, one row a sample, one column a channel."
         )
     _, dialect, (first_line, n_columns) = max(found, key=lambda candidate: candidate[0])
     headers = _headers(lines, first_line, n_columns, dialect, file_name)

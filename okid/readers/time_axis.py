@@ -12,6 +12,9 @@ __all__ = ["stated_step", "time_step"]
 JITTER = 0.1
 """How far a sample may lie off the uniform grid, in time steps."""
 
+SHORTEST, LONGEST = 1e-12, 1e9
+"""Time steps [s] that an experiment can have; beyond them the arithmetic of frequencies overflows."""
+
 CONTRADICTION = 1e-3
 """Relative difference above which a given time step contradicts that of the file."""
 
@@ -29,6 +32,11 @@ def time_step(table: Table, dt: float | None) -> tuple[float, float]:
     """
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise InvalidDataError(f"dt must be a positive time step in seconds, but is {dt}.")
+    if dt is not None and not SHORTEST <= dt <= LONGEST:
+        raise InvalidDataError(
+            f"dt must be a time step between {SHORTEST:g} and {LONGEST:g} s, but is {dt:g}; count the time in another "
+            "unit."
+        )
     stated, start_time = stated_step(table)
     if stated is None:
         if dt is None:

@@ -99,7 +99,7 @@ def test_too_few_lags_says_how_many_are_needed(arguments, numbers):
 def test_wrong_sizes_are_errors():
     with pytest.raises(InsufficientDataError, match="at least 2 lags"):
         block_sizes(1, 1, 1)
-    with pytest.raises(InvalidDataError, match="n_block_rows must be at least 1, but is 0"):
+    with pytest.raises(InvalidDataError, match="n_block_rows must be a whole number of at least 1, but is 0"):
         block_sizes(10, 1, 1, n_block_rows=0)
     with pytest.raises(InsufficientDataError, match="up to lag 9, but there are 5"):
         block_hankel(np.zeros((6, 1, 1)), 5, 5)

@@ -114,3 +114,27 @@ def test_wrong_or_empty_rows_are_errors_with_numbers():
         estimate_initial_state(model, record, rows=np.ones(8, dtype=bool))
     with pytest.raises(InsufficientDataError, match="at least one output sample"):
         estimate_initial_state(model, record, rows=np.zeros(9, dtype=bool))
+
+
+def test_free_response_is_found_for_a_transfer_function_of_oversampled_data():
+    # In companion form |A^k| reaches 5e8 before it decays: A^1024 by squaring is not even stable.
+    angles = np.array([0.01, 0.03, 0.05])
+    poles = 0.99 * np.exp(1j * np.concatenate([angles, -angles]))
+    A = np.vstack([-np.poly(poles).real[1:], np.eye(6)[:-1]])
+    rng = np.random.default_rng(0)
+    model = Realisation(A, np.eye(6)[:, :1], rng.standard_normal((1, 6)), np.zeros((1, 1)), 0.1)
+    state, outputs = rng.standard_normal(6), np.empty(2000)
+    for k in range(2000):
+        outputs[k], state = model.C[0] @ state, A @ state
+    record = Record(np.zeros(2000), outputs, 0.1)
+    again = simulate(model, record, initial_state=estimate_initial_state(model, record)).outputs[:, 0]
+    assert np.abs(again - outputs).max() < 1e-4 * np.abs(outputs).max()
+
+
+def test_of_a_strongly_unstable_model_overflows_nothing():
+    model = Realisation([[2.0, 1.0], [0.0, 0.5]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]], 0.1)
+    state, outputs = np.array([1.0, 2.0]), np.empty(30)
+    for k in range(30):
+        outputs[k], state = model.C[0] @ state, model.A @ state
+    found = estimate_initial_state(model, Record(np.zeros(30), outputs, 0.1))
+    np.testing.assert_allclose(found, [1.0, 2.0], rtol=1e-6)

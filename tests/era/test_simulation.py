@@ -180,3 +180,19 @@ def test_a_gain_that_diverges_is_an_error():
     rng = np.random.default_rng(6)
     with pytest.raises(NumericalError, match=r"A - K C has magnitude 4\.5"):
         predict(model, Record(rng.standard_normal(3000), rng.standard_normal(3000), 0.01))
+
+
+@pytest.mark.parametrize(("radius", "angles"), [(0.97, (0.05, 0.225, 0.4)), (0.97, (0.05, 0.17, 0.28, 0.4))])
+def test_transfer_function_of_oversampled_data_is_not_blown_up_by_powers_of_its_companion_matrix(radius, angles):
+    # Stable, but |A^k| reaches 1e5 and 2e8: blocks of A^32 by squaring gave 6e-5 and 1e114 of the largest output.
+    poles = radius * np.exp(1j * np.array([*angles, *(-angle for angle in angles)]))
+    order = poles.size
+    A = np.vstack([-np.poly(poles).real[1:], np.eye(order)[:-1]])
+    B, C, D = np.eye(order)[:, :1], np.ones((1, order)), np.zeros((1, 1))
+    u = np.random.default_rng(0).standard_normal((3000, 1))
+    truth = by_loop(*(part.astype(np.longdouble) for part in (A, B, C, D, u)), state=np.zeros(order, np.longdouble))
+    in_doubles = by_loop(A, B, C, D, u, state=np.zeros(order))
+    size = float(np.abs(truth).max())
+    allowed = 10 * float(np.abs(in_doubles - truth).max()) / size
+    found = simulate_array(A, B, C, D, u)
+    assert float(np.abs(found - truth).max()) / size < max(allowed, 1e-12)

@@ -51,6 +51,7 @@ def data(tmp_path):
     (folder / "empty.csv").write_text("")
     (folder / "truncated.npz").write_bytes(b"PK\x03\x04" + bytes(40))
     (folder / "truncated.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(60))
+    np.savez(folder / "complex.npz", time=table[:, 0], tip=1j * table[:, 1])
     np.savez(folder / "pickle.npz", force=np.array([{"a": 1}], dtype=object), tip=np.zeros(1))
     return folder
 
@@ -60,7 +61,14 @@ BAD = [
     (".", "--inputs", "force"),
     ("good.csv", "--inputs", "wind"),
     ("good.csv", "--inputs", "force", "--outputs", "wind"),
+    ("good.csv", "--inputs", ""),
+    ("good.csv", "--inputs", "force", "--outputs", ","),
+    ("x" * 5000 + ".csv", "--inputs", "force"),
+    ("/dev/null", "--inputs", "force"),
+    ("complex.npz", "--dt", "1"),
     ("good.csv", "--inputs", "force", "--dt", "-1"),
+    ("wide.csv", "--inputs", "force", "--dt", "1e-320"),
+    ("wide.csv", "--inputs", "force", "--dt", "1e300"),
     ("good.csv", "--inputs", "force", "--order", "none"),
     ("good.csv", "--inputs", "force", "--observer-order", "0"),
     ("good.csv", "--inputs", "force", "--ridge", "-1"),
@@ -145,6 +153,24 @@ def test_the_folder_has_the_name_of_the_file_unless_given(data, quick, monkeypat
     monkeypatch.chdir(data)
     assert invoke("good.csv", "--inputs", "force").exit_code == 0
     assert (data / "modal-report-good" / "report.html").is_file()
+
+
+def test_a_folder_that_cannot_be_is_refused_before_any_work(data, quick):
+    for folder in ("good.csv", "good.csv/below", "x" * 5000):
+        result = invoke(data / "good.csv", "--inputs", "force", "-o", data / folder)
+        assert result.exit_code == 2
+        assert one_sentence(result.stderr), result.stderr
+    assert quick["calls"] == []
+
+
+def test_every_file_is_read_once(data, quick, monkeypatch):
+    import okid.readers
+
+    read, seen = okid.readers.read_table, []
+    monkeypatch.setattr(okid.readers, "read_table", lambda path: seen.append(path) or read(path))
+    monkeypatch.setattr("okid.readers.description.read_table", lambda path: seen.append(path) or read(path))
+    assert invoke(data / "good.csv", "--inputs", "force", "-o", data / "out").exit_code == 0
+    assert seen == [data / "good.csv"]
 
 
 def test_channels_and_overrides_reach_the_work(data, quick):

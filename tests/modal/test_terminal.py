@@ -1,4 +1,5 @@
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,19 @@ def test_many_noise_poles_are_counted_not_shown(make_result, identification):
     assert "and 2 more noise poles" in text
     assert text.count("not found again") == MOST_NOISE
     assert "more noise poles" not in printed(show_result, identification)
+
+
+def test_what_is_a_warning_is_not_printed_again(make_result, identification):
+    sentence = "input 'ground' moves in 20 % of the band."
+    result = make_result(warnings=(sentence,))
+    text = printed(show_result, replace(result, excitation=replace(result.excitation, messages=(sentence,))))
+    assert text.count("moves in 20 %") == 1
+
+
+def test_one_pole_is_one_pole(make_result, identification):
+    noise = identification.modes.modes[4]
+    modes = replace(identification.modes, modes=(noise,) * (MOST_NOISE + 1))
+    assert "and 1 more noise pole, all in the report" in printed(show_result, make_result(modes=modes))
 
 
 @pytest.mark.parametrize("warnings", [(), ("Mind the gap.",)])

@@ -1,6 +1,7 @@
 """Whatever is wrong with a file: one sentence with rule, numbers and remedy, and nothing from the file is run."""
 
 import builtins
+import os
 import pickle
 import zipfile
 
@@ -40,6 +41,20 @@ def test_no_such_file(tmp_path):
 
 def test_a_folder(tmp_path):
     refused(tmp_path, "is a folder; give the file")
+
+
+def test_a_pipe_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "a.csv")
+    refused(tmp_path / "a.csv", "is a pipe or a device")
+
+
+def test_a_name_too_long_for_the_system_is_cut(tmp_path):
+    refused(tmp_path / ("x" * 5000 + ".csv"), "cannot be opened .File name too long.")
+
+
+def test_a_file_without_channels_says_what_was_left_out(tmp_path):
+    np.savez(tmp_path / "a.npz", time=np.arange(9.0), tip=1j * np.arange(9.0))
+    refused(tmp_path / "a.npz", r"a\.npz holds no channel, only time; 'tip' was left out: it is complex")
 
 
 @pytest.mark.parametrize("suffix", READERS)
@@ -114,7 +129,7 @@ def test_cut_off_npy(tmp_path, share):
 
 def test_more_channels_than_samples(tmp_path):
     np.save(tmp_path / "a.npy", VALUES.T)
-    refused(tmp_path / "a.npy", r"a\.npy: outputs have 500 channels but only 3 samples; rows are samples", dt=1.0)
+    refused(tmp_path / "a.npy", r"a\.npy holds 500 outputs but only 3 samples; .* save its transpose", dt=1.0)
     np.save(tmp_path / "b.npy", np.zeros((2, 5000)))
     refused(tmp_path / "b.npy", "4096", dt=1.0)
 

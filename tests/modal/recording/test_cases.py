@@ -9,6 +9,7 @@ import pytest
 from modal.recording import save_recording
 from modal.recording.blueprint import blueprint
 from modal.recording.plan import planned
+from okid.errors import InvalidDataError
 from okid.record import Record
 
 HOSTILE = [
@@ -129,12 +130,40 @@ def test_any_number_of_channels_and_modes_is_recorded_whole(build, tmp_path, rea
 
 def test_without_a_system_mode_the_words_say_so(without_modes, tmp_path, read):
     stored = read(save_recording(without_modes, tmp_path / "run.rrd"))
-    assert "No mode is certain" in stored.static("/fit/text", "TextDocument:text")[0]
+    assert "No mode of the system was found." in stored.static("/fit/text", "TextDocument:text")[0]
     assert stored.static("/modes/text", "TextDocument:text")[0].count("| noise |") == 2
     assert not [path for path in stored.entities("Points3D:positions") if path.startswith("/modes")]
     nothing = replace(without_modes, modes=replace(without_modes.modes, modes=()))
     stored = read(save_recording(nothing, tmp_path / "nothing.rrd"))
     assert "no mode" in stored.static("/modes/text", "TextDocument:text")[0]
+
+
+def test_an_overdamped_pole_has_no_damping_to_quote(identification, tmp_path, read):
+    modes = identification.modes.modes
+    changed = (replace(modes[0], kind="real", damping_ratio=1.0), *modes[1:])
+    found = replace(identification, modes=replace(identification.modes, modes=changed))
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    assert "one overdamped pole" in stored.static("/fit/text", "TextDocument:text")[0]
+    assert "| overdamped |" in stored.static("/modes/text", "TextDocument:text")[0]
+    page = blueprint(found, planned(found)).root_container.contents[2]
+    titles = str([view.name for view in page.contents[0].contents[0].contents])
+    assert "6.667 Hz, overdamped" in titles
+
+
+def test_without_inputs_nothing_is_said_to_run_freely(build, tmp_path, read):
+    stored = read(save_recording(build(n_inputs=0), tmp_path / "run.rrd"))
+    text = stored.static("/fit/text", "TextDocument:text")[0]
+    assert "inputs alone" not in text
+    assert "one step ahead" in text
+    names = {path.rpartition("/")[2] for path in stored.entities("Scalars:scalars")}
+    assert {"measured", "predicted"} <= names
+    assert not {"simulated", "free_run"} & names
+
+
+def test_a_record_of_ages_is_refused_in_one_sentence(build, tmp_path):
+    with pytest.raises(InvalidDataError, match=r"up to 9\.2e\+09 s \(292 years\)"):
+        save_recording(build(n_samples=400, dt=3e7), tmp_path / "run.rrd")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_evidence_may_be_empty_or_all_unstable(identification, tmp_path, read):

@@ -135,7 +135,7 @@ def test_a_moving_shape_starts_at_its_largest_and_stays_within_its_envelope(stor
 
 def test_words_name_what_was_found(stored, identification):
     text = stored.static("/fit/text", "TextDocument:text")[0]
-    assert "3 modes of the system: 6.667, 20, 33.33 Hz" in text
+    assert "### Three modes of the system were found, between 6.667 and 33.33 Hz." in text
     table = stored.static("/modes/text", "TextDocument:text")[0]
     assert table.count("| noise |") == 4
     assert table.count("| **system** |") == 3
@@ -148,7 +148,7 @@ def test_words_name_what_was_found(stored, identification):
 def test_a_warning_stands_on_the_first_page(build, tmp_path, read):
     path = save_recording(build(system=False), tmp_path / "run.rrd")
     text = read(path).static("/fit/text", "TextDocument:text")[0]
-    assert text.startswith("### No mode is certain")
+    assert text.startswith("### No mode of the system was found.")
     assert "below 0.5: no mode is certain" in text
 
 

@@ -9,8 +9,10 @@ from modal.report.words import (
     caution_sentence,
     damping_sentence,
     damping_text,
+    data_sentences,
     doubtful_sentence,
     fit_sentence,
+    fit_text,
     fit_word,
     frequency_text,
     headline,
@@ -72,6 +74,30 @@ def test_a_fit_below_one_half_says_that_no_mode_is_certain(identification):
     assert "no mode of it is certain" not in fit_sentence(above)
     assert "explains the outputs in the main" in fit_sentence(above)
     assert "explains the outputs well" in fit_sentence(with_fit(identification, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("fit", "text"),
+    [(0.4987, "0.49"), (0.5, "0.50"), (0.7647, "0.76"), (0.9999, "1.00"), (-0.0012, "0.00"), (-0.4, "-0.40")],
+)
+def test_a_fit_is_rounded_but_never_over_the_limit(identification, fit, text):
+    assert fit_text(fit) == text
+    even = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, fit)))
+    assert f" is {text}" in fit_sentence(even)
+
+
+def test_a_long_name_does_not_drown_the_sentence(make_result, identification):
+    result = make_result(names=("x" * 9000, "b", "c"))
+    worst = replace(result, fit=replace(result.fit, cross_validated=np.array([0.6, 0.9, 0.9])))
+    assert len(fit_sentence(worst)) < 300
+
+
+def test_what_is_a_warning_is_not_said_again(make_result, identification):
+    sentence = "input 'ground' moves in 20 % of the band."
+    excitation = replace(identification.excitation, messages=(sentence, "the inputs repeat."))
+    assert data_sentences(replace(identification, excitation=excitation)) == excitation.messages
+    warned = replace(make_result(warnings=(sentence,)), excitation=excitation)
+    assert data_sentences(warned) == ("the inputs repeat.",)
 
 
 def test_fit_sentence_names_the_worst_output(identification):

@@ -2,7 +2,7 @@ import pytest
 
 import modal.recording
 from modal.report import Provenance, write_report
-from modal.report.writing import ReportFiles
+from modal.report.writing import ReportFiles, refuse_existing
 from okid.errors import InvalidDataError
 
 
@@ -78,8 +78,17 @@ def test_a_file_in_place_of_the_folder_is_refused(identification, tmp_path, quic
     (tmp_path / "taken").write_text("mine")
     with pytest.raises(InvalidDataError, match="is a file"):
         write_report(identification, tmp_path / "taken")
-    with pytest.raises(InvalidDataError, match="cannot be written"):
+    with pytest.raises(InvalidDataError, match="cannot be a folder, because .*taken' is a file"):
         write_report(identification, tmp_path / "taken" / "below")
+
+
+def test_what_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch):
+    with pytest.raises(InvalidDataError, match="File name too long") as caught:
+        refuse_existing(tmp_path / ("x" * 5000), "refuse")
+    assert len(str(caught.value)) < 400
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)
+    with pytest.raises(InvalidDataError, match="no right to write in"):
+        refuse_existing(tmp_path / "new", "refuse")
 
 
 def test_the_new_folder_has_ordinary_permissions(identification, tmp_path, quick):

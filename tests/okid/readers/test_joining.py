@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from okid.errors import InvalidDataError
-from okid.readers import read_records
+from okid.readers import describe_file, read_described, read_records
 
 RNG = np.random.default_rng(4)
 
@@ -32,6 +32,15 @@ def test_records_are_matched_by_name_not_by_place(write):
     raw = np.loadtxt(two, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(second.outputs, raw[:, [2, 1]])
     np.testing.assert_array_equal(second.inputs, raw[:, [3]])
+
+
+def test_records_and_descriptions_in_one_reading(write):
+    paths = [write("one.csv", "u [N],y [g]"), write("two.csv", "u [N],y [g]", n_samples=60)]
+    records, descriptions = read_described(paths, inputs="u")
+    for record, description, path in zip(records, descriptions, paths, strict=True):
+        (alone,) = read_records(path, inputs="u")
+        np.testing.assert_array_equal(record.outputs, alone.outputs)
+        assert description == describe_file(path)
 
 
 def test_channels_not_chosen_need_not_match(write):

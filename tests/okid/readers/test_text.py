@@ -169,6 +169,7 @@ FAULTS = {
     "short second row": ("time,u,y\n0,1,2\n1,2\n2,3,4\n", "line 3 of .* holds 2 cells"),
     "header of other length": ("time,u,y\n0,1\n1,2\n", "line 1 of .* names 3 columns, but .* 2 numbers"),
     "no numbers": ("hello\nworld\n", "no row of numbers among its first 2 lines .*'hello'"),
+    "one line": ("hello\n", "no row of numbers in its only line .*'hello'"),
     "complex numbers": ("(1+2j)\n(3+4j)\n", "no row of numbers"),
     "binary": (b"\x00\x01\x02\xff" * 10, "binary data, not text"),
     "one long line": (b"1" * (1 << 21), "longer than 1048576 bytes"),

@@ -91,6 +91,12 @@ def test_a_given_step_may_differ_by_rounding_only(file_with_time):
             read_record(path, dt=dt)
 
 
+@pytest.mark.parametrize("dt", [1e-320, 1e-13, 1e10, 1e300])
+def test_a_step_that_no_experiment_has(file_with_time, dt):
+    with pytest.raises(InvalidDataError, match=r"between 1e-12 and 1e\+09 s"):
+        read_record(file_with_time(TIME, "position"), dt=dt)
+
+
 def test_no_time_and_no_step(file_with_time):
     path = file_with_time(TIME, "position")
     with pytest.raises(InvalidDataError, match=r"no time column \(its columns are position, y\).*--dt"):

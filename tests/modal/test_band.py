@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+from signals import random_inputs, with_noise
+from systems import initial_state, modal_system, random_chain, simulate
+
+from modal.band import COHERENT, coherent_band
+from okid.record import Record
+
+
+def record_of(rng, system, n_samples=4000, *, noise=0.02):
+    inputs = random_inputs(rng, n_samples, system.n_inputs)
+    outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
+    return Record(inputs, with_noise(rng, outputs, noise), system.dt).detrended()
+
+
+def oversampled(seed=1, n_samples=6000, *, noise=0.02):
+    """Displacements of a chain whose highest mode lies at 4 % of the sampling frequency."""
+    rng = np.random.default_rng(seed)
+    system = random_chain(rng, sensor_kinds="displacement", highest_share=0.04, damping_ratio=0.03)
+    return system, record_of(rng, system, n_samples, noise=noise)
+
+
+def test_a_system_that_fills_the_band_is_not_decimated():
+    rng = np.random.default_rng(1)
+    system = modal_system(rng, frequencies=[4.0, 20.0, 41.0], damping_ratios=[0.02] * 3)
+    band = coherent_band([record_of(rng, system)])
+    assert band.factor == 1
+    assert band.upper_frequency > 41.0
+    assert "nothing to gain from decimation" in band.reason
+    assert band.coherence.shape == (band.frequencies.size, 3)
+    assert band.frequencies[-1] == pytest.approx(50.0)
+
+
+def test_an_oversampled_record_is_decimated_and_keeps_every_mode():
+    system, record = oversampled()
+    band = coherent_band([record])
+    assert band.factor >= 3
+    # every mode below 0.8 of the new half sampling frequency: the promise of the factor
+    assert system.frequencies.max() < band.upper_frequency <= 0.8 * 50.0 / band.factor
+    assert f"decimated by {band.factor}" in band.reason
+    assert f"below {band.upper_frequency:.4g} Hz" in band.reason
+    assert "goes to 50 Hz" in band.reason
+
+
+def test_a_short_record_keeps_its_samples():
+    _, record = oversampled(n_samples=6000)
+    assert coherent_band([record.samples(0, 1400)]).factor <= 2
+    assert coherent_band([record.samples(0, 900)]).factor == 1
+
+
+def test_several_records_are_one():
+    _, record = oversampled()
+    parts = record.split(0.3, 0.3)
+    whole, apart = coherent_band([record]), coherent_band(parts)
+    assert apart.factor == pytest.approx(whole.factor, abs=1)
+    assert apart.factor > 1
+
+
+def test_a_short_record_among_long_ones_does_not_spoil_the_resolution():
+    _, record = oversampled()
+    alone, together = coherent_band([record]), coherent_band([record, record.samples(0, 400)])
+    assert together.frequencies.size == alone.frequencies.size
+    # but many short ones set it
+    assert coherent_band([record.samples(i, i + 100) for i in range(0, 6000, 100)]).frequencies.size == 51
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_a_weak_mode_high_up_is_not_cut_off(share):
+    """A mode that moves its output by more than 1 % stays in the band."""
+    rng = np.random.default_rng(5)
+    low = random_chain(rng, n_masses=2, sensor_kinds="displacement", highest_share=0.03, damping_ratio=0.05)
+    high = modal_system(rng, frequencies=[33.0], damping_ratios=[0.005], n_outputs=2, feedthrough=0.0)
+    inputs = random_inputs(rng, 6000, 2)
+    slow, fast = simulate(low, inputs), simulate(high, inputs)
+    fast *= share * slow.std(axis=0) / fast.std(axis=0)
+    outputs = with_noise(rng, slow + fast, 0.002)
+    without = coherent_band([Record(inputs, with_noise(rng, slow, 0.002), 0.01).detrended()])
+    band = coherent_band([Record(inputs, outputs, 0.01).detrended()])
+    assert without.upper_frequency < 25.0  # so it is the weak mode that keeps the band
+    assert band.upper_frequency > 33.0
+    assert band.factor == 1
+
+
+def test_no_input_keeps_the_band():
+    _, record = oversampled()
+    band = coherent_band([record.select(inputs=[])])
+    assert (band.factor, band.upper_frequency) == (1, pytest.approx(50.0))
+    assert "no input" in band.reason
+
+
+def test_too_few_averages_are_said():
+    rng = np.random.default_rng(2)
+    band = coherent_band([Record(rng.standard_normal((40, 3)), rng.standard_normal(40), 0.01)])
+    assert band.factor == 1
+    assert "too short" in band.reason
+
+
+def test_gaps_everywhere_are_said():
+    _, record = oversampled()
+    outputs = record.outputs.copy()
+    outputs[::40, 0] = np.nan
+    band = coherent_band([Record(record.inputs, outputs, record.dt)])
+    assert band.factor == 1
+    assert "between its gaps" in band.reason
+    assert "0 averages" in band.reason
+
+
+def test_outputs_that_follow_nothing_keep_the_band():
+    rng = np.random.default_rng(3)
+    band = coherent_band([Record(rng.standard_normal((3000, 2)), rng.standard_normal((3000, 2)), 0.01)])
+    assert (band.factor, band.upper_frequency) == (1, pytest.approx(50.0))
+
+
+def test_an_output_that_follows_nothing_does_not_hide_one_that_does():
+    system, record = oversampled()
+    noise = np.random.default_rng(4).standard_normal(record.n_samples)
+    outputs = np.column_stack([record.outputs, noise])
+    band = coherent_band([Record(record.inputs, outputs, record.dt)])
+    assert band.upper_frequency > system.frequencies.max()
+
+
+def test_coherence_is_that_of_the_known_noise():
+    """y = u + v: coherence is 1 / (1 + var v), whatever the frequency; noise alone has none."""
+    rng = np.random.default_rng(6)
+    u, v, w = rng.standard_normal((3, 60000))
+    band = coherent_band([Record(u, np.column_stack([u + 0.5 * v, w]), 0.01)])
+    np.testing.assert_allclose(band.coherence[:, 0].mean(), 0.8, atol=0.02)
+    assert band.coherence[:, 1].mean() < 0.02
+    assert (band.coherence[:, 0] > COHERENT).all()

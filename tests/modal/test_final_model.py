@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from signals import random_inputs
+from systems import initial_state, modal_system, simulate
+
+from era.simulation import simulate as free_simulation
+from modal.final_model import fit_all_rows
+from modal.search import Search, search, search_limits
+from modal.trials import Trial
+from okid.errors import NumericalError
+from okid.record import Record
+
+
+def trial(observer_order, model_order, *, ridge=0.0, error=0.1):
+    return Trial(
+        observer_order=observer_order,
+        ridge=ridge,
+        model_order=model_order,
+        squared_errors=np.ones((3, 1)),
+        block_errors=np.ones(9),
+        error=error,
+    )
+
+
+def found_of(record, *trials):
+    limits = search_limits([record], observer_order=None, ridge=None, model_order=None)
+    return Search(trials=trials, chosen=trials[0], power=np.ones((3, 1)), limits=limits)
+
+
+def growing(n_samples=600, *, radius=1.001):
+    """An exact record of an oscillation that grows."""
+    rng = np.random.default_rng(2)
+    u, y = rng.standard_normal(n_samples), np.zeros(n_samples)
+    a1, a2 = 2 * radius * np.cos(0.7), -(radius**2)
+    for k in range(2, n_samples):
+        y[k] = a1 * y[k - 1] + a2 * y[k - 2] + u[k - 1] + 0.3 * u[k]
+    return Record(u, y, 0.1)
+
+
+def spectral_radius(model):
+    return np.abs(np.linalg.eigvals(model.A)).max()
+
+
+def test_a_stable_choice_is_kept_and_exact():
+    rng = np.random.default_rng(1)
+    system = modal_system(rng, frequencies=[4.0, 19.0], damping_ratios=[0.02, 0.01])
+    inputs = random_inputs(rng, 600, 2)
+    outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
+    record = Record(inputs, outputs, system.dt)
+    wanted = trial(8, 4)
+    found, final = fit_all_rows([record], found_of(record, wanted, trial(8, 2)))
+    assert found.chosen is wanted
+    poles = np.linalg.eigvals(final.realisation.A)
+    for pole in system.discrete_poles:
+        assert np.abs(poles - pole).min() < 1e-9
+    assert (final.observer.order, final.markov.observer_order) == (8, 8)
+    assert final.decomposition.max_order >= 4
+
+
+def test_an_order_above_the_rank_of_exact_data_becomes_the_rank():
+    rng = np.random.default_rng(3)
+    system = modal_system(rng, frequencies=[4.0], damping_ratios=[0.02])
+    inputs = random_inputs(rng, 400, 2)
+    record = Record(inputs, simulate(system, inputs), system.dt)
+    _, final = fit_all_rows([record], found_of(record, trial(6, 12)))
+    assert final.realisation.order == 2
+
+
+def test_an_unstable_choice_gives_way_to_the_next_best_stable_one():
+    record = growing()
+    first, second, third = trial(4, 2), trial(4, 1, error=0.2), trial(6, 1, error=0.3)
+    found, final = fit_all_rows([record], found_of(record, first, second, third))
+    assert found.chosen is second
+    assert found.trials == (first, second, third)
+    assert final.realisation.order == 1
+    assert spectral_radius(final.realisation) < 1.0
+    # and the one passed over is what a plain fit would give: unstable
+    assert final.decomposition.A.shape[0] >= 2
+    assert spectral_radius_of_corner(final.decomposition, 2) > 1.0
+
+
+def spectral_radius_of_corner(decomposition, n):
+    return np.abs(np.linalg.eigvals(decomposition.A[:n, :n])).max()
+
+
+def test_nothing_stable_is_an_error_that_says_what_to_do():
+    record = growing()
+    with pytest.raises(NumericalError, match="all 2 models .* unstable on the whole.*longer record"):
+        fit_all_rows([record], found_of(record, trial(4, 2), trial(5, 2)))
+
+
+def test_without_inputs_the_model_must_have_a_stable_predictor():
+    """What runs without inputs is the one-step predictor A - K C, not A."""
+    rng = np.random.default_rng(5)
+    noise, y = rng.standard_normal(1500), np.zeros(1500)
+    for k in range(2, 1500):
+        y[k] = 1.6 * y[k - 1] - 0.81 * y[k - 2] + noise[k]
+    record = Record([], y, 0.1).detrended()
+    _, final = fit_all_rows([record], found_of(record, trial(2, 2)))
+    model = final.realisation
+    assert spectral_radius(model) < 1.0
+    assert np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max() < 1.0
+
+
+def test_an_integrator_ends_with_a_stable_model():
+    """Position from acceleration: on all rows the pole at 1 may fall on either side."""
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal(800)
+    y = np.zeros(800)
+    for k in range(1, 800):
+        y[k] = 0.999999 * y[k - 1] + u[k - 1]
+    record = Record(u, y + 0.2 * rng.standard_normal(800), 0.1).detrended()
+    found, final = fit_all_rows([record], search([record], observer_order=8))
+    assert spectral_radius(final.realisation) < 1.0
+    assert np.isfinite(free_simulation(final.realisation, record).outputs).all()
+    assert found.chosen in found.trials

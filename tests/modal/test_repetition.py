@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from signals import random_inputs, with_noise
+from systems import initial_state, modal_system, simulate
+
+from era.balanced import decompose
+from modal.repetition import _every_second_block, _other_orders, repeat
+from modal.trials import markov_lags
+from okid.observer import fit_observer
+from okid.record import Record
+from okid.recovery import recover_markov
+
+
+def a_record(seed, n_samples=1500, *, noise=0.03):
+    rng = np.random.default_rng(seed)
+    system = modal_system(rng, frequencies=[5.0, 21.0], damping_ratios=[0.03, 0.02], n_inputs=1, n_outputs=2)
+    inputs = random_inputs(rng, n_samples, 1)
+    outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
+    return system, Record(inputs, with_noise(rng, outputs, noise), system.dt).detrended()
+
+
+def repeated(records, *, observer_order=20, ridge=1e-4, model_order=4):
+    observer = fit_observer(records, order=observer_order, ridge=ridge)
+    markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
+    return repeat(
+        records,
+        observer_order=observer_order,
+        ridge=ridge,
+        model_order=model_order,
+        decomposition=decompose(markov, max_order=24),
+    )
+
+
+@pytest.mark.parametrize("n_samples", [9, 100, 1003])
+def test_halves_share_no_row_and_leave_none(n_samples):
+    half = _every_second_block(n_samples)
+    edges = np.flatnonzero(np.diff(half.astype(int))) + 1
+    assert half[0]
+    assert abs(int(half.sum()) - n_samples / 2) <= 5
+    if n_samples >= 10:
+        assert edges.size == 9  # ten blocks, every second one
+        assert np.diff([0, *edges, n_samples]).max() <= n_samples // 10 + 1
+
+
+@pytest.mark.parametrize(
+    ("order", "largest", "others"),
+    [
+        (4, 64, [6]),  # 0.85 and 1.2 of it are 4 again, so the next pair decides
+        (6, 64, [8]),
+        (8, 64, [6, 10, 12]),
+        (20, 64, [16, 18, 22, 24, 28]),
+        (5, 64, [4, 6, 7]),
+        (1, 64, [2]),
+        (20, 23, [16, 18, 22]),
+        (20, 20, []),  # exact data have no higher order, and a lower one alone says nothing
+        (4, 5, []),
+    ],
+)
+def test_other_orders_lie_around_and_keep_pairs_whole(order, largest, others):
+    found = _other_orders(order, largest)
+    if order == 20 and largest == 64:
+        assert set(found) <= set(others)
+        assert {22, 28} <= set(found)
+        assert min(found) < 20
+    elif order == 20 and others:
+        assert found[-1] == 22
+        assert found[0] < 20
+    else:
+        assert found == others
+    if order % 2 == 0:
+        assert all(n % 2 == 0 for n in found)
+
+
+def test_what_is_repeated():
+    _, record = a_record(1)
+    reruns = repeated([record])
+    assert [(run.label, run.change) for run in reruns.runs] == [
+        ("first half", "data"),
+        ("second half", "data"),
+        ("observer order 14, ridge 0.0003", "observer"),
+        ("order 6", "higher order"),
+    ]
+    np.testing.assert_allclose(reruns.output_scale, record.outputs.std(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(reruns.input_scale, record.inputs.std(axis=0), rtol=1e-12)
+    assert [len(run.modes) for run in reruns.runs[:3]] == [2, 2, 2]
+    assert [run.gain is not None for run in reruns.runs] == [True, True, False, False]
+    # the input drives both modes: left out, the held-out rows are told less
+    assert all((run.gain > 0.1).all() for run in reruns.runs[:2])
+
+
+def test_every_rerun_of_exact_data_is_exact():
+    system, record = a_record(2, noise=0.0)
+    for run in repeated([record], observer_order=8, ridge=0.0).runs:
+        if run.change != "data":  # the observer's rerun has a ridge of 1e-6
+            continue
+        for pole in system.poles:
+            assert min(abs(mode.pole - pole) / abs(pole) for mode in run.modes) < 1e-7
+
+
+def test_a_half_sees_its_own_rows_only():
+    """The first half is exact, the second lost: only the first can be repeated, and exactly."""
+    system, record = a_record(3, noise=0.0)
+    order = 8
+    mine = _every_second_block(record.n_samples)
+    outputs = np.where(mine[:, np.newaxis], record.outputs, np.nan)
+    runs = repeated([replace(record, outputs=outputs)], observer_order=order, ridge=0.0).runs
+    assert [run.label for run in runs if run.change == "data"] == ["first half"]
+    for pole in system.poles:
+        assert min(abs(mode.pole - pole) / abs(pole) for mode in runs[0].modes) < 1e-7
+
+
+def test_the_other_observer_can_hold_the_model():
+    """Of an order below n / n_outputs no observer holds n poles."""
+    _, record = a_record(4)
+    labels = [run.label for run in repeated([record], observer_order=4, model_order=8).runs]
+    assert "observer order 4, ridge 0.0003" in labels
+    labels = [run.label for run in repeated([record], observer_order=10, ridge=0.0, model_order=4).runs]
+    assert "observer order 7, ridge 1e-06" in labels
