@@ -22,6 +22,10 @@ from okid.scalars import whole_number
 
 __all__ = ["HankelDecomposition", "Method", "RealiseOn", "decompose", "order_choice", "realise", "realise_from"]
 
+GAP_BEFORE_THE_END = 10.0
+"""Ratio of neighbours from which a gap is preferred to the end of what an observer can give. On ten random systems of
+three modes it was above 12 at 10 % noise with spare order, and gaps inside the system were below 9 at 1 % noise."""
+
 
 def realise_from(decomposition: HankelDecomposition, order: int) -> Realisation:
     """The balanced model of one order: a corner of the model of the highest order, so nothing is decomposed again.
@@ -80,15 +84,20 @@ def realise_from(decomposition: HankelDecomposition, order: int) -> Realisation:
 def order_choice(decomposition: HankelDecomposition) -> OrderChoice:
     """The order at the largest gap of the singular values, conjugate pairs kept whole, with its evidence.
 
+    Markov parameters of an observer of order p are a sum of p n_outputs exponentials whatever the data were: their
+    singular values end there, at the largest gap of all. It says nothing of the system, so a tenfold gap before it
+    counts instead; where there is none (an observer of the least order, or much noise) the end stands.
+
     Args:
         decomposition: from `decompose`.
     """
-    return choose_order(
-        decomposition.singular_values,
-        rank=decomposition.rank,
-        energy=decomposition.energy,
-        A=decomposition.A,
-    )
+    found = decomposition
+    end = 0 if found.observer_order is None else found.observer_order * found.C.shape[0]
+    if 1 < end <= found.rank and end < found.singular_values.size:
+        before = choose_order(found.singular_values, rank=found.rank, energy=found.energy, A=found.A, max_order=end - 1)
+        if before.ratio >= GAP_BEFORE_THE_END:
+            return before
+    return choose_order(found.singular_values, rank=found.rank, energy=found.energy, A=found.A)
 
 
 def realise(

@@ -74,7 +74,8 @@ def choose_order(
     if rank < values.size or highest < rank:
         order = int(np.argmax(ratios)) + 1
     else:
-        order = int(np.argmax(ratios[:-1])) + 1 if highest > 1 else 1
+        # Noise fills the matrix, and the smallest few values of a square one are far apart by chance.
+        order = int(np.argmax(ratios[: max(1, 3 * highest // 4)])) + 1
     why = "largest gap of the singular values"
     if order == rank < values.size:
         why = "numerical rank: what follows is rounding error"

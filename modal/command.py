@@ -73,7 +73,13 @@ def _root(
     *,
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print version and the path of modal in use."),
+        typer.Option(
+            "--version",
+            metavar="",
+            callback=_version,
+            is_eager=True,
+            help="Print version and the path of modal in use.",
+        ),
     ] = False,
 ) -> None:
     """Modes of a machine or structure from measured inputs and outputs, with a verdict on every mode."""
@@ -87,7 +93,7 @@ def run(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...",
+            metavar="FILE",
             help="CSV, NPY, NPZ, MAT, UFF 58, Parquet or TDMS; several files are several records of one system, or the "
             "channels of one record.",
         ),
@@ -115,8 +121,12 @@ def run(
     observer_order: Annotated[str, typer.Option(metavar="N", help="Past samples the observer uses, or auto.")] = "auto",
     ridge: Annotated[str, typer.Option(metavar="NUMBER", help="Regularisation of the observer fit, or auto.")] = "auto",
     order: Annotated[str, typer.Option(metavar="N", help="Model order (number of states), or auto.")] = "auto",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there already.")] = False,
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show where a fault of this program arose.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", metavar="", help="Replace a report that is there already.")
+    ] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", metavar="", help="Show where a fault of this program arose.")
+    ] = False,
 ) -> None:
     """Identify the modes in measured FILES and write a report and a Rerun recording."""
     with _faults(show=traceback):
@@ -143,8 +153,12 @@ def demo(
         "modal-report-demo"
     ),
     *,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there already.")] = False,
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show where a fault of this program arose.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", metavar="", help="Replace a report that is there already.")
+    ] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", metavar="", help="Show where a fault of this program arose.")
+    ] = False,
 ) -> None:
     """Identify an embedded example whose true modes are known, and compare what is found with what is true."""
     with _faults(show=traceback):

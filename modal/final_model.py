@@ -13,6 +13,7 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
 from modal.free_run import modal_form, one_step_predictor
+from modal.repetition import ORDER_SHARES
 from modal.search import Search
 from modal.trials import Trial, hankel_limits, markov_lags
 from okid.errors import IdentificationWarning, NumericalError
@@ -70,7 +71,8 @@ def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
         markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
     except NumericalError:
         return None
-    largest = max(LARGEST_ORDER, trial.model_order)
+    # the orders above the chosen one that the verdict asks for must be there, even at the end of the search's grid
+    largest = max(LARGEST_ORDER, int(np.ceil(max(ORDER_SHARES) * trial.model_order)))
     decomposition = decompose(markov, max_order=min(largest, *hankel_limits(markov)))
     nothing = realise_from(decomposition, 0)
     return FinalModel(observer=observer, markov=markov, decomposition=decomposition, realisation=nothing)

@@ -84,6 +84,13 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
         model: from `modal_form`.
         record: without NaN (see `filled`).
         training_rows: (n_samples,) True where the initial state may look: never a row that was filled.
+
+    Example:
+        >>> model = modal_form(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+        >>> record = Record([0.0, 0.0, 1.0, 0.0], [11.0, 10.5, 10.25, 11.125], 0.1)  # starts at 1, rests at 10
+        >>> run = free_run(model, record, np.ones(4, dtype=bool))
+        >>> run.outputs.ravel().round(6).tolist(), run.level.round(6).tolist()
+        ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
     system = model.realisation
     outputs = np.array(simulate_array(system.A, system.B, system.C, system.D, record.inputs))
@@ -95,7 +102,12 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Gaps bridged by straight lines, for simulation only: no row of a gap is ever fitted or scored."""
+    """Gaps bridged by straight lines, for simulation only: no row of a gap is ever fitted or scored.
+
+    Example:
+        >>> filled([Record([], [1.0, np.nan, 3.0], 0.1)])[0].outputs.ravel().tolist()
+        [1.0, 2.0, 3.0]
+    """
     return tuple(
         record
         if record.complete_rows().all()
@@ -180,7 +192,12 @@ def _fit_initial_state(
 
 
 def run_edges(rows: BoolArray) -> npt.NDArray[np.int64]:
-    """(n_runs, 2) first and one past the last of each run of True."""
+    """(n_runs, 2) first and one past the last of each run of True.
+
+    Example:
+        >>> run_edges(np.array([False, True, True, False, True])).tolist()
+        [[1, 3], [4, 5]]
+    """
     steps = np.flatnonzero(np.diff(rows.astype(np.int8), prepend=0, append=0))
     return steps.reshape(-1, 2)
 

@@ -63,6 +63,12 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
 
     Raises:
         InsufficientDataError: no stretch is long enough.
+
+    Example:
+        >>> force = np.sin(np.arange(200.0))
+        >>> force[80] = np.nan
+        >>> [part.n_samples for part in split_at_input_gaps(Record(force, np.cos(force.size - np.arange(200.0)), 0.1))]
+        [80, 119]
     """
     missing = np.asarray(np.isnan(record.inputs).any(axis=1))
     if not missing.any():

@@ -108,6 +108,8 @@ def search(
     best = _best_observers([t for row in tried.values() for t in row], 2)
     tried |= _grouped(ground, best, limits.model_orders, every_fold)
     trials = sorted((t for row in tried.values() for t in row), key=lambda t: (t.error, t.model_order))
+    if not trials:
+        raise InsufficientDataError(_nothing_stable(limits))
     progress(1.0)
     return Search(trials=tuple(trials), chosen=_chosen(trials), power=ground.power, limits=limits)
 
@@ -183,17 +185,27 @@ def _untried_neighbours(
     return [(p, ridge) for p in sorted(orders) for ridge in sorted(ridges) if (p, ridge) not in tried]
 
 
+def _nothing_stable(limits: SearchLimits) -> str:
+    tried = (
+        f"observer order {limits.observer_orders[0]}"
+        if len(limits.observer_orders) == 1
+        else f"observer orders 1 to {max(limits.observer_orders)}",
+        f"ridge {limits.ridges[0]:g}" if len(limits.ridges) == 1 else "any ridge",
+        f"model order {limits.model_orders[0]}" if len(limits.model_orders) == 1 else "any model order",
+    )
+    given = 1 in (len(limits.observer_orders), len(limits.ridges), len(limits.model_orders))
+    remedy = (
+        'leave observer_order, ridge and order at "auto", or add a ridge (1e-3)' if given else "give a longer record"
+    )
+    return f"no model from {', '.join(tried)} was stable on every fold of the data; {remedy}."
+
+
 def _chosen(trials: Sequence[Trial]) -> Trial:
     """The smallest model order that is within 2 % of the best error and not significantly worse.
 
     Significant is one standard error of the differences from block to block (Breiman, Friedman, Olshen, Stone,
     Classification and Regression Trees, 1984, section 3.4.3): a weak mode that helps in every block is kept.
     """
-    if not trials:
-        raise InsufficientDataError(
-            "no observer order and ridge gave a stable model on any fold of the data; give a longer record, or choose "
-            "observer_order, ridge and order by hand to see how the fit fails."
-        )
     good = [trial for trial in trials if _as_good(trial, trials[0])]
     return min(good, key=lambda trial: (trial.model_order, trial.error))
 

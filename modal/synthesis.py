@@ -18,6 +18,8 @@ from modal.mode import Mode
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
+from okid.rows import as_records, runs_of
+from okid.scalars import whole_number
 
 __all__ = ["MeasuredFrf", "continuous_residue", "frf", "measured_frf", "modal_frf"]
 
@@ -135,10 +137,14 @@ def measured_frf(records: Record | Sequence[Record], *, n_per_segment: int | Non
     References:
         Bendat, Piersol, Random Data, 4th edition, 2010, chapters 7 and 9, doi 10.1002/9781118032428.
     """
-    records = (records,) if isinstance(records, Record) else tuple(records)
-    n_inputs, dt = _check_records(records)
-    runs = [run for record in records for run in _complete_runs(record)]
-    length = n_per_segment if n_per_segment is not None else _segment_length(runs)
+    several = as_records(records)
+    n_inputs, dt = several[0].n_inputs, several[0].dt
+    if n_inputs == 0:
+        raise InvalidDataError("a measured frequency response needs records with at least one input; these have none.")
+    runs = [run for record in several for run in _complete_runs(record)]
+    length = (
+        _segment_length(runs) if n_per_segment is None else whole_number(n_per_segment, name="n_per_segment", least=2)
+    )
     segments = [segment for run in runs for segment in _segments(run, length)]
     if len(segments) < n_inputs + 1:
         raise InsufficientDataError(
@@ -178,26 +184,10 @@ def _estimate(frequencies: FloatArray, spectra: ComplexArray, n_inputs: int, n_a
     )
 
 
-def _check_records(records: tuple[Record, ...]) -> tuple[int, float]:
-    if not records or records[0].n_inputs == 0:
-        raise InvalidDataError("a measured frequency response needs records with at least one input; these have none.")
-    first = records[0]
-    for record in records[1:]:
-        have, want = (record.n_inputs, record.n_outputs, record.dt), (first.n_inputs, first.n_outputs, first.dt)
-        if have[:2] != want[:2] or abs(have[2] - want[2]) > 1e-9 * want[2]:
-            raise InvalidDataError(
-                f"records must have equal channels and time step, but one has {have} and the first {want} "
-                "(inputs, outputs, dt); select or decimate them alike."
-            )
-    return first.n_inputs, first.dt
-
-
 def _complete_runs(record: Record) -> list[FloatArray]:
-    complete = record.complete_rows()
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], complete, [False])).astype(np.int8)))
     return [
         np.hstack([record.inputs[start:stop], record.outputs[start:stop]])
-        for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+        for start, stop in runs_of(record.complete_rows())
     ]
 
 

@@ -16,7 +16,7 @@ from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import visible
 from modal.numbering import numbered
-from modal.report.words import damping_text, data_sentences, frequency_text, headline, judge
+from modal.report.words import damping_text, data_sentences, frequency_text, headline, hertz, judge
 from modal.report.writing import ReportFiles
 
 __all__ = ["plain", "show_comparison", "show_files", "show_result"]
@@ -57,8 +57,8 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
     table.add_column("verdict")
     for row in comparison:
         table.add_row(
-            f"{row.frequency:.4g}",
-            _number(row.found_frequency, "{:.4g}"),
+            hertz(row.frequency),
+            hertz(row.found_frequency) if math.isfinite(row.found_frequency) else "–",
             _number(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
             f"{100 * row.damping_ratio:.2f} %",
             _number(100 * row.found_damping_ratio, "{:.2f} %"),

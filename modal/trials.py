@@ -203,7 +203,7 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
 
     Example:
         >>> hankel_shape(9, 1, 2)
-        (8, 6)
+        (6, 6)
     """
     n_channels = n_inputs or n_outputs
     a, b = block_sizes(n_lags, n_outputs, n_channels, n_block_rows=None, n_block_columns=None)

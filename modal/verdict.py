@@ -42,6 +42,9 @@ LEAST_FIT = 0.5
 """Cross-validated fit below which the model does not explain the data."""
 LARGEST_UNDRIVEN_DAMPING = 0.05
 """Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
+FASTEST = 0.3
+"""Magnitude of a discrete pole below which it dies within two samples: a delay of d samples in noise of a share s is
+identified as a ring of such poles, s^(1/d) from zero, again and again the same."""
 SAME_FREQUENCY = 0.01
 SAME_SHAPE = 0.95
 
@@ -103,7 +106,8 @@ def judge(
     >= 0.71 where no kind of change leaves less than 0.42, "noise" for r < 0.42, else "doubtful". At most doubtful are:
     a second pole within 1 % of a mode's frequency and with its shape; a mode whose mean held-out gain is negative; an
     oscillation that decays by less than 1 - 1/e over the longest record, unless its held-out gain is 0.1 or more;
-    without inputs, a pole damped by more than 5 %; every mode of a model that does not explain the data (fit < 0.5).
+    without inputs, a pole damped by more than 5 %; a pole of magnitude below 0.3 (a delay?); every mode of a model that
+    does not explain the data (fit < 0.5).
     Poles side by side that share one resonance are judged together (`modal.resonance`). A real pole is judged like the
     others but named as what it is.
 
@@ -149,9 +153,9 @@ def judge(
         undriven = undriven_doubt(mode, _mean_gain(found, reruns, i), duration)
         if verdict == "system" and undriven:
             verdict, words = "doubtful", (*undriven, *words)
-        colour = _colour_doubt(mode)
-        if verdict == "system" and colour:
-            verdict, words = "doubtful", (*colour, *words)
+        other = (*_colour_doubt(mode), *_delay_doubt(mode, model.dt))
+        if verdict == "system" and other:
+            verdict, words = "doubtful", (*other, *words)
         if verdict == "system" and fit < LEAST_FIT:
             verdict, words = "doubtful", (_poor_fit(fit), *words)
         doubt = damping_doubt(
@@ -247,6 +251,14 @@ def _colour_doubt(mode: Mode) -> tuple[str, ...]:
     if mode.participation.size or mode.damping_ratio <= LARGEST_UNDRIVEN_DAMPING:
         return ()
     return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
+
+
+def _delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
+    """A pole that dies within two samples may describe a delay, or what happens between samples."""
+    left = float(np.exp(mode.pole.real * dt))
+    if left >= FASTEST:
+        return ()
+    return (f"dies within two samples ({100 * left:.0f} % are left after one): may be a delay, not a mode",)
 
 
 def _poor_fit(fit: float) -> str:

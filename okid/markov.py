@@ -45,7 +45,12 @@ class MarkovParameters:
     observer_order: int | None = None
 
     def __post_init__(self) -> None:
-        system = frozen(self.system, name="system Markov parameters", shape=(None, None, None))
+        system = frozen(self.system, name="system Markov parameters")
+        if system.ndim != 3:
+            raise InvalidDataError(
+                f"system Markov parameters must have shape (n_lags + 1, n_outputs, n_inputs), but have {system.shape}; "
+                "those of one input and one output are given as .reshape(-1, 1, 1)."
+            )
         if system.shape[0] < 2 or system.shape[1] < 1:
             raise InvalidDataError(
                 f"Markov parameters need at least lags 0 and 1 and one output, but have shape {system.shape}."

@@ -17,6 +17,7 @@ from okid.free_run import FreeRuns, held_out_errors, prepare_free_runs
 from okid.gram import LagGram, lag_gram
 from okid.record import Record
 from okid.regression import solve_nested
+from okid.rows import runs_of
 from okid.scaling import ChannelScaling
 
 __all__ = ["ORDERS", "RIDGES", "ObserverChoice", "choose_observer"]
@@ -24,6 +25,8 @@ __all__ = ["ORDERS", "RIDGES", "ObserverChoice", "choose_observer"]
 ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 RIDGES = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 3e-1)
 
+LEAST_ROWS = 0.25
+"""Share of the lowest order's rows that gaps must leave an order for it to be tried."""
 _AS_GOOD = 1.02
 """A lower order is taken when its squared error is within this factor of the least."""
 
@@ -61,7 +64,8 @@ def choose_observer(
     Args:
         records: of one system.
         scaling: mean and size of every channel.
-        orders: to try; those with more than half as many unknowns as training rows are left out.
+        orders: to try; those with more than half as many unknowns as training rows are left out, and those that
+            missing samples leave less than a quarter of the lowest order's rows.
         ridges: to try.
         n_folds: number of folds.
 
@@ -116,16 +120,25 @@ def _score_fold(
 def _feasible(records: Sequence[Record], orders: Sequence[int]) -> tuple[int, ...]:
     n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
     longest = max(record.n_samples for record in records)
+    runs = [stop - start for record in records for start, stop in runs_of(record.complete_rows())]
+
+    def rows(order: int) -> int:
+        return sum(max(0, length - order) for length in runs)
+
+    # All orders are fitted to the rows of the largest: one that scattered gaps leave few rows would spoil the others.
+    least = LEAST_ROWS * rows(min(orders))
 
     def feasible(order: int) -> bool:
-        training = 0.7 * sum(max(0, record.n_samples - order) for record in records)
-        return 2 * (n_inputs + order * (n_inputs + n_outputs)) <= training and 4 * order <= longest
+        enough = 2 * (n_inputs + order * (n_inputs + n_outputs)) <= 0.7 * rows(order)
+        return enough and 4 * order <= longest and rows(order) >= least
 
     tried = tuple(sorted({int(order) for order in orders if feasible(order)}))
     if not tried:
-        total = sum(record.n_samples for record in records)
+        total, n_complete = sum(record.n_samples for record in records), sum(runs)
+        have = f"{total} samples" if n_complete == total else f"{n_complete} complete samples of {total}"
         raise InsufficientDataError(
-            f"choosing an observer order needs twice as many training rows as unknowns, but {total} samples are too "
-            f"few even for order {min(orders)} with {n_inputs} inputs and {n_outputs} outputs; give a longer record."
+            f"choosing an observer order needs twice as many training rows as unknowns, but {have} are too few even "
+            f"for order {min(orders)} with {n_inputs} inputs and {n_outputs} outputs; give a longer record or fewer "
+            "channels."
         )
     return tried

@@ -206,7 +206,8 @@ def _solve_eigh(system: _NormalEquations) -> tuple[FloatArray, ObserverCoefficie
     kept = values > 4.0 * values.size * _EPS * values[-1]
     basis = vectors[:, kept] / np.sqrt(values[kept])
     solution = basis @ (basis.T @ system.right)
-    condition = float(np.sqrt(values[-1] / values[kept][0]))
+    # Without rows nothing is kept, and the observer is zero.
+    condition = float(np.sqrt(values[-1] / values[kept][0])) if kept.any() else np.inf
     squares = _clipped(_residual_squares(system, solution))
     return basis, _observer(system, solution, squares, method="eigh", condition=condition, rank=int(kept.sum()))
 

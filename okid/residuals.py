@@ -98,7 +98,8 @@ def check_residuals(
     Args:
         observer: to be judged.
         records: one record or several of one system, best not those that it was fitted to.
-        n_lags: L, above the observer order; the order plus at least 20, unless given.
+        n_lags: L, above the observer order; unless given the order plus at least 20, as far as there are two residuals
+            for each.
 
     Raises:
         InvalidDataError: n_lags not above the observer order.
@@ -121,12 +122,13 @@ def check_residuals(
     """
     several = as_records(records)
     order, q = observer.order, observer.n_outputs
-    lags = order + max(20, order // 2)
-    if n_lags is not None:
-        lags = whole_number(n_lags, name=f"n_lags for an observer of order {order}", least=order + 1)
     residuals = [one_step_residuals(observer, record) / observer.output_scale for record in several]
     there = [complete_rows(residual) for residual in residuals]
     n_rows = sum(int(mask.sum()) for mask in there)
+    if n_lags is None:
+        lags = max(order + 1, min(order + max(20, order // 2), n_rows // 2))
+    else:
+        lags = whole_number(n_lags, name=f"n_lags (above the observer order {order})", least=order + 1)
     if n_rows < 2 * lags:
         raise InsufficientDataError(
             f"testing {lags} lags needs at least {2 * lags} residuals, but {n_rows} are left; use fewer lags or more "

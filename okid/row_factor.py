@@ -71,7 +71,8 @@ def solve_factor(triangle: FloatArray, n_outputs: int, noise: float) -> tuple[Fl
     projected = u.T @ right
     solution = vt[kept].T @ (projected[kept] / values[kept, np.newaxis])
     squares += projected[~kept].T @ projected[~kept]
-    return solution, squares, float(values[0] / values[kept][-1]), int(kept.sum())
+    condition = float(values[0] / values[kept][-1]) if kept.any() else np.inf
+    return solution, squares, condition, int(kept.sum())
 
 
 def residual_products(

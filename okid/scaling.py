@@ -10,10 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
 from okid.record import Record
 
 __all__ = ["ChannelScaling", "channel_scaling"]
 
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+"""Standard deviation relative to the mean up to which a channel does not move: its last digit does."""
 _CACHE_VALUES = 1 << 17
 """Values in one step: the chunk stays in cache while it is read three times."""
 
@@ -27,8 +30,8 @@ class ChannelScaling:
         input_scale: (n_inputs,) standard deviation, 1 where the channel is constant.
         output_mean: (n_outputs,) in the output's unit.
         output_scale: (n_outputs,) standard deviation, 1 where the channel is constant.
-        constant_inputs: indices of the inputs that never move.
-        constant_outputs: indices of the outputs that never move.
+        constant_inputs: indices of the inputs that never move by more than their last digit.
+        constant_outputs: likewise.
     """
 
     input_mean: FloatArray
@@ -64,6 +67,9 @@ def channel_scaling(records: Sequence[Record]) -> ChannelScaling:
     Args:
         records: of one system.
 
+    Raises:
+        InvalidDataError: values too large for their standard deviation to be a number.
+
     References:
         Chan, Golub, LeVeque, "Algorithms for computing the sample variance", The American Statistician 37(3), 1983,
         equation 2.1, doi 10.1080/00031305.1983.10483115.
@@ -72,8 +78,16 @@ def channel_scaling(records: Sequence[Record]) -> ChannelScaling:
         >>> channel_scaling([Record([1.0, 3.0, 1.0, 3.0], [5.0, 5.0, np.nan, 5.0], 0.1)]).input_scale
         array([1.])
     """
-    input_mean, input_scale, constant_inputs = _mean_and_scale([record.inputs for record in records])
-    output_mean, output_scale, constant_outputs = _mean_and_scale([record.outputs for record in records])
+    with np.errstate(over="ignore", invalid="ignore"):  # said below, with the channel's name
+        input_mean, input_scale, constant_inputs = _mean_and_scale([record.inputs for record in records])
+        output_mean, output_scale, constant_outputs = _mean_and_scale([record.outputs for record in records])
+    names = (*records[0].input_names, *records[0].output_names)
+    for name, scale in zip(names, (*input_scale, *output_scale), strict=False):
+        if not np.isfinite(scale):
+            raise InvalidDataError(
+                f"the squares of all values must add up to a number below 1e308, but those of channel {name!r} do not; "
+                "give it in a larger unit, or remove the samples that are no measurements."
+            )
     return ChannelScaling(
         input_mean=input_mean,
         input_scale=input_scale,
@@ -101,9 +115,9 @@ def _mean_and_scale(arrays: Sequence[FloatArray]) -> tuple[FloatArray, FloatArra
             squares += chunk_squares + shift * shift * count * share
             count = total
     scale = np.sqrt(squares / np.maximum(count, 1.0))
-    constant = scale == 0.0
-    scale[constant] = 1.0
     mean += origin
+    constant = scale <= ROUNDING * np.abs(mean)
+    scale[constant] = 1.0
     mean.flags.writeable = scale.flags.writeable = False
     return mean, scale, tuple(np.flatnonzero(constant).tolist())
 

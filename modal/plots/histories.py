@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from modal.names import plot_label
 from modal.plots.style import LIGHT, Theme, envelope, head, new_figure
+from modal.report.words import fit_text
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck
@@ -27,7 +28,7 @@ def measured_against_simulated(
 
     Args:
         measured: record.
-        simulated: free run of the model on its inputs.
+        simulated: free run of the model on its inputs; of a record without inputs, its one-step prediction.
         outputs: which outputs, all unless given.
         fits: (n_outputs,) written beside each.
         detail: length of the window on the right [s], a twelfth of the record unless given.
@@ -37,17 +38,18 @@ def measured_against_simulated(
     figure, axes = new_figure(len(chosen), 2, size=(10.4, 0.5 + 1.45 * len(chosen)), theme=theme, ratios=(2.1, 1.0))
     window = _strongest(measured, detail)
     time = measured.time
+    modelled = "model, from the inputs alone" if measured.n_inputs else "model, one step ahead"
     for row, (output, (whole, part)) in enumerate(zip(chosen, axes, strict=True)):
         signals = (
             (measured.outputs[:, output], theme.measured, "measured", 2.4, 0.6),
-            (simulated.outputs[:, output], theme.model, "model, from the inputs alone", 0.9, 1.0),
+            (simulated.outputs[:, output], theme.model, modelled, 0.9, 1.0),
         )
         for values, colour, label, width, alpha in signals:
             whole.plot(*envelope(time, values), color=colour, lw=width * 0.75, alpha=alpha, label=label)
             part.plot(time[window], values[window], color=colour, lw=width, alpha=alpha)
         name = plot_label(measured.output_names[output])
         unit = plot_label(measured.output_units[output], limit=12)
-        fit = "" if fits is None or not np.isfinite(fits[output]) else f"   fit {fits[output]:.0%}"
+        fit = "" if fits is None or not np.isfinite(fits[output]) else f"   fit {fit_text(fits[output])}"
         head(whole, f"{name}{f' [{unit}]' if unit else ''}{fit}", theme=theme, where="left")
         whole.axvspan(time[window][0], time[window][-1], color=theme.muted, alpha=0.10, lw=0)
         whole.set_xlim(time[0], time[-1])

@@ -9,6 +9,7 @@ from modal.identification import OrderEvidence
 from modal.mode import ModalModel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import LIGHT, Theme, key, new_figure
+from modal.report.words import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -105,7 +106,7 @@ def stabilisation_diagram(
     for mode, level in zip(modes.system, _levels(modes.frequencies, 0.05 * nyquist), strict=True):
         axis.axvline(mode.frequency, color=theme.system, lw=0.8, alpha=0.55)
         height = highest * (1.055 + 0.05 * level)
-        label = f"{mode.frequency:.4g}"
+        label = hertz(mode.frequency)
         axis.text(mode.frequency, height, label, color=theme.system, fontsize=8, ha="center", va="bottom")
     axis.set_xlim(0, nyquist)
     axis.set_ylim(0, highest * 1.05)

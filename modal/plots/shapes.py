@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from modal.mode import Mode
 from modal.names import plot_label
 from modal.plots.style import LIGHT, Theme, head, new_figure, new_panels
+from modal.report.words import hertz
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["assurance_matrix", "mode_shapes", "shape_complexity"]
@@ -32,7 +33,7 @@ def mode_shapes(modes: Sequence[Mode], *, output_names: Sequence[str], title: st
         axis.plot(shape.real, place, "-o", color=colour, lw=1.8, ms=5)
         if np.abs(shape.imag).max() > 0.05:
             axis.plot(shape.imag, place, ":", color=theme.muted, lw=1.1)
-        head(axis, f"{mode.frequency:.4g} Hz", theme=theme, where="center")
+        head(axis, f"{hertz(mode.frequency)} Hz", theme=theme, where="center")
         axis.set_xlim(-1.18, 1.18)
         axis.set_ylim(0.4, len(output_names) + 0.6)
         axis.set_xticks([-1, 0, 1])
@@ -63,7 +64,7 @@ def shape_complexity(modes: Sequence[Mode], *, theme: Theme = LIGHT) -> Figure:
         axis.set_ylim(-1.12, 1.12)
         axis.set_axis_off()
         spread = f"mean deviation {mode.mpd:.0f}°" if np.isfinite(mode.mpd) else ""
-        head(axis, f"{mode.frequency:.4g} Hz\n{spread}".strip(), theme=theme, where="center")
+        head(axis, f"{hertz(mode.frequency)} Hz\n{spread}".strip(), theme=theme, where="center")
     return figure
 
 
@@ -88,7 +89,7 @@ def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float], *, theme:
             if n_modes <= 16:
                 number = f"{value:.2f}".removeprefix("0") if value < 0.995 else "1"
                 axis.text(column, row, number, ha="center", va="center", fontsize=8, color=theme.ink)
-    labels = [f"{frequency:.4g}" for frequency in frequencies]
+    labels = [hertz(frequency) for frequency in frequencies]
     axis.set_xticks(range(n_modes), labels, rotation=90 if n_modes > 6 else 0)
     axis.set_yticks(range(n_modes), labels)
     axis.set_xlim(-0.5, n_modes - 0.5)

@@ -20,7 +20,7 @@ from modal.recording.palette import BACKGROUND
 from modal.recording.plan import SHOWN_INPUTS, Plan
 from modal.recording.series import TIMELINE
 from modal.recording.shapes import HALF_LENGTH, PERIODS, SPACING, deflection, shape_path
-from modal.report.words import damping_text
+from modal.report.words import damping_text, fit_text, hertz
 
 if TYPE_CHECKING:
     import rerun.blueprint
@@ -135,7 +135,7 @@ def _whole(identification: Identification, plan: Plan, output: int, *, legend: b
     fit = identification.fit.cross_validated[output]
     first = identification.records[0]
     name = with_unit(first.output_names[output], first.output_units[output])
-    title = f"{name}: fit {fit:.2f}" if np.isfinite(fit) else name
+    title = f"{name}: fit {fit_text(fit)}" if np.isfinite(fit) else name
     return _series(plan.output_paths[output], title, LINES, legend=legend)
 
 
@@ -218,9 +218,9 @@ def _shape(plan: Plan, number: int, n_sticks: int) -> Any:
     import rerun.blueprint as rrb
 
     mode = plan.modes[number - 1]
-    title = f"Mode {number}: {mode.frequency:.4g} Hz, {damping_text(mode).replace('not', 'damping not')}"
+    title = f"Mode {number}: {hertz(mode.frequency)} Hz, {damping_text(mode).replace('not', 'damping not')}"
     if mode.verdict != "system":
-        title = f"{mode.verdict.capitalize()} {number}: {mode.frequency:.4g} Hz"
+        title = f"{mode.verdict.capitalize()} {number}: {hertz(mode.frequency)} Hz"
     return rrb.Spatial3DView(
         origin=shape_path(number),
         name=title,

@@ -73,13 +73,14 @@ def _log_output(
     measured = [record.outputs[:, output] for record in identification.records]
     predicted = [record.outputs[:, output] for record in identification.predicted]
     simulated = [record.outputs[:, output] for record in identification.simulated]
+    driven = identification.records[0].n_inputs > 0
     # lines are painted in the order of their paths: measured, wide, below predicted below simulated
     lines = [
         ("measured", measured, "measured", BLUE, 3.0),
-        ("predicted", predicted, "one step ahead", PREDICTED, 1.0),
+        ("predicted", predicted, "one step ahead", *((PREDICTED, 1.0) if driven else (ORANGE, 1.3))),
         ("residual/one_step", _less(measured, predicted), "less one step ahead", ONE_STEP, 1.0),
     ]
-    if identification.records[0].n_inputs:  # without inputs nothing runs freely: what is called simulated is one step
+    if driven:  # without inputs nothing runs freely: what is called simulated is one step
         lines += [
             ("simulated", simulated, "simulated", ORANGE, 1.3),
             ("residual/free_run", _less(measured, simulated), "less simulated", RED, 1.0),

@@ -11,6 +11,7 @@ from modal.recording.figure import Figure, Pane
 from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED, by_share
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
+from modal.report.words import hertz
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def _draw_modes(figure: Figure, plan: Plan, highest: float) -> None:
         level = (level + 1) % len(TEXT_LEVELS) if share - last < TEXT_WIDTH / figure.width else 0
         last = share
         figure.line(f"mode/{number}", [mode.frequency] * 2, [0.0, highest * 1.03], DIM_GREEN, width=0.5, order=3.0)
-        figure.text(f"mode/{number}", mode.frequency, highest * TEXT_LEVELS[level], f"{mode.frequency:.4g}", GREEN)
+        figure.text(f"mode/{number}", mode.frequency, highest * TEXT_LEVELS[level], hertz(mode.frequency), GREEN)
 
 
 def _draw_response(figure: Figure, frequencies: FloatArray, size: FloatArray) -> None:

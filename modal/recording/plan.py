@@ -93,8 +93,8 @@ def planned(identification: Identification) -> Plan:
     furthest = max(abs(starts[0]), abs(stops[-1]))
     if not furthest <= LATEST:
         raise InvalidDataError(
-            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count time "
-            "in a larger unit, so that dt is smaller."
+            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count "
+            "time in a larger unit, so that dt is smaller."
         )
     n_samples = sum(record.n_samples for record in records)
     budget = series_budget(first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)

@@ -59,6 +59,7 @@ def _environment(*, html: bool) -> "jinja2.Environment":
     environment.filters["literal"] = _literal
     environment.filters["frequency"] = words.frequency_text
     environment.filters["damping"] = words.damping_text
+    environment.filters["hertz"] = words.hertz
     environment.filters["percent"] = words.percent
     environment.filters["fit"] = words.fit_text
     return environment

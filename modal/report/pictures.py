@@ -79,6 +79,7 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
     which = "" if len(shown) == record.n_outputs else f" The {len(shown)} outputs with the least fit are shown."
     first = "" if len(result.records) == 1 else f" Record 1 of {len(result.records)}."
     detail = 10.0 / result.modes.frequencies[0] if result.modes.system else None
+    modelled = "simulated from the inputs alone" if record.n_inputs else "predicted one step ahead"
     pulse = _pulse_response(result.realisation, min(result.markov.n_lags, MOST_LAGS))
     pictures = {
         "histories": _picture(
@@ -86,14 +87,14 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
                 record, simulated, outputs=shown, fits=result.fit.cross_validated, detail=detail
             ),
             "histories",
-            f"Measured (blue) and simulated from the inputs alone (orange).{first}{which}",
+            f"Measured (blue) and {modelled} (orange).{first}{which}",
         ),
         "spectra": _picture(
             plots.output_spectra(
                 result.records, result.simulated, frequencies=result.modes.frequencies.tolist(), outputs=shown
             ),
             "spectra",
-            f"Power spectra of the outputs, measured and simulated; green lines are the modes of the system.{which}",
+            f"Power spectra of the outputs, measured and {modelled}; green lines are the modes of the system.{which}",
         ),
         "residuals": _picture(
             plots.residual_autocorrelation(result.residuals, output_names=record.output_names),

@@ -21,6 +21,7 @@ __all__ = [
     "fit_text",
     "fit_word",
     "headline",
+    "hertz",
     "judge",
 ]
 
@@ -84,10 +85,10 @@ def headline(result: Identification) -> str:
         return f"No vibration mode was found, but {others} of the system."
     also = f", and {others}" if n_others else ""
     if len(modes) == 1:
-        return f"One mode of the system was found, at {modes[0].frequency:.4g} Hz{also}."
+        return f"One mode of the system was found, at {hertz(modes[0].frequency)} Hz{also}."
     return (
         f"{_count(len(modes)).capitalize()} modes of the system were found, "
-        f"between {modes[0].frequency:.4g} and {modes[-1].frequency:.4g} Hz{also}."
+        f"between {hertz(modes[0].frequency)} and {hertz(modes[-1].frequency)} Hz{also}."
     )
 
 
@@ -141,7 +142,7 @@ def damping_sentence(result: Identification) -> str:
     unresolved = [mode for mode in result.modes.system if not mode.damping_resolved and mode.kind == "oscillatory"]
     if not unresolved:
         return ""
-    which = ", ".join(f"{mode.frequency:.4g}" for mode in unresolved)
+    which = ", ".join(hertz(mode.frequency) for mode in unresolved)
     modes = "mode exists" if len(unresolved) == 1 else "modes exist"
     return f"The {modes} at {which} Hz, but the damping is not resolved: do not quote it."
 
@@ -152,7 +153,7 @@ def doubtful_sentence(result: Identification) -> str:
     if not doubtful:
         return ""
     best = sorted(doubtful, key=lambda mode: -(mode.repeatability if math.isfinite(mode.repeatability) else 0.0))[:3]
-    which = ", ".join(f"{mode.frequency:.4g}" for mode in best)
+    which = ", ".join(hertz(mode.frequency) for mode in best)
     more = "more " if result.modes.system else ""
     if len(doubtful) == 1:
         return f"One {more}pole, at {which} Hz, is doubtful: the data do not settle whether it is a mode."
@@ -188,10 +189,20 @@ def damping_text(mode: Mode) -> str:
     return percent(mode.damping_ratio, mode.damping_ratio_std)
 
 
+def hertz(frequency: float) -> str:
+    """A frequency to four digits, from 1000 Hz on to a tenth: never in powers of ten that a reader must work out.
+
+    Example:
+        >>> hertz(3.66971), hertz(27470.63)
+        ('3.67', '27470.6')
+    """
+    return f"{frequency:.4g}" if frequency < 1000 else f"{frequency:.1f}"
+
+
 def frequency_text(mode: Mode) -> str:
     """Frequency in Hz, with its 95 % interval where that is known."""
     if not math.isfinite(mode.frequency_std):
-        return f"{mode.frequency:.4g}" if mode.frequency < 1000 else f"{mode.frequency:.1f}"
+        return hertz(mode.frequency)
     return with_interval(mode.frequency, 1.96 * mode.frequency_std)
 
 

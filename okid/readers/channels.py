@@ -43,10 +43,10 @@ def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[i
     _check_once(into, out)
     indices = _indices(table, into), _indices(table, out)
     if not table.channels():
-        left = "".join(f"; {left.name!r} was left out: {left.reason}" for left in table.left_out[:3])
+        left = [f"{left.name!r} was left out: {left.reason}" for left in table.left_out[:3]]
+        why = left or ["save each channel as a column of numbers beside the time"]
         raise InvalidDataError(
-            f"{table.path.name} holds no channel, only {', '.join(table.names[:3])}{left}; a channel is a column of "
-            "measured numbers beside the time."
+            f"{table.path.name} holds {', '.join(table.names[:3])} but no channel; {'; '.join(why)}."
         )
     if not indices[1]:
         raise InvalidDataError(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy
+import systems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from systems import chain_matrices, markov, modal_system, random_system, structure
@@ -10,6 +11,9 @@ from systems import chain_matrices, markov, modal_system, random_system, structu
 from era.balanced import decompose, realise, realise_from
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
+from okid.observer import fit_observer
+from okid.record import Record
+from okid.recovery import recover_markov
 
 
 def parameters_of(system, n_lags=80, **extra):
@@ -236,6 +240,12 @@ def test_too_few_lags_for_the_order_is_an_error_with_numbers():
     [
         ({"order": "best"}, "whole number"),
         ({"order": 2.5}, "whole number"),
+        ({"order": None}, "whole number"),
+        ({"order": np.nan}, "whole number"),
+        ({"order": -1}, "at least 0"),
+        ({"n_block_rows": 2.5}, "n_block_rows must be a whole number"),
+        ({"method": "fast"}, "method must be one of auto, full, randomised"),
+        ({"realise_on": "gain"}, "realise_on must be one of system, system_and_gain"),
         ({"realise_on": "system_and_gain"}, "gain"),
     ],
 )
@@ -255,3 +265,25 @@ def test_arrays_of_a_decomposition_are_frozen():
     found = decompose(parameters_of(random_system(np.random.default_rng(0))))
     with pytest.raises(ValueError, match="read-only"):
         found.left[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.01])
+def test_the_rank_that_an_observer_gives_is_not_taken_for_the_order_of_the_system(noise):
+    # 10 past samples of 3 outputs: 30 exponentials, and rounding error behind them, whatever the data were.
+    rng = np.random.default_rng(0)
+    truth = random_system(rng, n_modes=3, n_outputs=3)
+    u = rng.standard_normal((3000, truth.n_inputs))
+    y = systems.simulate(truth, u, initial_state=rng.standard_normal(truth.order))
+    y += noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    found = recover_markov(fit_observer(Record(u, y, truth.dt), order=10), n_lags=100)
+    assert decompose(found).rank == 30
+    assert realise(found).order == truth.order
+
+
+def test_an_observer_of_the_least_order_gives_the_whole_system():
+    rng = np.random.default_rng(3)
+    truth = random_system(rng, n_modes=3, n_outputs=3)
+    u = rng.standard_normal((1000, truth.n_inputs))
+    y = systems.simulate(truth, u, initial_state=rng.standard_normal(truth.order))
+    found = recover_markov(fit_observer(Record(u, y, truth.dt), order=2), n_lags=60)
+    assert realise(found).order == truth.order

@@ -73,3 +73,8 @@ def test_the_reason_names_the_three_measures():
     reason = choose_order(np.array([3.0, 0.3, 0.1])).reason
     for part in ("order 1", "s1/s2 = 10", "88.2 % of their sum", "98.90 % of their energy"):
         assert part in reason
+
+
+def test_the_last_values_of_a_noisy_matrix_are_no_gap():
+    values = np.concatenate([[9.0, 8.0], np.linspace(1.0, 0.5, 20), [0.02]])
+    assert choose_order(values, rank=values.size).order == 2

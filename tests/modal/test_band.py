@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.band import COHERENT, coherent_band
+from modal.band import COHERENT, _upper_frequency, coherent_band
 from okid.record import Record
 
 
@@ -127,3 +127,24 @@ def test_coherence_is_that_of_the_known_noise():
     np.testing.assert_allclose(band.coherence[:, 0].mean(), 0.8, atol=0.02)
     assert band.coherence[:, 1].mean() < 0.02
     assert (band.coherence[:, 0] > COHERENT).all()
+
+
+def test_chance_coherence_is_taken_off():
+    """Two inputs explain a share 2 / n of pure noise in n averages: about 0.04 here."""
+    rng = np.random.default_rng(7)
+    band = coherent_band([Record(rng.standard_normal((3000, 2)), rng.standard_normal((3000, 3)), 0.01)])
+    assert 0.0 < band.coherence.mean() < 0.03
+
+
+@pytest.mark.parametrize(("n_lines", "upper"), [(0, 20), (1, 20), (2, 20), (3, 82)])
+def test_one_lucky_line_does_not_decide(n_lines, upper):
+    """Three neighbouring lines must agree."""
+    coherence = np.zeros((101, 1))
+    coherence[:20] = 0.9
+    coherence[80 : 80 + n_lines] = 0.6
+    found = _upper_frequency(np.arange(101.0), np.ones((101, 2, 2), complex), coherence)
+    assert found == pytest.approx(upper, abs=1)
+
+
+def test_no_coherent_lines_no_band():
+    assert _upper_frequency(np.arange(101.0), np.ones((101, 2, 2), complex), np.zeros((101, 1))) is None

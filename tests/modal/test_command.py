@@ -1,4 +1,5 @@
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -317,6 +318,14 @@ def test_help_shows_an_example(command):
     result = CliRunner().invoke(app, [*command, "--help"])
     assert result.exit_code == 0
     assert "modal-report" in result.stdout or "Usage" in result.stdout
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["demo"]])
+def test_help_asks_for_no_value_of_a_switch(command):
+    lines = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "200"}).stdout.splitlines()
+    ours = [line for line in lines if re.search(r"--(version|overwrite|traceback)\b", line)]
+    assert ours
+    assert not any("<" in line for line in ours)
 
 
 @pytest.mark.parametrize(

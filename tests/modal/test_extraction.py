@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from systems import markov, modal_system, random_system
 from textbook_modal import textbook_era
 
+from era.balanced import realise
 from era.realisation import HankelFactors, Realisation
 from modal.extraction import aliased_frequency, extract_modes
+from okid.markov import MarkovParameters
 
 INDICATORS = ("amplitude_coherence", "emac_output", "emac_input", "emac", "cmi", "msv", "mpd", "phase_collinearity")
 
@@ -186,6 +188,14 @@ def test_order_zero_gives_no_mode():
     model = extract_modes(Realisation(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((2, 0)), np.ones((2, 1)), 0.01))
     assert len(model) == 0
     assert model.indicator_caution != model.indicator_caution
+
+
+def test_data_without_dynamics_give_no_mode_and_no_error():
+    pulse = np.zeros((20, 2, 1))
+    pulse[0] = 1.0  # a feedthrough and nothing else
+    model = extract_modes(realise(MarkovParameters(system=pulse, dt=0.01)))
+    assert len(model) == 0
+    assert model.indicator_caution == 0.0
 
 
 def test_without_inputs_participation_is_empty():

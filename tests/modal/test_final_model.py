@@ -66,6 +66,15 @@ def test_an_order_above_the_rank_of_exact_data_becomes_the_rank():
     assert final.realisation.order == 2
 
 
+def test_the_largest_order_of_the_search_still_has_higher_ones_for_the_verdict():
+    rng = np.random.default_rng(4)
+    u = rng.standard_normal(1500)
+    y = np.convolve(u, 0.97 ** np.arange(80) * rng.standard_normal(80))[:1500] + 0.01 * rng.standard_normal(1500)
+    record = Record(u, y, 0.1).detrended()
+    _, final = fit_all_rows([record], found_of(record, trial(100, 64), trial(100, 4)))
+    assert final.decomposition.max_order >= 1.4 * 64
+
+
 def test_an_unstable_choice_gives_way_to_the_next_best_stable_one():
     record = growing()
     first, second, third = trial(4, 2), trial(4, 1, error=0.2), trial(6, 1, error=0.3)
@@ -85,7 +94,7 @@ def spectral_radius_of_corner(decomposition, n):
 
 def test_nothing_stable_is_an_error_that_says_what_to_do():
     record = growing()
-    with pytest.raises(NumericalError, match="all 2 models .* unstable on the whole.*longer record"):
+    with pytest.raises(NumericalError, match=r"all 2 models .* unstable on the whole.*longer record"):
         fit_all_rows([record], found_of(record, trial(4, 2), trial(5, 2)))
 
 
@@ -100,6 +109,16 @@ def test_without_inputs_the_model_must_have_a_stable_predictor():
     model = final.realisation
     assert spectral_radius(model) < 1.0
     assert np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max() < 1.0
+
+
+def test_without_inputs_a_growing_model_is_refused_though_its_predictor_is_stable():
+    rng = np.random.default_rng(7)
+    noise, y = rng.standard_normal(500), np.zeros(500)
+    for k in range(2, 500):
+        y[k] = 1.6 * y[k - 1] - 1.01 * y[k - 2] + noise[k]
+    record = Record([], y, 0.1)
+    with pytest.raises(NumericalError, match="unstable on the whole"):
+        fit_all_rows([record], found_of(record, trial(2, 2)))
 
 
 def test_an_integrator_ends_with_a_stable_model():

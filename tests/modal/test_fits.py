@@ -104,7 +104,7 @@ def test_one_step_predictions_use_the_gain():
     for k in range(400):
         outputs[k] = system.C @ state + system.D @ inputs[k] + innovations[k]
         state = system.A @ state + system.B @ inputs[k] + gain @ innovations[k]
-    record = Record(inputs, outputs, system.dt)
+    record = Record(inputs, outputs + 40.0, system.dt)
     runs = model_runs(model_of(system, K=gain), [record])
     errors = [np.square(run.outputs - runs.records[0].outputs).sum() for run in (runs.predicted[0], runs.simulated[0])]
     floor = np.square(innovations - innovations.mean(axis=0)).sum()

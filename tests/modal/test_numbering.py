@@ -2,7 +2,6 @@
 
 import csv
 import json
-import random
 import re
 from dataclasses import replace
 
@@ -25,9 +24,8 @@ def mixed(identification, make_result):
 
 
 def test_system_first_then_doubtful_then_noise_each_by_frequency(mixed):
-    modes = list(mixed.modes)
-    random.Random(1).shuffle(modes)
-    found = [(number, mode.verdict, mode.frequency) for number, mode in numbered(modes)]
+    found = [(number, mode.verdict, mode.frequency) for number, mode in numbered(mixed.modes)]
+    assert found == [(number, mode.verdict, mode.frequency) for number, mode in numbered(reversed(mixed.modes.modes))]
     assert found == [
         (1, "system", 3.67),
         (2, "system", 11.1),

@@ -102,7 +102,7 @@ def test_a_stretch_without_one_of_the_outputs_is_dropped():
 
 def test_nothing_left_between_gaps_is_an_error():
     gaps = changed(a_record(), inputs=[(slice(None, None, 30), 0, np.nan)])
-    with pytest.raises(InsufficientDataError, match="missing in 30 of 900 samples.*stretch of 50 samples"):
+    with pytest.raises(InsufficientDataError, match=r"missing in 30 of 900 samples.*stretch of 50 samples"):
         split_at_input_gaps(gaps)
 
 

@@ -5,12 +5,15 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from era.balanced import decompose
-from modal.repetition import _every_second_block, _other_orders, repeat
+from era.balanced import decompose, realise
+from modal.extraction import extract_modes
+from modal.repetition import _carried, _every_second_block, _other_orders, repeat
 from modal.trials import markov_lags
+from okid.gram import lag_gram
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.recovery import recover_markov
+from okid.scaling import channel_scaling
 
 
 def a_record(seed, n_samples=1500, *, noise=0.03):
@@ -118,3 +121,51 @@ def test_the_other_observer_can_hold_the_model():
     assert "observer order 4, ridge 0.0003" in labels
     labels = [run.label for run in repeated([record], observer_order=10, ridge=0.0, model_order=4).runs]
     assert "observer order 7, ridge 1e-06" in labels
+
+
+def test_a_half_gets_an_observer_that_its_rows_can_carry():
+    """A long observer on half of a short record interpolates its noise; a weak mode would be lost in it."""
+    rng = np.random.default_rng(6)
+    system = modal_system(
+        rng,
+        frequencies=[5.0, 21.0],
+        damping_ratios=[0.03, 0.02],
+        mode_sizes=[1.0, 0.15],
+        n_inputs=1,
+        n_outputs=2,
+    )
+    inputs = random_inputs(rng, 800, 1)
+    record = Record(inputs, with_noise(rng, simulate(system, inputs), 0.03), system.dt).detrended()
+    longest = 800 // (3 * 3)  # what the search allows: three rows an unknown of all rows
+    for run in repeated([record], observer_order=longest, ridge=0.0).runs[:2]:
+        for pole in system.poles:
+            assert min(abs(mode.pole - pole) / abs(pole) for mode in run.modes) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("n_samples", "given", "carried"),
+    [
+        (910, 10, 10),  # 900 rows carry an order of 100: the given one stays
+        (280, 60, 24),  # 220 rows, 3 channels, 3 rows an unknown
+        (40, 20, 4),  # 20 rows carry 2, but 8 states need at least 4 past samples of 2 outputs
+    ],
+)
+def test_the_observer_of_a_half(n_samples, given, carried):
+    _, record = a_record(7, n_samples=n_samples)
+    gram = lag_gram([record], given, scaling=channel_scaling([record]))
+    assert _carried(gram, 8).order == carried
+
+
+def test_the_other_observer_has_the_order_and_the_ridge_of_its_label():
+    _, record = a_record(8)
+    (run,) = [run for run in repeated([record], observer_order=20, ridge=0.03).runs if run.change == "observer"]
+    assert run.label == "observer order 14, ridge 0.09"
+
+    def poles(ridge):
+        observer = fit_observer(record, order=14, ridge=ridge)
+        model = realise(recover_markov(observer, n_lags=markov_lags(1, 2)), order=4)
+        return np.array([mode.pole for mode in extract_modes(model)])
+
+    found = np.array([mode.pole for mode in run.modes])
+    # the rerun starts six rows later, as the whole record's observer does
+    assert np.abs(found - poles(0.09)).max() < 0.2 * np.abs(found - poles(0.03)).max()

@@ -5,7 +5,16 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.search import ROUND_OFF, WITHIN, _as_good, _chosen, _untried_neighbours, search, search_limits
+from modal.search import (
+    ROUND_OFF,
+    WITHIN,
+    _as_good,
+    _chosen,
+    _nothing_stable,
+    _untried_neighbours,
+    search,
+    search_limits,
+)
 from modal.trials import Trial
 from okid.errors import InsufficientDataError
 from okid.record import Record
@@ -112,13 +121,33 @@ def test_a_given_observer_order_needs_its_rows():
 
 
 def test_a_given_model_order_must_fit_the_hankel_matrix():
-    with pytest.raises(InsufficientDataError, match="model order 1000 was asked for.*use order <= 200"):
+    with pytest.raises(InsufficientDataError, match=r"model order 1000 was asked for.*use order <= 200"):
         search([plain(500)], model_order=1000)
 
 
+def growing(n_samples=400):
+    rng = np.random.default_rng(5)
+    u, y = rng.standard_normal(n_samples), np.zeros(n_samples)
+    for k in range(2, n_samples):
+        y[k] = 1.6 * y[k - 1] - 1.01 * y[k - 2] + u[k - 1]
+    return Record(u, y, 0.1).detrended()
+
+
 def test_nothing_stable_is_said():
-    with pytest.raises(InsufficientDataError, match="stable model"):
-        _chosen([])
+    words = (
+        r"no model from observer order 2, ridge 0, model order 2 was stable on every fold of the data; leave .* at "
+        r'"auto", or add a ridge'
+    )
+    with pytest.raises(InsufficientDataError, match=words):
+        search([growing()], observer_order=2, ridge=0.0, model_order=2)
+
+
+def test_nothing_stable_of_all_is_said():
+    everything = limits_of(plain(1000))
+    assert _nothing_stable(everything) == (
+        "no model from observer orders 1 to 128, any ridge, any model order was stable on every fold of the data; "
+        "give a longer record."
+    )
 
 
 def test_neighbours_lie_around_the_best_and_are_not_tried_twice():

@@ -187,7 +187,7 @@ def test_the_automatic_segment_leaves_enough_averages():
 def test_without_inputs_there_is_no_frequency_response():
     with pytest.raises(InvalidDataError, match="at least one input"):
         measured_frf(Record([], np.ones((100, 2)), 0.01))
-    with pytest.raises(InvalidDataError, match="at least one input"):
+    with pytest.raises(InvalidDataError, match="a sequence of them is needed, but nothing was given"):
         measured_frf([])
 
 
@@ -199,5 +199,5 @@ def test_too_few_segments_are_refused_with_their_number():
 
 def test_records_of_different_channels_or_time_steps_are_refused():
     record = record_of(random_system(np.random.default_rng(1)), 2, 600)
-    with pytest.raises(InvalidDataError, match="equal channels and time step"):
+    with pytest.raises(InvalidDataError, match=r"same time step, but record 1 has 0\.02 s"):
         measured_frf([record, Record(record.inputs, record.outputs, 0.02)])

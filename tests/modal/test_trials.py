@@ -63,8 +63,9 @@ def naive_era(pulse, n_states):
     return A, (root[:, None] * right)[:, :m], (left * root)[:q], pulse[0]
 
 
-def naive_run(A, B, C, D, u, y, rows):
+def naive_run(model, record, rows):
     """Free run, state and levels by least squares on the rows."""
+    (A, B, C, D), (u, y) = model, record
     n, q = A.shape[0], C.shape[0]
     forced, columns = np.zeros_like(y), np.zeros((len(y), q, n + q))
     state, power = np.zeros(n), np.eye(n)
@@ -93,7 +94,7 @@ def test_a_trial_is_what_the_textbook_computes(ridge):
         squares, power = np.zeros((3, 2)), np.zeros((3, 2))
         for fold, (held_out,) in enumerate(ground.folds):
             pulse = naive_pulse(*naive_fit(u, y, ~held_out, trial.observer_order, ridge), ground.n_lags)
-            run = naive_run(*naive_era(pulse, trial.model_order), u, y, ~held_out)
+            run = naive_run(naive_era(pulse, trial.model_order), (u, y), ~held_out)
             squares[fold] = np.square(y - run)[held_out].sum(axis=0)
             power[fold] = np.square(y)[held_out].sum(axis=0)
         np.testing.assert_allclose(trial.squared_errors, squares, rtol=1e-6)
@@ -144,7 +145,7 @@ def test_missing_rows_are_neither_fitted_nor_scored():
 
 
 def test_exact_data_have_no_error_at_the_true_order():
-    system, record = a_record(4, noise=0.0)
+    _, record = a_record(4, noise=0.0)
     ground = prepare_ground([record])
     trials = {t.model_order: t for t in make_trials(ground, [8], 0.0, [2, 4], [0, 1, 2])}
     assert trials[4].error < 1e-6

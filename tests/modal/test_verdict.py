@@ -318,3 +318,14 @@ def test_a_real_pole_has_no_damping_to_resolve():
 def test_indicators_and_everything_else_are_kept():
     mode = judged(vibration(emac=0.7, cmi=0.6), found_with())
     assert (mode.emac, mode.cmi, mode.frequency) == (0.7, 0.6, 5.0)
+
+
+def test_a_pole_that_dies_within_two_samples_is_not_certain():
+    # |lambda| = exp(-damping omega dt): 0.18, as a delay of four samples in 2 % noise gives again and again.
+    fast = vibration(frequency=36.6, damping=0.734)
+    runs = reruns_of(("data", model_of(fast)), ("observer", model_of(fast)), ("lower order", model_of(fast)))
+    mode = judged(fast, runs)
+    assert mode.verdict == "doubtful"
+    assert mode.reason.startswith("dies within two samples (18 % are left after one): may be a delay")
+    slower = vibration(frequency=20.0, damping=0.7)
+    assert judged(slower, reruns_of(("data", model_of(slower)))).verdict == "system"

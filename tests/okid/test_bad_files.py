@@ -54,7 +54,9 @@ def test_a_name_too_long_for_the_system_is_cut(tmp_path):
 
 def test_a_file_without_channels_says_what_was_left_out(tmp_path):
     np.savez(tmp_path / "a.npz", time=np.arange(9.0), tip=1j * np.arange(9.0))
-    refused(tmp_path / "a.npz", r"a\.npz holds no channel, only time; 'tip' was left out: it is complex")
+    refused(tmp_path / "a.npz", r"a\.npz holds time but no channel; 'tip' was left out: it is complex")
+    (tmp_path / "b.csv").write_text("time [s]\n0\n1\n2\n")
+    refused(tmp_path / "b.csv", r"b\.csv holds time but no channel; save each channel as a column")
 
 
 @pytest.mark.parametrize("suffix", READERS)

@@ -74,3 +74,10 @@ def test_no_input_and_a_wrong_order():
     assert "no input was measured" in check_excitation(output_only, order=3).messages[0]
     with pytest.raises(InvalidDataError, match="whole number of at least 1, but is 0"):
         check_excitation(output_only, order=0)
+
+
+def test_a_numpy_count_is_a_count():
+    record = Record(np.random.default_rng(0).standard_normal(200), np.ones(200), 0.1)
+    assert check_excitation(record, order=np.int64(3)).persistency_order == 3
+    with pytest.raises(InvalidDataError, match="whole number"):
+        check_excitation(record, order=np.nan)

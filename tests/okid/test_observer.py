@@ -165,8 +165,28 @@ class TestErrors:
             fit_observer([first, Record(u, y, 0.1, input_names=["other"])], order=2)
         with pytest.raises(InvalidDataError, match=r"okid\.Record .* but nothing was given"):
             fit_observer([], order=2)
+        with pytest.raises(InvalidDataError, match=r"okid\.Record .* but NoneType was given"):
+            fit_observer(None, order=2)
 
-    @pytest.mark.parametrize("order", [0, -1, 2.5, True, "best"])
+    def test_a_channel_of_which_only_the_last_digit_moves_is_constant(self):
+        u, y = np.random.default_rng(4).standard_normal((2, 300))
+        jitter = np.full(300, 0.1)
+        jitter[::3] = np.nextafter(0.1, 1.0)
+        with pytest.raises(InsufficientDataError, match=r"every input must move, but 'input_1' \(always 0\.1\)"):
+            fit_observer(Record(np.column_stack([u, jitter]), y, 0.1), order=2)
+
+    def test_values_whose_squares_are_no_numbers_are_named(self):
+        u, y = np.random.default_rng(4).standard_normal((2, 100))
+        with pytest.raises(InvalidDataError, match=r"'tip'.*larger unit"):
+            fit_observer(Record(u, 1e170 * y, 0.1, output_names=["tip"]), order=2)
+
+    @pytest.mark.parametrize("ridge", [-1.0, np.nan, True, "strong", [1.0]])
+    def test_a_ridge_that_is_none(self, ridge):
+        u, y = np.random.default_rng(4).standard_normal((2, 100))
+        with pytest.raises(InvalidDataError, match="ridge must be a number of at least 0"):
+            fit_observer(Record(u, y, 0.1), order=2, ridge=ridge)
+
+    @pytest.mark.parametrize("order", [0, -1, 2.5, True, "best", None, np.nan, np.inf, [3]])
     def test_an_order_that_is_none(self, order):
         u, y = np.random.default_rng(4).standard_normal((2, 100))
         with pytest.raises(InvalidDataError, match="whole number"):

@@ -116,5 +116,16 @@ def test_too_few_samples_to_choose():
     with pytest.raises(InsufficientDataError, match="Give the observer order and the ridge instead"):
         choose_observer([make(8, 30)], channel_scaling([make(8, 30)]))
     short = make(9, 45)
-    with pytest.raises(InsufficientDataError, match="45 samples are too few even for order 16"):
+    with pytest.raises(InsufficientDataError, match="but 45 samples are too few even for order 16"):
         choose_observer([short], channel_scaling([short]), orders=(16,))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.1])
+def test_scattered_missing_samples_leave_out_the_orders_that_they_leave_no_rows(share):
+    record = make(5, 3000, n_inputs=1)
+    outputs = np.array(record.outputs)
+    outputs[np.random.default_rng(6).random(outputs.shape) < share] = np.nan
+    with_gaps = Record(record.inputs, outputs, record.dt)
+    choice = choose_observer([with_gaps], channel_scaling([with_gaps]))
+    assert max(choice.orders) < 128
+    assert float(choice.errors.min()) < 0.1

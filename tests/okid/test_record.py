@@ -59,6 +59,12 @@ def test_a_record_cannot_be_changed():
         ((np.ones((3, 4)), np.ones(3), 1.0), {}, r"4 channels but only 3 samples.*inputs\.T"),
         (([], np.ones(4), 0.0), {}, "positive time step"),
         (([], np.ones(4), float("nan")), {}, "positive time step"),
+        (([], np.ones(4), None), {}, "positive time step"),
+        (([], np.ones(4), "0.01"), {}, "positive time step"),
+        (([], np.ones(4), [0.01]), {}, "positive time step"),
+        (([], np.ones(4), 1.0), {"start_time": None}, "start_time"),
+        (([[1.0], [2.0, 3.0]], np.ones(2), 1.0), {}, "inputs must be an array of real numbers"),
+        (([], np.ones(4), 1.0), {"output_names": 3}, "output names must be a sequence of words"),
         (([], np.ones(4), 1.0), {"start_time": float("inf")}, "start_time"),
         (([], np.ones(4), 1.0), {"input_hold": "first_order"}, "zero_order, linear, band_limited"),
         (([], np.ones((4, 2)), 1.0), {"output_names": ["a"]}, "1 output names were given for 2 outputs"),
@@ -287,3 +293,18 @@ def test_decimating_a_mapped_file_needs_memory_for_the_result_and_a_chunk(mapped
     finally:
         tracemalloc.stop()
     assert peak < small.outputs.nbytes * 2 + 8e6
+
+
+def test_masked_samples_are_missing_and_not_what_lies_under_the_mask():
+    under = np.array([1.0, 999.0, 3.0, 4.0])
+    record = Record([], np.ma.masked_array(under, mask=[False, True, False, False]), 1.0)
+    np.testing.assert_array_equal(record.outputs[:, 0], [1.0, np.nan, 3.0, 4.0])
+
+
+def test_an_endless_stretch_of_time_ends_with_the_record():
+    record = ramp()
+    assert record.seconds(0.0, np.inf).n_samples == record.n_samples
+    with pytest.raises(InvalidDataError, match="a time must be a number of seconds"):
+        record.seconds(0.0, np.nan)
+    with pytest.raises(InvalidDataError, match="shares must be positive"):
+        record.split(np.nan)

@@ -87,7 +87,7 @@ def test_history_and_limit_of_the_recursion():
     assert np.isinf(grown[-1]).all()
 
 
-@pytest.mark.parametrize("n_lags", [0, -3, 1.5, True])
+@pytest.mark.parametrize("n_lags", [0, -3, 1.5, True, np.nan, np.inf, "many", [3]])
 def test_lags_that_are_none(n_lags):
     u, y = np.random.default_rng(5).standard_normal((2, 100))
     with pytest.raises(InvalidDataError, match="n_lags must be a whole number"):

@@ -118,3 +118,12 @@ def test_orders_and_ridges_outside_their_range_are_refused():
         solve_nested(gram, [5], 0.0)
     with pytest.raises(InvalidDataError, match="at least 0, but is -1"):
         solve(gram, -1)
+
+
+def test_an_observer_without_rows_is_zero():
+    record = make()
+    scaling = channel_scaling([record])
+    gram = lag_gram([record], 3, scaling=scaling, rows=[np.zeros(record.n_samples, dtype=np.bool_)])
+    for observer in solve_nested(gram, [1, 3], 0.0):
+        assert observer.rank == 0
+        assert not observer.output_coefficients.any()

@@ -89,9 +89,16 @@ def test_rounding_is_not_tested():
 def test_wrong_use():
     record = arx_record(5, 100)
     fit = fit_observer(record, order=2)
-    with pytest.raises(InvalidDataError, match="above the observer order 2, but is 2"):
+    with pytest.raises(InvalidDataError, match=r"above the observer order 2.* whole number of at least 3, but is 2"):
         check_residuals(fit, record, n_lags=2)
     with pytest.raises(InsufficientDataError, match="at least 180 residuals, but 98 are left"):
         check_residuals(fit, record, n_lags=90)
     with pytest.raises(InvalidDataError, match="2 inputs and 2 outputs, but has 0 and 2"):
         one_step_residuals(fit, record.select(inputs=[]))
+
+
+def test_a_short_record_is_tested_at_as_many_lags_as_it_carries():
+    record = arx_record(5, 40)
+    check = check_residuals(fit_observer(record, order=4), record)
+    assert check.autocorrelation.shape[0] - 1 == 18
+    assert np.isfinite(check.whiteness_ratio)

@@ -4,6 +4,7 @@ import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from modal.report.pages import html_text, markdown_text
@@ -148,3 +149,24 @@ def test_shapes_of_mixed_units_are_said_to_be_mixed(make_once, unit):
     record = replace(result.records[0], output_units=("m/s^2", "m/s^2", unit))
     caption = draw_pictures(replace(result, records=(record,)))["shapes"].caption
     assert ("different units" in caption) == (unit == "m")
+
+
+def test_without_inputs_no_picture_says_that_they_drove_the_model(make_once):
+    result = make_once()
+    alone = tuple(record.select(inputs=[]) for record in result.records)
+    markov = replace(result.markov, system=result.markov.system[:, :, :0], input_scale=np.ones(0))
+    pictures = draw_pictures(replace(result, records=alone, markov=markov))
+    for name in ("histories", "spectra"):
+        assert "predicted one step ahead" in pictures[name].caption
+        assert "inputs alone" not in pictures[name].caption + pictures[name].svg
+    assert "inputs alone" in draw_pictures(result)["histories"].caption
+
+
+def test_what_stands_among_the_warnings_is_not_said_again(make_once):
+    sentence = "input 'ground' moves in 20 % of the band."
+    result = make_once(warnings=(sentence,))
+    result = replace(result, excitation=replace(result.excitation, messages=(sentence,)))
+    for text in (html_text(result, Provenance(), {}), markdown_text(result, Provenance())):
+        assert text.count("of the band") == 1
+        assert "among the" in text
+        assert "The inputs move enough" not in text

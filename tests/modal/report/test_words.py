@@ -16,6 +16,7 @@ from modal.report.words import (
     fit_word,
     frequency_text,
     headline,
+    hertz,
     judge,
     percent,
     with_interval,
@@ -58,6 +59,15 @@ def test_overdamped_poles_are_not_called_vibration_modes(identification, count, 
 
 def test_headline_gives_the_range(identification):
     assert headline(identification).endswith("between 3.67 and 16.6 Hz.")
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.00072371, "0.0007237"), (999.96, "1000"), (27470.63, "27470.6")])
+def test_frequencies_are_written_without_powers_of_ten(identification, value, text):
+    assert hertz(value) == text
+    modes = (replace(identification.modes.modes[0], frequency=value, damping_resolved=False),)
+    result = replace(identification, modes=replace(identification.modes, modes=modes))
+    for sentence in (headline(result), damping_sentence(result)):
+        assert f"at {text} Hz" in sentence
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_a_file_in_place_of_the_folder_is_refused(identification, tmp_path, quic
     (tmp_path / "taken").write_text("mine")
     with pytest.raises(InvalidDataError, match="is a file"):
         write_report(identification, tmp_path / "taken")
-    with pytest.raises(InvalidDataError, match="cannot be a folder, because .*taken' is a file"):
+    with pytest.raises(InvalidDataError, match=r"cannot be a folder, because .*taken' is a file"):
         write_report(identification, tmp_path / "taken" / "below")
 
 
