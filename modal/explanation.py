@@ -12,14 +12,18 @@ from modal.identification import Choice, Fit, OrderEvidence
 from modal.mode import ModalModel
 from modal.search import WITHIN, Search
 from modal.stability import stabilisation
+from modal.stretches import is_long, stretches_of
 from modal.trials import Trial
 from okid.excitation import Excitation
 from okid.record import Record
+from okid.residuals import ResidualCheck
 
-__all__ = ["EXPLAINS", "explain_search", "order_evidence", "warnings_in_words"]
+__all__ = ["EXPLAINS", "explain_scoring", "explain_search", "order_evidence", "warnings_in_words"]
 
 EXPLAINS = 0.5
 """Cross-validated fit below which the model does not explain the records and no mode is certain."""
+FOLLOWS_INPUT = 3.0
+"""Ratio of the input-correlation statistic to its degrees of freedom above which the observer misses something."""
 LEAST_EXCITED = 0.5
 """Share of the band in which an input must move for its response not to be called narrow."""
 FOLDS_APART = 0.25
@@ -97,8 +101,30 @@ def _runners_up(trials: Sequence[Trial], name: str) -> str:
     return f"best fits by {name.replace('_', ' ')}: {', '.join(shown)}" if len(shown) > 1 else "no other came close"
 
 
+def explain_scoring(records: Sequence[Record]) -> tuple[Choice, ...]:
+    """What was scored where the records are too long to be run whole for each candidate."""
+    if not is_long(records):
+        return ()
+    stretches = stretches_of(records)
+    n_scored = sum(one.last - one.first for one in stretches)
+    n_samples = sum(record.n_samples for record in records)
+    return (
+        Choice(
+            what="scored rows",
+            value=f"{len(stretches)} stretches, {n_scored} samples",
+            reason=f"each candidate is run freely through these; all {n_samples} samples count in its fit",
+        ),
+    )
+
+
 def warnings_in_words(
-    records: Sequence[Record], *, fit: Fit, modes: ModalModel, excitation: Excitation, found: Search
+    records: Sequence[Record],
+    *,
+    fit: Fit,
+    modes: ModalModel,
+    excitation: Excitation,
+    residuals: ResidualCheck,
+    found: Search,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well."""
     words = []
@@ -135,6 +161,12 @@ def warnings_in_words(
         words.append(
             f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "
             "record may carry more."
+        )
+    if residuals.input_correlation_ratio > FOLLOWS_INPUT:
+        words.append(
+            "What the observer leaves over still follows the inputs (statistic over degrees of freedom "
+            f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, changes in time, or "
+            "answers for longer than the observer looks back, so expect damping ratios to be off."
         )
     return (*words, *(_excitation_words(excitation) if driven else ()))
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.explanation import explain_search, order_evidence, warnings_in_words
+from modal.explanation import explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.extraction import extract_modes
 from modal.final_model import fit_all_rows
 from modal.fits import measure_fit, model_runs
@@ -132,11 +132,13 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
         realisation=model,
         modes=modes,
         order_evidence=order_evidence(decomposition, model.order, found),
-        choices=(*preparation, *explain_search(found, wanted=wanted)),
+        choices=(*preparation, *explain_scoring(prepared), *explain_search(found, wanted=wanted)),
         fit=fit,
         simulated=runs.simulated,
         predicted=runs.predicted,
-        warnings=warnings_in_words(prepared, fit=fit, modes=modes, excitation=excitation, found=found),
+        warnings=warnings_in_words(
+            prepared, fit=fit, modes=modes, excitation=excitation, residuals=residuals, found=found
+        ),
     )
     tell("done", 1.0)
     return result

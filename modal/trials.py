@@ -14,9 +14,9 @@ from era.balanced import HankelDecomposition, decompose
 from era.hankel import block_sizes
 from era.realisation import Realisation
 from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor, run_edges
+from modal.stretches import folds_of, stretches_of
 from okid.arrays import BoolArray, FloatArray
 from okid.coefficients import ObserverCoefficients
-from okid.folds import interleaved_folds
 from okid.gram import LagGram, lag_gram
 from okid.markov import MarkovParameters
 from okid.record import Record
@@ -26,6 +26,7 @@ from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["Ground", "Trial", "hankel_limits", "hankel_shape", "make_trials", "markov_lags", "prepare_ground"]
 
+Edges = npt.NDArray[np.int64]
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 
@@ -56,12 +57,10 @@ class Trial:
 class Ground:
     """What every candidate is fitted to and scored on."""
 
-    scaled: tuple[Record, ...]  # gaps bridged
-    held_out: tuple[tuple[BoolArray, ...], ...]  # [fold][record] complete rows
-    trained: tuple[tuple[BoolArray, ...], ...]  # [fold][record] complete rows
-    blocks: tuple[
-        tuple[npt.NDArray[np.int64], ...], ...
-    ]  # [fold][record] first and one past the last row of each block
+    scaled: tuple[Record, ...]  # the stretches that are run freely, gaps bridged
+    held_out: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that count
+    trained: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that the initial state may look at
+    blocks: tuple[tuple[Edges, ...], ...]  # [fold][stretch] first and one past the last row of each block
     records: tuple[Record, ...]
     scaling: ChannelScaling
     folds: tuple[tuple[BoolArray, ...], ...]  # [fold][record] rows held out
@@ -78,18 +77,20 @@ def markov_lags(n_inputs: int, n_outputs: int) -> int:
 def prepare_ground(records: Sequence[Record]) -> Ground:
     """Folds, scaled channels and bridged gaps, once for all candidates; `records` are of one system, means removed."""
     scaling = channel_scaling(records)
-    folds = interleaved_folds(records)
-    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+    folds = folds_of(records)
+    whole = tuple(scaled_record(record, scaling) for record in filled(records))
     if not records[0].n_inputs:
-        scaled = tuple(driven_by_outputs(record) for record in scaled)
-    complete = [record.complete_rows() for record in records]
-    held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in folds)
-    trained = tuple(tuple(~rows & there for rows, there in zip(fold, complete, strict=True)) for fold in folds)
+        whole = tuple(driven_by_outputs(record) for record in whole)
+    stretches = stretches_of(records)
+    scaled = tuple(whole[one.record].samples(one.first, one.last) for one in stretches)
+    complete = [records[one.record].complete_rows()[one.first : one.last] for one in stretches]
+    counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
+    held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted)
     return Ground(
         scaled=scaled,
         held_out=held_out,
-        trained=trained,
-        blocks=tuple(tuple(run_edges(rows) for rows in fold) for fold in folds),
+        trained=tuple(tuple(~rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted),
+        blocks=tuple(tuple(run_edges(rows) for rows in fold) for fold in counted),
         records=tuple(records),
         scaling=scaling,
         folds=folds,

@@ -4,14 +4,25 @@ import numpy as np
 import pytest
 
 from era.balanced import decompose
-from modal.explanation import EXPLAINS, FOLDS_APART, LEAST_EXCITED, explain_search, order_evidence, warnings_in_words
+from modal.explanation import (
+    EXPLAINS,
+    FOLDS_APART,
+    FOLLOWS_INPUT,
+    LEAST_EXCITED,
+    explain_scoring,
+    explain_search,
+    order_evidence,
+    warnings_in_words,
+)
 from modal.identification import Fit
 from modal.mode import ModalModel, Mode
 from modal.search import WITHIN, Search, SearchLimits
+from modal.stretches import LONGEST_SCORED
 from modal.trials import Trial
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.record import Record
+from okid.residuals import ResidualCheck
 
 ORDERS, RIDGES, MODEL_ORDERS = (1, 2, 4, 8, 16), (0.0, 1e-3, 0.1), (1, 2, 4, 8)
 
@@ -60,8 +71,26 @@ def excitation_of(*, persistency=9, share=1.0, messages=("the inputs lack someth
     )
 
 
+def residuals_of(input_ratio):
+    return ResidualCheck(
+        autocorrelation=np.ones((1, 2)),
+        whiteness_ratio=1.0,
+        whiteness_p_value=0.5,
+        input_correlation_ratio=input_ratio,
+        confidence_limit=0.05,
+        messages=(),
+    )
+
+
 def warnings_of(
-    *, fit=None, verdicts=("system",), excitation=None, found=None, driven=True, output_names=("base", "tip")
+    *,
+    fit=None,
+    verdicts=("system",),
+    excitation=None,
+    found=None,
+    driven=True,
+    output_names=("base", "tip"),
+    input_ratio=1.0,
 ):
     values = np.random.default_rng(0).standard_normal((20, 4))
     record = Record(values[:, : 2 * driven], values[:, 2:], 0.01, output_names=output_names)
@@ -70,8 +99,23 @@ def warnings_of(
         fit=fit or fit_of(0.9, 0.9),
         modes=ModalModel(modes=tuple(a_mode(v) for v in verdicts), dt=0.01, indicator_caution=0.1),
         excitation=excitation or excitation_of(),
+        residuals=residuals_of(input_ratio),
         found=found or found_of(trial()),
     )
+
+
+def test_a_residual_that_follows_the_inputs_is_told():
+    assert warnings_of(input_ratio=FOLLOWS_INPUT) == ()
+    assert warnings_of(input_ratio=np.nan) == ()
+    (words,) = warnings_of(input_ratio=1.01 * FOLLOWS_INPUT)
+    assert "still follows the inputs" in words
+
+
+def test_scored_stretches_are_told_for_long_records_only():
+    short, long = (Record([], np.arange(float(n)), 0.01) for n in (LONGEST_SCORED, LONGEST_SCORED + 1))
+    assert explain_scoring([short]) == ()
+    (choice,) = explain_scoring([long])
+    assert choice.value.startswith("3 stretches")
 
 
 def test_no_news_is_good_news():

@@ -1,0 +1,85 @@
+"""Which rows are held out, and which stretches of long records are run freely to score a candidate.
+
+Every row counts in the fit. A free run through a million samples for each of a thousand candidates would take hours and
+say no more than one through thirty thousand, so long records are scored on stretches spread evenly over them. Each
+stretch holds ten blocks; its first block never counts in the score, so that the initial state, which is fitted there
+too, is known before the first row that does.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from okid.arrays import BoolArray
+from okid.folds import interleaved_folds
+from okid.record import Record
+
+__all__ = ["Stretch", "folds_of", "is_long", "stretches_of"]
+
+LONGEST_SCORED = 30_000
+"""Samples that are run freely for each candidate; shorter data are run whole."""
+STRETCH = 10_000
+"""Samples of one stretch."""
+BLOCKS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Stretch:
+    """Some consecutive rows of one record.
+
+    Attributes:
+        record: index of the record.
+        first: first row.
+        last: one past the last row.
+        n_lead: rows at the start that are never scored; 0 for a whole record, whose first block always trains.
+    """
+
+    record: int
+    first: int
+    last: int
+    n_lead: int
+
+    def held_out(self, fold: Sequence[BoolArray]) -> BoolArray:
+        """(n_rows,) rows of the stretch that the fold scores."""
+        rows = fold[self.record][self.first : self.last].copy()
+        rows[: self.n_lead] = False
+        return rows
+
+
+def is_long(records: Sequence[Record]) -> bool:
+    """Whether the records are scored on stretches."""
+    return sum(record.n_samples for record in records) > LONGEST_SCORED
+
+
+def folds_of(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
+    """[fold][record] held-out rows: ten blocks a record, or ten blocks a stretch where the records are long."""
+    longest = max(record.n_samples for record in records)
+    if not is_long(records) or longest <= STRETCH:
+        return interleaved_folds(records)
+    n_stretches = -(-longest // STRETCH)
+    return interleaved_folds(records, n_blocks=BLOCKS * n_stretches, min_block=STRETCH // BLOCKS)
+
+
+def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
+    """Whole records, or about `LONGEST_SCORED` samples of them in stretches spread evenly.
+
+    Example:
+        >>> record = Record([], np.zeros(95_000) + np.arange(95_000.0), 0.01)
+        >>> [(stretch.first, stretch.last) for stretch in stretches_of([record])]
+        [(0, 9500), (38000, 47500), (85500, 95000)]
+    """
+    if not is_long(records):
+        return tuple(Stretch(record=i, first=0, last=record.n_samples, n_lead=0) for i, record in enumerate(records))
+    pieces = []
+    for i, record in enumerate(records):
+        n_pieces = max(1, -(-record.n_samples // STRETCH))
+        edges = np.linspace(0, record.n_samples, n_pieces + 1).round().astype(int).tolist()
+        pieces += [
+            Stretch(record=i, first=first, last=last, n_lead=0 if first == 0 else (last - first) // BLOCKS)
+            for first, last in itertools.pairwise(edges)
+        ]
+    n_kept = max(1, LONGEST_SCORED * len(pieces) // sum(record.n_samples for record in records))
+    kept = np.unique(np.linspace(0, len(pieces) - 1, min(n_kept, len(pieces))).round().astype(int))
+    return tuple(pieces[i] for i in kept)

@@ -1,0 +1,60 @@
+"""Long records: what is held out and what is run freely to score a candidate."""
+
+import numpy as np
+import pytest
+from signals import random_inputs, with_noise
+from systems import random_system, simulate
+
+from modal.pipeline import identify
+from modal.stretches import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
+from okid.folds import interleaved_folds
+from okid.record import Record
+
+
+def record_of(n_samples):
+    return Record([], np.arange(float(n_samples)), 0.01)
+
+
+def test_short_records_are_scored_whole():
+    records = [record_of(400), record_of(LONGEST_SCORED - 400)]
+    assert not is_long(records)
+    assert [(one.record, one.first, one.last, one.n_lead) for one in stretches_of(records)] == [
+        (0, 0, 400, 0),
+        (1, 0, LONGEST_SCORED - 400, 0),
+    ]
+    for mine, theirs in zip(folds_of(records), interleaved_folds(records), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+
+@pytest.mark.parametrize("lengths", [(200_000,), (35_000,), (4_000,) * 12, (500, 120_000)])
+def test_long_records_are_scored_on_a_bounded_number_of_rows_in_every_fold(lengths):
+    records = [record_of(n) for n in lengths]
+    stretches, folds = stretches_of(records), folds_of(records)
+    n_scored = sum(one.last - one.first for one in stretches)
+    assert 0.5 * LONGEST_SCORED <= n_scored <= 1.2 * LONGEST_SCORED
+    assert all(one.last - one.first <= STRETCH for one in stretches)
+    for fold in folds:
+        counted = [int(one.held_out(fold).sum()) for one in stretches]
+        assert sum(counted) >= 0.15 * n_scored
+    # no row is in two folds, whatever is scored; a record too short for a block trains
+    for i, length in enumerate(lengths):
+        assert np.sum([fold[i] for fold in folds], axis=0).max() == (length > STRETCH // BLOCKS)
+
+
+def test_the_first_block_of_a_stretch_never_counts():
+    records = [record_of(200_000)]
+    for fold in folds_of(records):
+        for one in stretches_of(records):
+            assert not one.held_out(fold)[: (one.last - one.first) // BLOCKS].any()
+
+
+def test_a_long_record_gives_the_modes_and_says_what_was_scored():
+    rng = np.random.default_rng(77)
+    truth = random_system(rng, n_modes=2, n_inputs=1, n_outputs=1, weak_mode=None)
+    inputs = random_inputs(rng, 40_000, 1)
+    result = identify(
+        Record(inputs, with_noise(rng, simulate(truth, inputs), 0.05), truth.dt), observer_order=60, ridge=0.0
+    )
+    np.testing.assert_allclose([mode.frequency for mode in result.modes.system], truth.frequencies, rtol=1e-3)
+    assert [choice.value for choice in result.choices if choice.what == "scored rows"] == ["3 stretches, 30000 samples"]
+    assert result.fit.mean == pytest.approx(0.95, abs=0.005)
