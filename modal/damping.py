@@ -47,7 +47,7 @@ def damping_doubt(
     furthest = max(observers, key=lambda other: abs(other - damping), default=damping)
     if mode.damping_ratio_std > SPREAD * size:
         why = f"its standard deviation is {100 * mode.damping_ratio_std / size:.0f} % of it"
-    elif span < 1:
+    elif span < 1 and not _agree(damping, (*halves, *observers)):
         why = f"the observer spans only {span:.2g} of its period"
     elif ridge >= BIASING_RIDGE:
         why = f"a ridge of {ridge:.2g} without refinement biases it"
@@ -60,5 +60,10 @@ def damping_doubt(
     return (f"damping not resolved: {why}",)
 
 
+def _agree(damping: float, others: tuple[float, ...]) -> bool:
+    """Found again with the same damping wherever it was looked for, so that even a short observer has resolved it."""
+    return len(others) > 1 and all(abs(other - damping) <= SPREAD * abs(damping) for other in others)
+
+
 def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.2g} %"
+    return f"{100 * ratio:.2g} %" if ratio < 0.995 else f"{100 * ratio:.0f} %"

@@ -13,9 +13,9 @@ singular value are functions of the pole, shape and participation that a mode pu
 units, so that anyone can recompute them from a report. With unit scales all of them are the textbook's to rounding.
 
 **Modes that die out.** EMAC compares the last block of the Hankel matrix with its prediction; for a mode that has
-died out long before, that is 0 / 0 and noise decides. Where |lambda|^(a-1) is below `decay_limit` the block compared
-is therefore the last one in which the mode still has that share of its first amplitude (never before the third
-block), as pyYeti does. `decay_limit=0` is the last block always.
+died out long before, that is 0 / 0 and noise decides. The default is the textbook's all the same. With a `decay_limit`
+(pyYeti's is 0.1) a mode whose |lambda|^(a-1) is below it is compared at the last block in which it still has that share
+of its first amplitude, never before the third block.
 
 References:
     Juang, Pappa, An eigensystem realization algorithm for modal parameter identification and model reduction, Journal
@@ -45,8 +45,8 @@ __all__ = [
     "phase_collinearity",
 ]
 
-DECAY_LIMIT = 0.1
-"""Share of its first amplitude below which a mode counts as died out within the Hankel matrix."""
+DECAY_LIMIT = 0.0
+"""By default EMAC is the textbook's: the last block, also for modes that have died out before it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -105,6 +105,7 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
     runs = model_runs(model, prepared)
     fit = measure_fit(found, runs)
     tell("identifying again with other halves, orders and ridges", 0.8)
+    excitation = check_excitation(prepared, order=observer.order)
     reruns = repeat(
         prepared,
         observer_order=observer.order,
@@ -119,9 +120,9 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
         observer_order=observer.order,
         ridge=observer.ridge,
         duration=max(record.duration for record in prepared),
+        excitation=excitation if prepared[0].n_inputs else None,
     )
-    tell("checking excitation and residuals", 0.9)
-    excitation = check_excitation(prepared, order=observer.order)
+    tell("checking residuals", 0.9)
     residuals = check_residuals(observer, prepared)
     result = Identification(
         records=runs.records,

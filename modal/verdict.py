@@ -22,12 +22,14 @@ import numpy as np
 
 from modal.assurance import assurance
 from modal.damping import damping_doubt
+from modal.doubts import colour_doubt, delay_doubt, excitation_doubt, poor_fit_doubt
 from modal.extraction import NOT_JUDGED, remarks
 from modal.gain import undriven_doubt
 from modal.mode import ModalModel, Mode, Verdict
 from modal.overlap import Pulses, Repeatability, energies, pulses, repeatability
 from modal.resonance import group_overlaps, groups
 from okid.arrays import BoolArray, FloatArray
+from okid.excitation import Excitation
 
 __all__ = ["Change", "Rerun", "Reruns", "judge", "probability"]
 
@@ -38,13 +40,6 @@ SYSTEM_FROM = 0.71
 NOISE_BELOW = 0.42
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
-LEAST_FIT = 0.5
-"""Cross-validated fit below which the model does not explain the data."""
-LARGEST_UNDRIVEN_DAMPING = 0.05
-"""Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
-FASTEST = 0.3
-"""Magnitude of a discrete pole below which it dies within two samples: a delay of d samples in noise of a share s is
-identified as a ring of such poles, s^(1/d) from zero, again and again the same."""
 SAME_FREQUENCY = 0.01
 SAME_SHAPE = 0.95
 
@@ -99,17 +94,15 @@ def judge(
     ridge: float = 0.0,
     refinement_steps: int = 0,
     duration: float = np.nan,
+    excitation: Excitation | None = None,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for r
     >= 0.71 where no kind of change leaves less than 0.42, "noise" for r < 0.42, else "doubtful". At most doubtful are:
-    a second pole within 1 % of a mode's frequency and with its shape; a mode whose mean held-out gain is negative; an
-    oscillation that decays by less than 1 - 1/e over the longest record, unless its held-out gain is 0.1 or more;
-    without inputs, a pole damped by more than 5 %; a pole of magnitude below 0.3 (a delay?); every mode of a model that
-    does not explain the data (fit < 0.5).
-    Poles side by side that share one resonance are judged together (`modal.resonance`). A real pole is judged like the
-    others but named as what it is.
+    a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of `modal.doubts` or
+    `modal.gain`. Poles side by side that share one resonance are judged together (`modal.resonance`). A real pole is
+    judged like the others but named as what it is.
 
     Whether the damping of an oscillatory mode is resolved: see `modal.damping`.
 
@@ -121,6 +114,7 @@ def judge(
         ridge: of the observer fit.
         refinement_steps: output-error refinement steps made after the observer fit.
         duration: of the longest record [s]; nan where unknown: undamped lines are then not looked for.
+        excitation: what the inputs allow; None without inputs.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -142,6 +136,7 @@ def judge(
     parts = _group_means(found.parts, changes)
     r = np.mean(list(parts.values()), axis=0) if parts else np.full(len(model), np.nan)
     primary = _primary(model.modes, reference, r, reruns.n_steps)
+    n_states = sum(2 if mode.kind in ("oscillatory", "unstable") and mode.pole.imag else 1 for mode in model.modes)
     modes = []
     for i, mode in enumerate(model.modes):
         numbers = {group: float(values[i]) for group, values in parts.items()}
@@ -150,14 +145,15 @@ def judge(
         if primary[i] != i and mode.kind == "oscillatory":
             words = (f"second pole of the mode at {model.modes[primary[i]].frequency:.4g} Hz", *words)
             verdict = "doubtful" if verdict == "system" else verdict
-        undriven = undriven_doubt(mode, _mean_gain(found, reruns, i), duration)
-        if verdict == "system" and undriven:
-            verdict, words = "doubtful", (*undriven, *words)
-        other = (*_colour_doubt(mode), *_delay_doubt(mode, model.dt))
-        if verdict == "system" and other:
-            verdict, words = "doubtful", (*other, *words)
-        if verdict == "system" and fit < LEAST_FIT:
-            verdict, words = "doubtful", (_poor_fit(fit), *words)
+        doubts = (
+            *poor_fit_doubt(fit),
+            *excitation_doubt(n_states, excitation),
+            *undriven_doubt(mode, _mean_gain(found, reruns, i), duration),
+            *colour_doubt(mode),
+            *delay_doubt(mode, model.dt),
+        )
+        if verdict == "system" and doubts:
+            verdict, words = "doubtful", (*doubts, *words)
         doubt = damping_doubt(
             mode,
             span=np.inf if observer_order is None else observer_order * model.dt * mode.frequency,
@@ -244,26 +240,6 @@ def _mean_gain(found: Repeatability, reruns: Reruns, index: int) -> float:
         if run.gain is not None and found.continuation[i, index] >= 0
     ]
     return float(np.mean(gains)) if gains else np.nan
-
-
-def _colour_doubt(mode: Mode) -> tuple[str, ...]:
-    """Without an input, a heavily damped pole may describe the spectrum of what drives the system."""
-    if mode.participation.size or mode.damping_ratio <= LARGEST_UNDRIVEN_DAMPING:
-        return ()
-    return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
-
-
-def _delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
-    """A pole that dies within two samples may describe a delay, or what happens between samples."""
-    left = float(np.exp(mode.pole.real * dt))
-    if left >= FASTEST:
-        return ()
-    return (f"dies within two samples ({100 * left:.0f} % are left after one): may be a delay, not a mode",)
-
-
-def _poor_fit(fit: float) -> str:
-    share = "nothing" if fit < 0.01 else f"only {np.floor(100 * fit):.0f} %"
-    return f"the model explains {share} of the outputs' motion on held-out data: no mode of it is certain"
 
 
 def _primary(modes: tuple[Mode, ...], reference: Pulses, r: FloatArray, n_steps: int) -> list[int]:

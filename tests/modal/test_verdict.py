@@ -5,6 +5,7 @@ import pytest
 
 from modal.mode import ModalModel, Mode
 from modal.verdict import Rerun, Reruns, judge, probability
+from okid.excitation import Excitation
 
 DT = 0.01
 HELD_OUT = "of the outputs' motion on held-out data: no mode of it is certain"
@@ -275,7 +276,6 @@ def test_a_poor_fit_does_not_make_noise_doubtful():
     [
         ({}, {}, None),
         ({"observer_order": 21}, {}, None),
-        ({"observer_order": 19}, {}, "the observer spans only 0.95 of its period"),
         ({"ridge": 0.009}, {}, None),
         ({"ridge": 0.01}, {}, "a ridge of 0.01 without refinement biases it"),
         ({"ridge": 0.01, "refinement_steps": 3}, {}, None),
@@ -290,6 +290,32 @@ def test_damping_is_resolved_or_it_is_said_why_not(options, changes, words):
     assert ("damping not resolved" in mode.reason) == (words is not None)
     if words:
         assert mode.reason.endswith(f"; damping not resolved: {words}")
+
+
+@pytest.mark.parametrize(
+    ("observer_order", "other", "resolved"), [(19, 0.0219, True), (19, 0.0221, False), (21, 0.0221, True)]
+)
+def test_a_short_observer_resolves_damping_only_where_every_rerun_agrees(observer_order, other, resolved):
+    halves = [("data", model_of(vibration())), ("data", model_of(vibration(damping=other)))]
+    again = reruns_of(*halves, ("observer", model_of(vibration())))
+    mode = judged(vibration(), again, observer_order=observer_order)
+    assert mode.damping_resolved == resolved
+    assert mode.reason.endswith("the observer spans only 0.95 of its period") == (not resolved)
+
+
+@pytest.mark.parametrize(("persistency", "needed", "verdict"), [(2, 8, "system"), (1, 8, "doubtful"), (1, 1, "system")])
+def test_a_model_larger_than_the_excitation_is_at_most_doubtful(persistency, needed, verdict):
+    excitation = Excitation(
+        needed_order=needed,
+        persistency_order=persistency,
+        condition=1.0,
+        excited_share=np.ones(1),
+        excited_bands=(((0.0, 50.0),),),
+        messages=(),
+    )
+    mode = judged(vibration(), found_with(), excitation=excitation)
+    assert mode.verdict == verdict
+    assert ("excite order 1 only, too few for a model of 2 states" in mode.reason) == (verdict == "doubtful")
 
 
 @pytest.mark.parametrize(("other", "resolved"), [(0.0295, True), (0.0305, False)])

@@ -1,0 +1,59 @@
+"""What keeps a mode that was found again from being called a mode of the system, each in one function and one sentence.
+
+Each returns its words, or nothing where there is no such doubt.
+"""
+
+import numpy as np
+
+from modal.mode import Mode
+from okid.excitation import Excitation
+
+__all__ = ["colour_doubt", "delay_doubt", "excitation_doubt", "poor_fit_doubt"]
+
+LEAST_FIT = 0.5
+"""Cross-validated fit below which the model does not explain the data."""
+LARGEST_UNDRIVEN_DAMPING = 0.05
+"""Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
+LEAST_MEMORY = 0.3
+"""Magnitude of a discrete pole below which nine tenths of its response are over after two samples."""
+
+
+def poor_fit_doubt(fit: float) -> tuple[str, ...]:
+    """The model does not explain the data (nan: not known, no doubt).
+
+    Example:
+        >>> poor_fit_doubt(0.319)
+        ("the model explains only 31 % of the outputs' motion on held-out data: no mode of it is certain",)
+    """
+    if not fit < LEAST_FIT:
+        return ()
+    share = "nothing" if fit < 0.01 else f"only {np.floor(100 * fit):.0f} %"
+    return (f"the model explains {share} of the outputs' motion on held-out data: no mode of it is certain",)
+
+
+def excitation_doubt(n_states: int, excitation: Excitation | None) -> tuple[str, ...]:
+    """The inputs move in fewer ways than the model has states (None: no inputs, or not known)."""
+    if excitation is None or excitation.persistency_order >= min(n_states, excitation.needed_order):
+        return ()
+    words = f"the inputs excite order {excitation.persistency_order} only, too few for a model of {n_states} states"
+    return (f"{words}: what they leave open is not in the data",)
+
+
+def colour_doubt(mode: Mode) -> tuple[str, ...]:
+    """Without an input, a heavily damped pole may describe the spectrum of what drives the system."""
+    if mode.participation.size or mode.damping_ratio <= LARGEST_UNDRIVEN_DAMPING:
+        return ()
+    return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
+
+
+def delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
+    """A pole that dies within two samples may describe a delay, or what happens between samples."""
+    left = float(np.exp(mode.pole.real * dt))
+    if left >= LEAST_MEMORY:
+        return ()
+    return (f"dies within two samples ({100 * left:.0f} % are left after one): may be a delay, not a mode",)
+
+
+def _poor_fit(fit: float) -> str:
+    share = "nothing" if fit < 0.01 else f"only {np.floor(100 * fit):.0f} %"
+    return f"the model explains {share} of the outputs' motion on held-out data: no mode of it is certain"
