@@ -18,6 +18,7 @@ import numpy as np
 from era.hankel import BlockHankelOperator, block_hankel, block_sizes, hankel_energy
 from era.order import CLEAR_GAP
 from era.randomised import leading_triplets
+from okid.arguments import require
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
@@ -130,6 +131,7 @@ def decompose(
         >>> found.rank, round(float(found.A[0, 0]), 12)
         (1, 0.9)
     """
+    require(markov, MarkovParameters, where="a realisation", made_by="okid.recover_markov")
     for name, choice, known in (("method", method, get_args(Method)), ("realise_on", realise_on, get_args(RealiseOn))):
         if choice not in known:
             raise InvalidDataError(f"{name} must be one of {', '.join(known)}, but is {choice!r}.")

@@ -75,7 +75,7 @@ class HankelFactors:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Realisation:
     """State-space model in the units of the record; see the module for its equations.
 
@@ -125,6 +125,12 @@ class Realisation:
                 f"the Hankel factors must be those of the model's order {order}, but hold "
                 f"{self.factors.observability.shape[1]} states; use factors.truncated({order})."
             )
+
+    def __repr__(self) -> str:
+        return (
+            f"Realisation(order {self.order}, {self.n_inputs} inputs, {self.n_outputs} outputs, dt {self.dt:.6g} s, "
+            f"{'no gain' if self.K is None else 'with gain'})"
+        )
 
     @property
     def order(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from era.state_recursion import checked_state, free_run, simulate_array
+from okid.arguments import require
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
@@ -122,6 +123,8 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
 
 def check_channels(realisation: Realisation, record: Record) -> None:
     """Raise InvalidDataError unless the record has the channels and the time step of the model."""
+    require(realisation, Realisation, where="a simulation", made_by="era.realise or Realisation.from_control")
+    require(record, Record, where="a simulation", made_by="okid.Record(inputs, outputs, dt)")
     model = realisation
     if (record.n_inputs, record.n_outputs) != (model.n_inputs, model.n_outputs):
         raise InvalidDataError(

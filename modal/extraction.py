@@ -11,6 +11,7 @@ from era.realisation import Realisation
 from modal.basis import ModalBasis, continuous_poles, kind_of, largest_component, modal_basis
 from modal.indicators import DECAY_LIMIT, Indicators, evaluate
 from modal.mode import ModalModel, Mode
+from okid.arguments import require
 from okid.arrays import frozen_complex
 
 __all__ = ["NYQUIST_MARGIN", "aliased_frequency", "extract_modes", "remarks"]
@@ -47,6 +48,7 @@ def extract_modes(realisation: Realisation, *, decay_limit: float = DECAY_LIMIT)
         >>> [(round(mode.frequency, 3), round(mode.damping_ratio, 4)) for mode in extract_modes(model)]
         [(3.187, 0.0502)]
     """
+    require(realisation, Realisation, where="extract_modes", made_by="era.realise")
     basis = modal_basis(realisation)
     factors = realisation.factors
     indicators = None if factors is None else evaluate(factors, basis, decay_limit=decay_limit)

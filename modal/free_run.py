@@ -16,6 +16,7 @@ from era.realisation import Realisation
 from era.state_recursion import simulate_array
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
+from okid.rows import runs_of
 
 __all__ = [
     "FreeRun",
@@ -25,7 +26,6 @@ __all__ = [
     "free_run",
     "modal_form",
     "one_step_predictor",
-    "run_edges",
 ]
 
 LARGEST_EIGENVECTOR_CONDITION = 1e10
@@ -162,7 +162,7 @@ def _fit_initial_state(
     n_poles, n_outputs = model.poles.size, remainder.shape[1]
     powers = _powers(model.poles, remainder.shape[0])
     shapes = model.weights * model.shapes
-    edges = run_edges(rows)
+    edges = np.array(runs_of(rows), dtype=np.int64).reshape(-1, 2)
     plain = _sums(model.poles, model.poles, edges) * (shapes.T @ shapes)
     conjugate = _sums(model.poles.conj(), model.poles, edges) * (shapes.conj().T @ shapes)
     to_level = _sums(model.poles, np.ones(1), edges) * shapes.T  # (n_poles, n_outputs)
@@ -189,17 +189,6 @@ def _fit_initial_state(
     scaled[np.diag_indices(size)] += STATE_REGULARISATION
     solution = scipy.linalg.lstsq(scaled, vector / scale, cond=1e-13, check_finite=False)[0] / scale
     return solution[a] + 1j * solution[b], solution[c], powers
-
-
-def run_edges(rows: BoolArray) -> npt.NDArray[np.int64]:
-    """(n_runs, 2) first and one past the last of each run of True.
-
-    Example:
-        >>> run_edges(np.array([False, True, True, False, True])).tolist()
-        [[1, 3], [4, 5]]
-    """
-    steps = np.flatnonzero(np.diff(rows.astype(np.int8), prepend=0, append=0))
-    return steps.reshape(-1, 2)
 
 
 def _sums(left: ComplexArray, right: npt.NDArray[np.inexact], edges: npt.NDArray[np.int64]) -> ComplexArray:

@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 
 from modal.band import coherent_band
-from modal.free_run import run_edges
 from modal.identification import Choice
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
+from okid.rows import runs_of
 
 __all__ = ["prepare", "split_at_input_gaps"]
 
@@ -73,7 +73,7 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
     missing = np.asarray(np.isnan(record.inputs).any(axis=1))
     if not missing.any():
         return (record,)
-    runs = run_edges(~missing).tolist()
+    runs = runs_of(~missing)
     least = max(SHORTEST, SHORTEST_SHARE * max((last - first for first, last in runs), default=0))
     stretches = [(first, last) for first, last in runs if last - first >= least]
     whole = [(first, last) for first, last in stretches if np.isfinite(record.outputs[first:last]).any(axis=0).all()]

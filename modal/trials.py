@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from era.balanced import HankelDecomposition, decompose
 from era.hankel import block_sizes
 from era.realisation import Realisation
-from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor, run_edges
+from modal.free_run import driven_by_outputs, filled, free_run, modal_form, one_step_predictor
 from modal.stretches import folds_of, stretches_of
 from okid.arrays import BoolArray, FloatArray
 from okid.coefficients import ObserverCoefficients
@@ -22,11 +21,11 @@ from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.recovery import recover_arrays, recover_system
 from okid.regression import solve
+from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["Ground", "Trial", "hankel_limits", "hankel_shape", "make_trials", "markov_lags", "prepare_ground"]
 
-Edges = npt.NDArray[np.int64]
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 
@@ -60,7 +59,7 @@ class Ground:
     scaled: tuple[Record, ...]  # the stretches that are run freely, gaps bridged
     held_out: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that count
     trained: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that the initial state may look at
-    blocks: tuple[tuple[Edges, ...], ...]  # [fold][stretch] first and one past the last row of each block
+    blocks: tuple[tuple[list[tuple[int, int]], ...], ...]  # [fold][stretch] (first, one past last) row
     records: tuple[Record, ...]
     scaling: ChannelScaling
     folds: tuple[tuple[BoolArray, ...], ...]  # [fold][record] rows held out
@@ -90,7 +89,7 @@ def prepare_ground(records: Sequence[Record]) -> Ground:
         scaled=scaled,
         held_out=held_out,
         trained=tuple(tuple(~rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted),
-        blocks=tuple(tuple(run_edges(rows) for rows in fold) for fold in counted),
+        blocks=tuple(tuple(runs_of(rows) for rows in fold) for fold in counted),
         records=tuple(records),
         scaling=scaling,
         folds=folds,
@@ -223,7 +222,7 @@ def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_orde
     for record, trained, held_out, edges in zip(
         ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
     ):
-        if edges.size:
+        if edges:
             run = free_run(form, record, trained)
             squared = np.square(record.outputs - run.outputs) * held_out[:, np.newaxis]
             errors += [squared[first:last].sum(axis=0) for first, last in edges]

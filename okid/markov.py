@@ -15,7 +15,7 @@ from okid.scalars import time_step
 __all__ = ["MarkovParameters"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MarkovParameters:
     """Pulse response of a discrete-time system, recovered by OKID or given by hand (an impulse test is one already).
 
@@ -64,6 +64,12 @@ class MarkovParameters:
             object.__setattr__(self, "gain", gain)
         object.__setattr__(self, "input_scale", _scale(self.input_scale, n_inputs, "input_scale"))
         object.__setattr__(self, "output_scale", _scale(self.output_scale, n_outputs, "output_scale"))
+
+    def __repr__(self) -> str:
+        return (
+            f"MarkovParameters({self.n_lags} lags every {self.dt:.6g} s, {self.n_inputs} inputs, "
+            f"{self.n_outputs} outputs, {'no gain' if self.gain is None else 'with gain'})"
+        )
 
     @property
     def n_lags(self) -> int:

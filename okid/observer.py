@@ -35,7 +35,7 @@ _NOISE_FREE = 1e-6
 """Relative residual below which nothing is left that an ill-conditioned fit could blow up."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class ObserverFit:
     """Coefficients of the observer equation, in the units of the record.
 
@@ -73,6 +73,12 @@ class ObserverFit:
     condition: float
     method: Literal["cholesky", "eigh", "qr"]
     rank: int
+
+    def __repr__(self) -> str:
+        return (
+            f"ObserverFit(order {self.order}, ridge {self.ridge:.3g}, {self.n_inputs} inputs, "
+            f"{self.n_outputs} outputs, {self.n_rows} rows, condition {self.condition:.2g}, {self.method})"
+        )
 
     @property
     def order(self) -> int:

@@ -23,7 +23,7 @@ InputHold = Literal["zero_order", "linear", "band_limited"]
 """What the input did between samples: held by a DAC, straight lines, or measured through an anti-alias filter."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Record:
     """Inputs and outputs of one uninterrupted experiment on a uniform time grid.
 
@@ -82,6 +82,13 @@ class Record:
         check_names(self.input_names + self.output_names)
         check_not_empty(inputs, self.input_names, "input")
         check_not_empty(outputs, self.output_names, "output")
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}: " if self.name else ""
+        return (
+            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {list(self.input_names)}, "
+            f"outputs {list(self.output_names)})"
+        )
 
     @property
     def n_samples(self) -> int:

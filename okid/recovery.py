@@ -9,6 +9,7 @@ the parameters are wrong by about half on noise-free data. The number of lags is
 
 import numpy as np
 
+from okid.arguments import require
 from okid.arrays import FloatArray
 from okid.errors import NumericalError
 from okid.markov import MarkovParameters
@@ -47,6 +48,7 @@ def recover_markov(observer: ObserverFit, *, n_lags: int | None = None) -> Marko
         >>> recover_markov(fit_observer(Record(u, y, 0.1), order=1), n_lags=3).system.ravel().round(9) + 0.0
         array([0.  , 1.  , 0.5 , 0.25])
     """
+    require(observer, ObserverFit, where="recover_markov", made_by="okid.fit_observer")
     if n_lags is None:
         n_lags = max(20, 2 * observer.order)
     n_lags = whole_number(n_lags, name="n_lags", least=1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from modal.identification import Identification
 from modal.recording.names import label
+from okid.arguments import require
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ def save_recording(
     """
     import rerun as rr
 
+    require(result, Identification, where="save_recording", made_by="modal.identify")
     target = Path(path)
     if existing not in {"refuse", "replace"}:
         raise InvalidDataError(f"existing must be 'refuse' or 'replace', but is {existing!r}.")

@@ -15,6 +15,7 @@ from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import draw_pictures
 from modal.report.provenance import Provenance
+from okid.arguments import require
 from okid.errors import InvalidDataError
 
 __all__ = ["ReportFiles", "refuse_existing", "write_report"]
@@ -81,6 +82,7 @@ def write_report(
     Raises:
         InvalidDataError: a file of the report exists already, or the folder cannot be written.
     """
+    require(result, Identification, where="write_report", made_by="modal.identify")
     target = Path(folder)
     refuse_existing(target, existing)
     provenance = provenance or Provenance()

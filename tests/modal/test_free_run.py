@@ -15,7 +15,6 @@ from modal.free_run import (
     free_run,
     modal_form,
     one_step_predictor,
-    run_edges,
 )
 from okid.record import Record
 
@@ -193,17 +192,3 @@ def test_filled_bridges_gaps_and_leaves_the_rest():
     assert same is whole
     np.testing.assert_array_equal(bridged.inputs[:, 0], [2.0, 2.0, 4.0, 6.0])
     np.testing.assert_array_equal(bridged.outputs[:, 0], [1.0, 2.0, 3.0, 4.0])
-
-
-@pytest.mark.parametrize(
-    ("rows", "edges"),
-    [
-        ([0, 0], []),
-        ([1, 1], [[0, 2]]),
-        ([1, 0, 1], [[0, 1], [2, 3]]),
-        ([0, 1, 1, 0, 0, 1, 0], [[1, 3], [5, 6]]),
-        ([], []),
-    ],
-)
-def test_run_edges(rows, edges):
-    assert run_edges(np.array(rows, dtype=bool)).tolist() == edges
