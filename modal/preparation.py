@@ -15,6 +15,8 @@ from okid.rows import runs_of
 
 __all__ = ["prepare", "split_at_input_gaps"]
 
+FEWEST_SAMPLES = 40
+"""One block that always trains and one for each of three folds."""
 SHORTEST = 50
 """Samples between two input gaps from which on a stretch is worth an initial state of its own."""
 SHORTEST_SHARE = 0.02
@@ -33,6 +35,7 @@ def prepare(
     Raises:
         InsufficientDataError: an output that never moves in some record, or an input that moves in none.
     """
+    _check_long_enough(records)
     _check_channels_move(records)
     parts = tuple(part for record in records for part in split_at_input_gaps(record))
     centred = tuple(record.detrended() for record in parts)
@@ -86,6 +89,15 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
         replace(record.samples(first, last), name=f"{record.name or 'record'}, part {number}")
         for number, (first, last) in enumerate(whole, 1)
     )
+
+
+def _check_long_enough(records: Sequence[Record]) -> None:
+    longest = max(record.n_samples for record in records)
+    if longest < FEWEST_SAMPLES:
+        raise InsufficientDataError(
+            f"the automatic choice needs at least {FEWEST_SAMPLES} samples in one record, four blocks of ten; the "
+            f"longest has {longest}. Give a longer record, or call okid.fit_observer with an order of your own."
+        )
 
 
 def _check_channels_move(records: Sequence[Record]) -> None:

@@ -134,3 +134,14 @@ def test_an_oversampled_record_is_decimated_with_its_reason():
     assert 0.5 / prepared.dt > 1.2 * system.frequencies.max()
     assert f"decimated by {factor}" in choices[-1].reason
     np.testing.assert_allclose(prepared.outputs.mean(axis=0), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_samples", [39, 40])
+def test_too_short_a_record_is_refused_with_the_number_it_needs(n_samples):
+    values = np.random.default_rng(0).standard_normal((n_samples, 2))
+    record = Record(values[:, 0], values[:, 1], 0.01)
+    if n_samples == 40:
+        prepare([record])
+        return
+    with pytest.raises(InsufficientDataError, match=r"at least 40 samples in one record, .* the longest has 39"):
+        prepare([record])
