@@ -10,6 +10,7 @@ os.environ["MKL_NUM_THREADS"] = "1"
 import sys
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -29,3 +30,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no measured records at {folder.parent.name}/{folder.name} beside the repository")
     return folder
+
+
+# in CI the same examples every time, so that a red run means a change; elsewhere new ones every time
+hypothesis.settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    hypothesis.settings.load_profile("ci")

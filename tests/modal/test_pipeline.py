@@ -269,7 +269,7 @@ def test_what_the_data_cannot_carry_is_told(small):
         identify(record, observer_order=1500)
     with pytest.raises(InsufficientDataError, match="model order 1000 was asked for"):
         identify(record, order=1000)
-    with pytest.raises(InsufficientDataError, match="3 folds need at least 40 samples"):
+    with pytest.raises(InsufficientDataError, match="needs at least 40 samples in one record"):
         identify(record.samples(0, 30))
     with pytest.raises(InvalidDataError, match=r"one okid\.Record or a sequence"):
         identify([])
