@@ -5,8 +5,8 @@
 ERA: 200 x 200 blocks, one order for both sides, no option of ours set but these; `eigensys_realization` multiplies B by
 its dt, so it is fed dt=True. Its poles and ours are compared: the sides must agree to 1e-8 on noise-free
 Markov parameters, and to a hundredth of what the noise moved the poles on noisy ones. Each time is the least of three
-rounds after a warm-up; a round of a contender below 20 ms is the mean of ten calls. Exit status 1 when a ratio or an
-agreement is missed.
+rounds after a warm-up; a round is the mean of as many calls as make half a second, at most 1000. Exit status 1 when a
+ratio or an agreement is missed.
 """
 
 import argparse
@@ -115,7 +115,8 @@ def contend(kind, name, case_path, result_path):
         call = CONTENDERS[kind][name](dict(stored))
     start = time.process_time()
     result = call()
-    n_calls = 10 if time.process_time() - start < 0.02 else 1
+    # as many calls a round, for either side, as make half a second: a handful of short ones times the cold caches
+    n_calls = int(min(1000, max(1, 0.5 / max(time.process_time() - start, 1e-4))))
     rounds = []
     for _ in range(3):
         start = time.process_time()
