@@ -52,7 +52,7 @@ def _status(arguments: list[str]) -> int:
         if explain is None:
             raise
         text = explain() or "no command was given."
-        _complain(f"{text.rstrip('.')}; see modal-report --help.")
+        _complain(f"{text.replace('Value error, ', '').rstrip('.')}; see modal-report --help.")
         status = 2
     if status == 130:
         _complain("stopped; nothing was left half-written.")

@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from modal.explanation import explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.extraction import extract_modes
 from modal.final_model import fit_all_rows
@@ -25,6 +23,7 @@ from okid.excitation import check_excitation
 from okid.record import Record
 from okid.residuals import check_residuals
 from okid.rows import as_records
+from okid.scalars import real_number, whole_number
 
 __all__ = ["identify"]
 
@@ -74,8 +73,14 @@ def identify(
         >>> [f"{mode.frequency:.2f} Hz, {mode.verdict}" for mode in result.modes.system]
         ['5.00 Hz, system']
     """
-    _check_arguments(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
-    settings = _Settings(observer_order=observer_order, ridge=ridge, order=order, decimation=decimation)
+    if ridge != "auto" and not 0.0 <= real_number(ridge) < float("inf"):
+        raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+    settings = _Settings(
+        observer_order=_whole_or_auto(observer_order, "observer_order"),
+        ridge=ridge,
+        order=_whole_or_auto(order, "order"),
+        decimation=_whole_or_auto(decimation, "decimation"),
+    )
     with one_blas_thread():
         return _identify(as_records(records), settings, progress or (lambda _what, _share: None))
 
@@ -145,20 +150,5 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
     return result
 
 
-def _check_arguments(*, observer_order: object, ridge: object, order: object, decimation: object) -> None:
-    for name, value, least in (
-        ("observer_order", observer_order, 1),
-        ("order", order, 1),
-        ("decimation", decimation, 1),
-    ):
-        if value == "auto":
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise InvalidDataError(f'{name} must be "auto" or a whole number of at least {least}, but is {value!r}.')
-    if ridge != "auto" and not (
-        isinstance(ridge, int | float | np.number)
-        and not isinstance(ridge, bool)
-        and np.isfinite(float(ridge))
-        and float(ridge) >= 0.0
-    ):
-        raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+def _whole_or_auto(value: int | Literal["auto"], name: str) -> int | Literal["auto"]:
+    return "auto" if value == "auto" else whole_number(value, name=name, least=1, otherwise='or "auto"')

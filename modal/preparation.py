@@ -96,7 +96,7 @@ def _check_long_enough(records: Sequence[Record]) -> None:
     if longest < FEWEST_SAMPLES:
         raise InsufficientDataError(
             f"the automatic choice needs at least {FEWEST_SAMPLES} samples in one record, four blocks of ten; the "
-            f"longest has {longest}. Give a longer record, or call okid.fit_observer with an order of your own."
+            f"longest has {longest}; give a longer record, or call okid.fit_observer with an order of your own."
         )
 
 

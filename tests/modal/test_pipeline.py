@@ -245,7 +245,7 @@ def test_an_input_in_another_unit_changes_its_columns_only(small, quick):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"observer_order": 0}, "observer_order must be .* at least 1, but is 0"),
+        ({"observer_order": 0}, 'observer_order must be .* at least 1 or "auto", but is 0'),
         ({"observer_order": 2.5}, "observer_order must be"),
         ({"observer_order": True}, "observer_order must be"),
         ({"order": "four"}, "order must be .* but is 'four'"),

@@ -303,6 +303,14 @@ def test_a_short_observer_resolves_damping_only_where_every_rerun_agrees(observe
     assert mode.reason.endswith("the observer spans only 0.95 of its period") == (not resolved)
 
 
+@pytest.mark.parametrize("change", ["data", "observer", "order"])
+@pytest.mark.parametrize(("least", "verdict"), [(0.43, "system"), (0.41, "doubtful")])
+def test_one_kind_of_change_that_loses_the_mode_is_enough_for_doubt(change, least, verdict):
+    mode = judged(vibration(), found_with(**{change: least}))
+    assert mode.repeatability > 0.71
+    assert mode.verdict == verdict
+
+
 @pytest.mark.parametrize(("persistency", "needed", "verdict"), [(2, 8, "system"), (1, 8, "doubtful"), (1, 1, "system")])
 def test_a_model_larger_than_the_excitation_is_at_most_doubtful(persistency, needed, verdict):
     excitation = Excitation(
