@@ -16,11 +16,21 @@ import numpy as np
 from era.decomposition import HankelDecomposition, Method, RealiseOn, decompose
 from era.order import OrderChoice, choose_order
 from era.realisation import HankelFactors, Realisation
+from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters
 from okid.scalars import whole_number
 
-__all__ = ["HankelDecomposition", "Method", "RealiseOn", "decompose", "order_choice", "realise", "realise_from"]
+__all__ = [
+    "HankelDecomposition",
+    "Method",
+    "RealiseOn",
+    "decompose",
+    "gap_choice",
+    "order_choice",
+    "realise",
+    "realise_from",
+]
 
 GAP_BEFORE_THE_END = 10.0
 """Ratio of neighbours from which a gap is preferred to the end of what an observer can give. On ten random systems of
@@ -92,12 +102,30 @@ def order_choice(decomposition: HankelDecomposition) -> OrderChoice:
         decomposition: from `decompose`.
     """
     found = decomposition
-    end = 0 if found.observer_order is None else found.observer_order * found.C.shape[0]
-    if 1 < end <= found.rank and end < found.singular_values.size:
-        before = choose_order(found.singular_values, rank=found.rank, energy=found.energy, A=found.A, max_order=end - 1)
+    return gap_choice(
+        found.singular_values,
+        rank=found.rank,
+        energy=found.energy,
+        A=found.A,
+        end=0 if found.observer_order is None else found.observer_order * found.C.shape[0],
+    )
+
+
+def gap_choice(singular_values: FloatArray, *, rank: int, energy: float | None, A: FloatArray, end: int) -> OrderChoice:
+    """The rule of `order_choice` for any singular values.
+
+    Args:
+        singular_values: falling.
+        rank: numerical rank.
+        energy: sum of the squares of all singular values; None: of those given.
+        A: balanced system matrix of the highest order.
+        end: number of exponentials in Markov parameters that an observer gave; 0 for measured ones.
+    """
+    if 1 < end <= rank and end < singular_values.size:
+        before = choose_order(singular_values, rank=rank, energy=energy, A=A, max_order=end - 1)
         if before.ratio >= GAP_BEFORE_THE_END:
             return before
-    return choose_order(found.singular_values, rank=found.rank, energy=found.energy, A=found.A)
+    return choose_order(singular_values, rank=rank, energy=energy, A=A)
 
 
 def realise(

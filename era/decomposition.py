@@ -15,25 +15,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from era.hankel import BlockHankelOperator, block_hankel, block_sizes, hankel_energy
-from era.order import CLEAR_GAP
-from era.randomised import leading_triplets
+from era.hankel import block_sizes, hankel_energy
+from era.hankel_svd import Method, hankel_triplets
 from okid.arguments import require
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
 
-__all__ = ["HankelDecomposition", "Method", "RealiseOn", "decompose"]
+__all__ = ["HankelDecomposition", "Method", "RealiseOn", "decompose", "scaled_channels"]
 
-Method = Literal["auto", "full", "randomised"]
 RealiseOn = Literal["system", "system_and_gain"]
-
-FULL_UP_TO = 1.5e6
-"""Rows x columns x smaller side of a block Hankel matrix that is always decomposed in full (1-2 ms)."""
-FIRST_RANK = 32
-"""Triplets that are looked for first when nobody said how many are needed."""
-LARGEST_RANK = 256
-"""Triplets that are looked for at most when nobody said how many are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -135,34 +126,29 @@ def decompose(
     for name, choice, known in (("method", method, get_args(Method)), ("realise_on", realise_on, get_args(RealiseOn))):
         if choice not in known:
             raise InvalidDataError(f"{name} must be one of {', '.join(known)}, but is {choice!r}.")
-    scaled = _scaled_markov(markov, realise_on)
+    scaled = scaled_channels(markov, realise_on)
     _, n_outputs, n_channels = scaled.shape
     a, b = block_sizes(markov.n_lags, n_outputs, n_channels, n_block_rows=n_block_rows, n_block_columns=n_block_columns)
     _check_order(max_order, (a, n_outputs), (b, n_channels))
-    if method == "auto":
-        method = _cheaper_method(a * n_outputs, b * n_channels, max_order)
-    if method == "full":
-        left, values, right, error = _full(scaled, a, b, max_order)
-    else:
-        generator = np.random.default_rng(0) if rng is None else rng
-        left, values, right, error = _randomised(scaled, a, b, max_order, generator)
-    A, B, C = _balanced_model(scaled, left, values[: left.shape[1]], right)
+    found = hankel_triplets(scaled, a, b, max_order=max_order, method=method, rng=rng)
+    values = found.singular_values[: found.left.shape[1]]
+    A, B, C = _balanced_model(scaled, found.left, values, found.right)
     gain_of = slice(n_channels - n_outputs, None) if _gain_is_realised(markov, realise_on) else None
-    K = B[:, gain_of] if gain_of is not None else _gain(markov, left, values[: left.shape[1]], a)
+    K = B[:, gain_of] if gain_of is not None else _gain(markov, found.left, values, a)
     return HankelDecomposition(
-        left=left,
-        singular_values=values,
-        right=right,
+        left=found.left,
+        singular_values=found.singular_values,
+        right=found.right,
         A=A,
         B=B[:, : markov.n_inputs] / markov.input_scale,
         C=markov.output_scale[:, np.newaxis] * C,
         D=markov.system[0],
         K=None if K is None else K / markov.output_scale,
         dt=markov.dt,
-        rank=_rank(values, a * n_outputs, b * n_channels),
+        rank=found.rank,
         energy=hankel_energy(scaled, a, b),
-        subspace_error=error,
-        method=method,
+        subspace_error=found.subspace_error,
+        method=found.method,
         n_block_rows=a,
         n_block_columns=b,
         input_scale=markov.input_scale,
@@ -175,8 +161,16 @@ def _gain_is_realised(markov: MarkovParameters, realise_on: RealiseOn) -> bool:
     return realise_on == "system_and_gain" or markov.n_inputs == 0
 
 
-def _scaled_markov(markov: MarkovParameters, realise_on: RealiseOn) -> FloatArray:
-    """What the block Hankel matrix is made of: (n_lags + 1, n_outputs, n_channels), channels of comparable size."""
+def scaled_channels(markov: MarkovParameters, realise_on: RealiseOn) -> FloatArray:
+    """What the block Hankel matrix is made of: (n_lags + 1, n_outputs, n_channels), channels of comparable size.
+
+    Args:
+        markov: Markov parameters; without inputs, those of the gain are taken.
+        realise_on: see `decompose`.
+
+    Raises:
+        InvalidDataError: the gain is needed and there is none.
+    """
     out = markov.output_scale[:, np.newaxis]
     system = markov.system * (markov.input_scale / out)
     if not _gain_is_realised(markov, realise_on):
@@ -199,52 +193,6 @@ def _check_order(max_order: int | None, rows: tuple[int, int], columns: tuple[in
             f"block rows of {n_outputs} and {b} block columns of {n_channels} channels make {a * n_outputs} x "
             f"{b * n_channels}; use an order from 0 to {smaller} or recover more lags."
         )
-
-
-def _cheaper_method(n_rows: int, n_columns: int, max_order: int | None) -> Literal["full", "randomised"]:
-    smaller = min(n_rows, n_columns)
-    wanted = FIRST_RANK if max_order is None else max_order
-    small = float(n_rows) * n_columns * smaller <= FULL_UP_TO
-    return "full" if small or 4 * wanted >= smaller else "randomised"
-
-
-def _full(
-    scaled: FloatArray, a: int, b: int, max_order: int | None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    left, values, right = np.linalg.svd(block_hankel(scaled, a, b), full_matrices=False)
-    kept = _rank(values, left.shape[0], right.shape[1])
-    if max_order is not None:
-        kept = min(kept, max_order)
-    return left[:, :kept], values, right[:kept], np.zeros(kept)
-
-
-def _randomised(
-    scaled: FloatArray, a: int, b: int, max_order: int | None, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    operator = BlockHankelOperator.of(scaled, a, b)
-    smaller = min(operator.shape)
-    wanted = min(FIRST_RANK if max_order is None else max_order, smaller)
-    found = leading_triplets(operator, wanted, rng=rng)
-    while max_order is None and not (found.complete or _shows_a_gap(found.singular_values)):
-        if 2 * wanted > min(LARGEST_RANK, smaller // 4):
-            break
-        wanted *= 2
-        found = leading_triplets(operator, wanted, rng=rng)
-    kept = _rank(found.singular_values, *operator.shape)
-    return found.left[:, :kept], found.singular_values, found.right[:kept], found.subspace_error[:kept]
-
-
-def _shows_a_gap(values: FloatArray) -> bool:
-    """Whether the largest ratio of neighbours is clear and stands well before the end of what was computed."""
-    ratios = values[:-1] / np.maximum(values[1:], np.finfo(float).tiny)
-    largest = int(np.argmax(ratios))
-    return bool(ratios[largest] >= CLEAR_GAP and largest < 3 * values.size // 4)
-
-
-def _rank(values: FloatArray, n_rows: int, n_columns: int) -> int:
-    if values.size == 0 or values[0] == 0.0:
-        return 0
-    return int((values > values[0] * max(n_rows, n_columns) * np.finfo(float).eps).sum())
 
 
 def _balanced_model(

@@ -14,7 +14,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
-__all__ = ["check_channels", "filled_inputs", "predict", "simulate", "simulate_array"]
+__all__ = ["check_channels", "filled_inputs", "predict", "simulate", "simulate_array", "unknown_after"]
 
 FORGOTTEN = 1e-2
 """Part of a disturbance of the state below which its outputs count as known again after a gap in the inputs."""
@@ -56,7 +56,7 @@ def simulate(realisation: Realisation, record: Record, *, initial_state: FloatAr
             f"{radius:.6g}; use a stable model (poles inside the unit circle) or a record of less than {first} samples."
         )
     if missing.any():
-        outputs[_unknown_after(missing, model.A)] = np.nan
+        outputs[unknown_after(missing, model.A)] = np.nan
     outputs.flags.writeable = False  # so that the record need not copy them
     return replace(record, outputs=outputs)
 
@@ -91,7 +91,7 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
     if model.K is None:
         raise InvalidDataError(
             "one-step prediction needs a gain K and this realisation has none; realise Markov parameters with a "
-            "gain, or estimate one with era.kalman.gain_from_innovations."
+            "gain, or estimate one with era.gain_from_innovations."
         )
     inputs, missing = filled_inputs(record)
     state = checked_state(model.order, initial_state)
@@ -113,10 +113,10 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
         raise NumericalError(
             f"the one-step prediction grows beyond all numbers: the largest pole of A - K C has magnitude "
             f"{_spectral_radius(A):.6g}; use a gain for which it is below 1, for example "
-            "era.kalman.gain_from_innovations."
+            "era.gain_from_innovations."
         )
     if missing.any():
-        predicted[_unknown_after(missing, A)] = np.nan
+        predicted[unknown_after(missing, A)] = np.nan
     predicted.flags.writeable = False  # so that the record need not copy them
     return replace(record, outputs=predicted)
 
@@ -156,7 +156,7 @@ def _spectral_radius(A: FloatArray) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
-def _unknown_after(missing: BoolArray, A: FloatArray) -> BoolArray:
+def unknown_after(missing: BoolArray, A: FloatArray) -> BoolArray:
     """Rows with a missing input, and after them until the state is known again.
 
     A gap in u(k) changes y(k) at once and the state from k + 1 on. A slow pole needs log(1 %) / log(magnitude) samples

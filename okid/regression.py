@@ -22,6 +22,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.coefficients import Method, ObserverCoefficients, coefficients_from_solution
 from okid.errors import InvalidDataError
 from okid.gram import LagGram
+from okid.normal_equations import NormalEquations, cholesky, normal_equations, triangular_solve
 from okid.record import Record
 from okid.row_factor import factor_rows, residual_products, solve_factor
 from okid.scalars import real_number
@@ -82,16 +83,16 @@ def solve_nested(gram: LagGram, orders: Sequence[int], ridge: float) -> tuple[Ob
         raise InvalidDataError(
             f"observer orders must lie between 1 and the Gram's {gram.order}, but are {list(orders)}."
         )
-    system = _normal_equations(gram.truncated(max(orders)), ridge)
-    factor = _cholesky(system.matrix.copy(order="F"))
+    system = normal_equations(gram.truncated(max(orders)), ridge)
+    factor = cholesky(system.matrix.copy(order="F"))
     if factor is None:
-        return tuple(_solve_eigh(_normal_equations(gram.truncated(order), ridge))[1] for order in orders)
-    half = _triangular(factor, system.right, transposed=False)
+        return tuple(_solve_eigh(normal_equations(gram.truncated(order), ridge))[1] for order in orders)
+    half = triangular_solve(factor, system.right, transposed=False)
     condition = _diagonal_condition(factor)
     solutions = []
     for order in orders:
         size = 1 + gram.n_inputs + order * (gram.n_inputs + gram.n_outputs)
-        solution = _triangular(factor[:size, :size], half[:size], transposed=True)
+        solution = triangular_solve(factor[:size, :size], half[:size], transposed=True)
         squares = _residual_squares(system, solution)
         solutions.append(_observer(system, solution, squares, method="cholesky", condition=condition, rank=size))
     return tuple(solutions)
@@ -114,13 +115,13 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
         and section 15.1 (condition estimate), doi 10.1137/1.9780898718027.
     """
     _check_ridge(ridge)
-    system = _normal_equations(gram, ridge)
+    system = normal_equations(gram, ridge)
     norm = scipy.linalg.lapack.dlange("1", system.matrix)
-    factor = _cholesky(system.matrix.copy(order="F") if source is None else system.matrix)
+    factor = cholesky(system.matrix.copy(order="F") if source is None else system.matrix)
     if factor is not None:
         reciprocal, _ = scipy.linalg.lapack.dpocon(factor, norm, uplo="L")
         condition = float(np.sqrt(1.0 / max(reciprocal, _EPS**2)))
-        solution = _triangular(factor, _triangular(factor, system.right, transposed=False), transposed=True)
+        solution = triangular_solve(factor, triangular_solve(factor, system.right, transposed=False), transposed=True)
         squares = _residual_squares(system, solution)
         if _rounding_is_negligible(system, squares, condition) or (source is None and condition < 0.01 * _EPS**-0.5):
             return _observer(system, solution, squares, method="cholesky", condition=condition, rank=solution.shape[0])
@@ -129,55 +130,7 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
     size = system.right.shape[0] + gram.n_outputs
     if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:
         return _solve_rows(system, source)
-    return _solve_refined(_normal_equations(gram, ridge), source)
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _NormalEquations:
-    matrix: FloatArray  # (n, n), Fortran order, ridge added
-    right: FloatArray  # (n, n_outputs)
-    outputs: FloatArray  # (n_outputs, n_outputs)
-    penalty: FloatArray  # (n,)
-    gram: LagGram
-    ridge: float
-
-
-def _normal_equations(gram: LagGram, ridge: float) -> _NormalEquations:
-    """Take y(k), which is explained, out of phi(k), which explains."""
-    low, n_channels = 1 + gram.n_inputs, gram.n_inputs + gram.n_outputs
-    high = 1 + n_channels
-    whole = gram.matrix
-    size = whole.shape[0] - gram.n_outputs
-    matrix = np.empty((size, size), order="F")
-    # The transpose is C-ordered, as the Gram is: each slice is copied along memory.
-    view = matrix.T
-    view[:low, :low], view[:low, low:] = whole[:low, :low], whole[:low, high : size + gram.n_outputs]
-    view[low:, :low], view[low:, low:] = whole[high:, :low], whole[high:, high : size + gram.n_outputs]
-    right = np.concatenate([whole[:low, low:high], whole[high:, low:high]])
-    penalty = np.zeros(size)
-    if ridge > 0.0:
-        penalty[1:low] = 1.0
-        penalty[low:] = np.repeat(np.arange(2.0, gram.order + 2.0), n_channels)
-        penalty *= ridge * gram.n_rows
-        view.flat[:: size + 1] += penalty
-    return _NormalEquations(
-        matrix=matrix, right=right, outputs=whole[low:high, low:high], penalty=penalty, gram=gram, ridge=ridge
-    )
-
-
-def _cholesky(matrix: FloatArray) -> FloatArray | None:
-    """Lower factor, in place; None where the matrix is not positive definite to working precision."""
-    factor, info = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
-    if info != 0:
-        return None
-    pivots = factor.diagonal()
-    trusted = pivots.min() ** 2 > _EPS * matrix.shape[0] * pivots.max() ** 2
-    return factor if trusted else None
-
-
-def _triangular(factor: FloatArray, right: FloatArray, *, transposed: bool) -> FloatArray:
-    solution, _ = scipy.linalg.lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))
-    return solution
+    return _solve_refined(normal_equations(gram, ridge), source)
 
 
 def _diagonal_condition(factor: FloatArray) -> float:
@@ -185,14 +138,14 @@ def _diagonal_condition(factor: FloatArray) -> float:
     return float(pivots.max() / pivots.min())
 
 
-def _residual_squares(system: _NormalEquations, solution: FloatArray) -> FloatArray:
+def _residual_squares(system: NormalEquations, solution: FloatArray) -> FloatArray:
     """Residual products Y'Y - Theta'(V'Y + penalty Theta), from (V'V + penalty) Theta = V'Y."""
     size = solution.shape[0]
     squares = system.outputs - solution.T @ (system.right[:size] + system.penalty[:size, np.newaxis] * solution)
     return 0.5 * (squares + squares.T)
 
 
-def _rounding_is_negligible(system: _NormalEquations, squares: FloatArray, condition: float) -> bool:
+def _rounding_is_negligible(system: NormalEquations, squares: FloatArray, condition: float) -> bool:
     """Whether cond^2 eps stays far below a coefficient's standard deviation, residual * cond / sqrt(n_rows)."""
     energy = system.outputs.diagonal()
     relative = float(np.sqrt(np.maximum(squares.diagonal(), 0.0) / np.maximum(energy, 1e-300)).min())
@@ -200,7 +153,7 @@ def _rounding_is_negligible(system: _NormalEquations, squares: FloatArray, condi
     return relative > _CLEAN and rounding <= _NEGLIGIBLE * relative
 
 
-def _solve_eigh(system: _NormalEquations) -> tuple[FloatArray, ObserverCoefficients]:
+def _solve_eigh(system: NormalEquations) -> tuple[FloatArray, ObserverCoefficients]:
     """Truncated eigendecomposition: directions that rounding has made are left out."""
     values, vectors = scipy.linalg.eigh(system.matrix, lower=True, check_finite=False, driver="evd")
     kept = values > 4.0 * values.size * _EPS * values[-1]
@@ -212,7 +165,7 @@ def _solve_eigh(system: _NormalEquations) -> tuple[FloatArray, ObserverCoefficie
     return basis, _observer(system, solution, squares, method="eigh", condition=condition, rank=int(kept.sum()))
 
 
-def _solve_refined(system: _NormalEquations, source: RegressionRows) -> ObserverCoefficients:
+def _solve_refined(system: NormalEquations, source: RegressionRows) -> ObserverCoefficients:
     """As `_solve_eigh`, then one step of iterative refinement with residuals taken from the rows."""
     basis, first = _solve_eigh(system)
     solution = basis @ (basis.T @ system.right)
@@ -232,7 +185,7 @@ def _solve_refined(system: _NormalEquations, source: RegressionRows) -> Observer
     )
 
 
-def _solve_rows(system: _NormalEquations, source: RegressionRows) -> ObserverCoefficients:
+def _solve_rows(system: NormalEquations, source: RegressionRows) -> ObserverCoefficients:
     """Orthogonal factorisation of the rows [V Y], its triangle only."""
     triangle = factor_rows(source.records, system.gram.order, source.scaling, source.rows, system.penalty)
     noise = _EPS * (1.0 + source.scaling.offset_ratio) * np.sqrt(system.gram.n_rows)
@@ -248,7 +201,7 @@ def _clipped(squares: FloatArray) -> FloatArray:
 
 
 def _observer(
-    system: _NormalEquations, solution: FloatArray, squares: FloatArray, *, method: Method, condition: float, rank: int
+    system: NormalEquations, solution: FloatArray, squares: FloatArray, *, method: Method, condition: float, rank: int
 ) -> ObserverCoefficients:
     return coefficients_from_solution(
         solution,

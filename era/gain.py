@@ -1,0 +1,206 @@
+"""The gain of a model that has none, from what its free run leaves of the records: maximum likelihood for K alone.
+
+    x(k+1) = A x(k) + K e(k),   v(k) = C x(k) + e(k),   v: measured outputs less the free run
+
+With A and C given, the gain is found that makes the one-step errors e smallest, log det sum e e', by the scoring of
+`era.gain_scoring`. It reaches what is asymptotically the best that any method can do, covariance W^-1 (x) R^-1 / N.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.gain_climb import climbed, first_gain, usable_gain
+from era.gain_scoring import ScoredGain, first_fit, information, inverse, inverse_of_information
+from era.left_over import NoisePart, left_over
+from era.realisation import Realisation
+from era.simulation import check_channels
+from okid.arrays import BoolArray, FloatArray
+from okid.errors import IdentificationError
+from okid.record import Record
+from okid.rows import as_records
+
+__all__ = ["GainEstimate", "estimate_gain", "gain_from_innovations"]
+
+ROUND_OFF = 1e-9
+"""Size of what the free run leaves of an output, relative to the output, that is rounding."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GainEstimate:
+    """A gain, how well it is known, and the covariance of the innovations that it leaves.
+
+    Attributes:
+        gain: (order, n_outputs) K of the one-step predictor, in the units of the records; zero where `reason` says so.
+        gain_std: (order, n_outputs) standard deviation of each entry; zero where the gain is zero by decision.
+        innovation_covariance: (n_outputs, n_outputs) R, degrees of freedom taken off.
+        n_rows: complete rows that it was estimated from.
+        likelihood_ratio: n_rows times the drop of log det R against a zero gain; nan where none was tried.
+        reason: in words, why the gain is what it is.
+    """
+
+    gain: FloatArray
+    gain_std: FloatArray
+    innovation_covariance: FloatArray
+    n_rows: int
+    likelihood_ratio: float
+    reason: str
+
+
+def gain_from_innovations(realisation: Realisation, records: Record | Sequence[Record]) -> FloatArray:
+    """(order, n_outputs) gain of `estimate_gain`, for those who need nothing else.
+
+    Args:
+        realisation: model; its own K, if any, is not looked at.
+        records: one or several of the model's channels and time step.
+
+    Raises:
+        InvalidDataError: other channels or another time step than the model.
+
+    Example:
+        >>> model = Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+        >>> gain_from_innovations(model, Record([1.0, 0.0, 0.0], [0.0, 1.0, 0.5], 0.01))  # noise-free
+        array([[0.]])
+    """
+    return estimate_gain(realisation, records).gain
+
+
+def estimate_gain(realisation: Realisation, records: Record | Sequence[Record]) -> GainEstimate:
+    """Gain K and innovation covariance for the given A, B, C, D, by maximum likelihood.
+
+    Needed after a model was reduced or refined: the gain found before is not that of the new model. Each record starts
+    from its own unknown state and may have a constant offset in each output. A missing output sample corrects nothing.
+    Where the data give no reason for a gain (noise-free, white measurement noise, too few rows) it is zero and `reason`
+    says why: a gain must earn its order times n_outputs numbers by Schwarz's criterion. A gain that would never forget
+    what it started from is not taken, however likely.
+
+    Args:
+        realisation: model; its own K, if any, is not looked at.
+        records: one or several of the model's channels and time step.
+
+    Returns:
+        The gain, its standard deviations and the innovation covariance; A - K C is stable wherever A is.
+
+    Raises:
+        InvalidDataError: other channels or another time step than the model.
+
+    References:
+        Hannan, Deistler, The Statistical Theory of Linear Systems, Wiley, 1988, chapter 6 (likelihood of the
+        innovations form); Schwarz, Annals of Statistics 6(2), 1978, 461-464, doi 10.1214/aos/1176344136 (criterion).
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> e, x, y = rng.standard_normal(4000), 0.0, np.empty(4000)
+        >>> for k in range(4000):
+        ...     y[k], x = x + e[k], 0.9 * x + 0.3 * e[k]
+        >>> model = Realisation([[0.9]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.01)
+        >>> found = estimate_gain(model, Record([], y, 0.01))
+        >>> bool(abs(found.gain[0, 0] - 0.3) < 3 * found.gain_std[0, 0]), found.innovation_covariance.round(1)
+        (True, array([[1.]]))
+    """
+    model = realisation
+    several = as_records(records)
+    for record in several:
+        check_channels(model, record)
+    try:
+        made = [left_over(model, record) for record in several]
+    except IdentificationError as error:
+        raw = np.vstack([record.outputs for record in several])
+        return _none(model, raw, f"the free run cannot be made: {error}")
+    rest = np.vstack([left for _, left in made])
+    active = _moves(rest, several)
+    n_rows = int((~np.isnan(rest[:, active]).any(axis=1)).sum())
+    if model.order == 0:
+        return _none(model, rest, "the model has no state that a gain could correct")
+    if not active.any():
+        return _none(model, rest, "the free run explains the outputs to rounding, so there is no noise to learn from")
+    if n_rows <= model.order + int(active.sum()) + 1:
+        few = f"{n_rows} complete rows are too few for {model.order} states and {int(active.sum())} noisy outputs"
+        return _none(model, rest, few)
+    return _likeliest(model, [part for part, _ in made], rest, active, n_rows)
+
+
+def _likeliest(
+    model: Realisation, parts: Sequence[NoisePart], rest: FloatArray, active: BoolArray, n_rows: int
+) -> GainEstimate:
+    """The gain of greatest likelihood on the outputs that have noise, or zero where it does not earn its numbers."""
+    size = np.sqrt(np.nanmean(rest[:, active] ** 2, axis=0))
+    C = model.C[active] / size[:, np.newaxis]
+    scaled = [replace(part, values=part.values[:, active] / size) for part in parts]
+    free = first_fit(model.A, C, np.zeros((model.order, C.shape[0])), scaled)
+    other = first_fit(model.A, C, first_gain(model.A, C, n_rows), scaled)
+    start = min((fit for fit in (free, other) if fit is not None), key=lambda fit: fit.log_determinant, default=None)
+    if start is None:
+        return _none(model, rest, "every predictor that was tried grows beyond all numbers")
+    likeliest = climbed(model.A, C, start, n_rows)
+    best = usable_gain(model.A, C, likeliest, scaled, n_rows)
+    ratio = np.inf if free is None else n_rows * (free.log_determinant - best.log_determinant)
+    needed = np.log(n_rows) * C.size * n_rows / (n_rows - model.order - C.shape[0] - 1)
+    if free is not None and ratio <= needed:
+        best = free
+        reason = f"a gain would predict no better than the free run does: likelihood ratio {ratio:.4g}, needed "
+        reason += f"{needed:.4g} for {model.order} x {C.shape[0]} numbers"
+    else:
+        reason = f"maximum likelihood over {n_rows} rows: ratio to a zero gain {ratio:.4g}, needed {needed:.4g}"
+        if best is not likeliest:
+            reason += "; a likelier gain hangs on starts that nobody can know and was not taken"
+    return _in_units(model, best, active, size, n_rows=n_rows, ratio=ratio, reason=reason)
+
+
+def _moves(rest: FloatArray, records: Sequence[Record]) -> BoolArray:
+    """(n_outputs,) True where the free run leaves more of an output than rounding."""
+    left = np.nan_to_num(rest)
+    size = np.nan_to_num(np.vstack([record.outputs for record in records]))
+    moves: BoolArray = np.sqrt((left**2).sum(axis=0)) > ROUND_OFF * np.sqrt((size**2).sum(axis=0))
+    return moves
+
+
+def _in_units(
+    model: Realisation,
+    fit: ScoredGain,
+    active: BoolArray,
+    size: FloatArray,
+    *,
+    n_rows: int,
+    ratio: float,
+    reason: str,
+) -> GainEstimate:
+    """The fit of scaled outputs in the units of the records; outputs without noise have a zero gain."""
+    gain, spread = np.zeros((2, model.order, model.n_outputs))
+    gain[:, active] = fit.gain / size
+    if gain.any():
+        weight = inverse(fit.covariance)
+        seen = information(model.A, model.C[active] / size[:, np.newaxis], fit.gain, weight, length=n_rows)
+        product = np.outer(np.diagonal(inverse_of_information(seen)), np.diagonal(weight)) / n_rows
+        spread[:, active] = np.sqrt(np.maximum(product, 0.0)) / size
+    freedom = n_rows - (model.order if gain.any() else 0)
+    covariance = np.zeros((model.n_outputs, model.n_outputs))
+    covariance[np.ix_(active, active)] = fit.covariance * np.outer(size, size) * n_rows / max(freedom, 1)
+    return _closed(gain, spread, covariance, n_rows=n_rows, ratio=ratio, reason=reason)
+
+
+def _none(model: Realisation, rest: FloatArray, reason: str) -> GainEstimate:
+    """A zero gain that was not tried; the covariance is what the free run leaves."""
+    nothing = np.zeros((model.order, model.n_outputs))
+    complete = rest[~np.isnan(rest).any(axis=1)]
+    covariance = complete.T @ complete / max(len(complete), 1)
+    if not len(complete):
+        counted = np.maximum((~np.isnan(rest)).sum(axis=0), 1)
+        covariance = np.diag((np.nan_to_num(rest) ** 2).sum(axis=0) / counted)
+    return _closed(nothing, nothing.copy(), covariance, n_rows=len(complete), ratio=np.nan, reason=reason)
+
+
+def _closed(
+    gain: FloatArray, spread: FloatArray, covariance: FloatArray, *, n_rows: int, ratio: float, reason: str
+) -> GainEstimate:
+    for array in (gain, spread, covariance):
+        array.flags.writeable = False
+    return GainEstimate(
+        gain=gain,
+        gain_std=spread,
+        innovation_covariance=covariance,
+        n_rows=n_rows,
+        likelihood_ratio=float(ratio),
+        reason=reason,
+    )
