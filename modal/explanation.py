@@ -8,17 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from era.balanced import HankelDecomposition, order_choice, realise_from
+from era.gain import GainEstimate
 from modal.identification import Choice, Fit, OrderEvidence
 from modal.mode import ModalModel
+from modal.refined_choice import MOST_STEPS
 from modal.search import WITHIN, Search
 from modal.stability import stabilisation
 from modal.stretches import is_long, stretches_of
 from modal.trials import Trial
+from modal.verdict import Reruns
 from okid.excitation import Excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = ["EXPLAINS", "explain_scoring", "explain_search", "order_evidence", "warnings_in_words"]
+__all__ = ["EXPLAINS", "explain_gain", "explain_scoring", "explain_search", "order_evidence", "warnings_in_words"]
 
 EXPLAINS = 0.5
 """Cross-validated fit below which the model does not explain the records and no mode is certain."""
@@ -30,23 +33,30 @@ FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
 
 
-def order_evidence(decomposition: HankelDecomposition, order: int, found: Search) -> OrderEvidence:
-    """Singular values, gap, held-out fits and stabilisation points around the chosen order."""
+def order_evidence(
+    decomposition: HankelDecomposition, order: int, found: Search, *, reruns: Reruns | None = None
+) -> OrderEvidence:
+    """Singular values, gap, held-out fits and the poles of all orders.
+
+    Args:
+        decomposition: of the Hankel matrix that the model was cut from.
+        order: the order chosen.
+        found: the search that chose it.
+        reruns: the same identified again, for the repeatability of each pole; None leaves it nan.
+    """
     chosen = found.chosen
     same = sorted(
         (t for t in found.trials if (t.observer_order, t.ridge) == (chosen.observer_order, chosen.ridge)),
         key=lambda t: t.model_order,
     )
-    largest = min(decomposition.rank, decomposition.max_order)
-    step = 1 if largest <= 16 else 2
-    orders = sorted({*range(step, largest + 1, step), *([order] if order else [])})
+    highest = realise_from(decomposition, min(decomposition.rank, decomposition.max_order))
     return OrderEvidence(
         singular_values=decomposition.singular_values,
         order=order,
         gap_order=order_choice(decomposition).order,
         candidate_orders=np.array([t.model_order for t in same], dtype=np.float64),
         candidate_fits=np.array([1.0 - t.error for t in same]),
-        stabilisation=stabilisation(realise_from(decomposition, n) for n in orders),
+        stabilisation=stabilisation(highest, reruns=reruns),
     )
 
 
@@ -87,8 +97,38 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
             f"{measure}; the smallest that is not worse than the best ({best.model_order} states, fit "
             f"{1.0 - best.error:.3f}) by more than one standard error over the held-out blocks"
         )
+    if chosen.weak_modes:
+        n_weak = chosen.weak_modes
+        found_so = (
+            f"{n_weak} weak mode{'s' * (n_weak > 1)} found in what {chosen.model_order - 2 * n_weak} states leave"
+        )
+        reason = f"{measure}; with {found_so}, held-out rows gain significantly"
     choices.append(Choice(what="model order", value=str(chosen.model_order), reason=reason))
-    return tuple(choices)
+    return (*choices, *_refinement(found))
+
+
+def _refinement(found: Search) -> tuple[Choice, ...]:
+    """How far the model was refined by output error, and what held-out rows made of it."""
+    chosen = found.chosen
+    tried = [trial for trial in found.trials if trial.refinement_steps]
+    if not tried:
+        return ()
+    without = [1.0 - trial.error for trial in found.trials if not trial.refinement_steps]
+    compared = f"held-out fit {1.0 - chosen.error:.3f}, the best without refinement {max(without):.3f}"
+    if chosen.refinement_steps == 0:
+        value, why = "none", f"held-out rows gain nothing by it: {compared}"
+    elif chosen.refinement_steps == MOST_STEPS:
+        value, why = "until it stands still", f"output error, held-out rows do not lose by any step: {compared}"
+    else:
+        value, why = f"{chosen.refinement_steps} steps", f"output error, stopped where held-out rows lose: {compared}"
+    return (Choice(what="refinement", value=value, reason=why),)
+
+
+def explain_gain(gain: GainEstimate | None) -> tuple[Choice, ...]:
+    """Why the refined model has the gain that it has; nothing where it has the one that it was cut with."""
+    if gain is None:
+        return ()
+    return (Choice(what="gain", value="estimated" if gain.gain.any() else "zero", reason=gain.reason),)
 
 
 def _runners_up(trials: Sequence[Trial], name: str) -> str:

@@ -1,4 +1,4 @@
-"""The chosen candidate fitted to all rows; where that makes it unstable, the next best candidate that stays stable.
+"""The chosen candidate fitted to all rows and refined; where it becomes unstable, the next best that stays stable.
 
 Every candidate was stable on each fold, but a pole at the edge (an integrator, an undamped line) may fall on either
 side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
+from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
 from modal.free_run import modal_form, one_step_predictor
+from modal.refined_model import RefinedModel, refined_model
 from modal.repetition import ORDER_SHARES
 from modal.search import Search
 from modal.trials import Trial, hankel_limits, markov_lags
@@ -30,11 +32,24 @@ LARGEST_ORDER = 64
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FinalModel:
-    """Observer, Markov parameters, decomposition and realisation of all rows."""
+    """Observer, Markov parameters, decomposition and realisation of all rows.
+
+    Attributes:
+        observer: the observer fit.
+        markov: recovered from it.
+        decomposition: of their block Hankel matrix.
+        cut: the realisation of the chosen order.
+        refined: the same refined by output error, None where no refinement was chosen.
+        gain: of the refined model, from its innovations; None where the model has the gain that it was cut with.
+        realisation: the refined one, its gain estimated from its innovations, else the one that was cut.
+    """
 
     observer: ObserverFit
     markov: MarkovParameters
     decomposition: HankelDecomposition
+    cut: Realisation
+    refined: RefinedModel | None
+    gain: GainEstimate | None
     realisation: Realisation
 
 
@@ -53,9 +68,9 @@ def fit_all_rows(records: Sequence[Record], found: Search) -> tuple[Search, Fina
         if observer not in done:
             done[observer] = _decomposed(records, trial)
         fitted = done[observer]
-        model = None if fitted is None else _stable(fitted.decomposition, trial.model_order)
+        model = None if fitted is None else _stable(fitted.decomposition, trial.model_order - 2 * trial.weak_modes)
         if fitted is not None and model is not None:
-            return replace(found, chosen=trial), replace(fitted, realisation=model)
+            return replace(found, chosen=trial), _refined(records, fitted, model, trial)
     raise NumericalError(
         f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
         "be trusted; give a longer record, or remove a drift from the outputs."
@@ -75,7 +90,29 @@ def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
     largest = max(LARGEST_ORDER, int(np.ceil(max(ORDER_SHARES) * trial.model_order)))
     decomposition = decompose(markov, max_order=min(largest, *hankel_limits(markov)))
     nothing = realise_from(decomposition, 0)
-    return FinalModel(observer=observer, markov=markov, decomposition=decomposition, realisation=nothing)
+    return FinalModel(
+        observer=observer,
+        markov=markov,
+        decomposition=decomposition,
+        cut=nothing,
+        refined=None,
+        gain=None,
+        realisation=nothing,
+    )
+
+
+def _refined(records: Sequence[Record], fitted: FinalModel, model: Realisation, trial: Trial) -> FinalModel:
+    refined = None
+    if model.n_inputs:
+        largest = min(trial.model_order, fitted.decomposition.rank, fitted.decomposition.max_order)
+        evidence = realise_from(fitted.decomposition, largest)
+        refined = refined_model(records, model, trial.refinement_steps, weak_modes=trial.weak_modes, evidence=evidence)
+    if refined is None:
+        return replace(fitted, cut=model, realisation=model)
+    found = estimate_gain(refined.realisation, records)
+    return replace(
+        fitted, cut=model, refined=refined, gain=found, realisation=replace(refined.realisation, K=found.gain)
+    )
 
 
 def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | None:

@@ -31,6 +31,11 @@ class ModelRuns:
     simulated: tuple[Record, ...]
     predicted: tuple[Record, ...]
 
+    @property
+    def left(self) -> list[FloatArray]:
+        """(n_samples, n_outputs) a record: what the free runs leave; NaN where an output is missing."""
+        return [real.outputs - run.outputs for real, run in zip(self.records, self.simulated, strict=True)]
+
 
 def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns:
     """Run the model through every record, initial state and level fitted to all of its rows.

@@ -1,19 +1,18 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
-The run from rest is one pass of block products. The initial state and a constant level of each output come from the
-training rows of the same run, by least squares whose sums have a closed form in the poles; an initial state fitted on
-the scored rows would favour models that are too large.
+The run from rest is one pass of block products (`modal.modal_recursion`). The initial state and a constant level of
+each output come from the training rows of the same run by least squares (`modal.initial_fit`); an initial state fitted
+on the scored rows would favour models that are too large.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
-import scipy
 
 from era.realisation import Realisation
-from era.state_recursion import simulate_array
+from modal.initial_fit import fit_initial_state
+from modal.modal_recursion import ModalRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
@@ -29,8 +28,7 @@ __all__ = [
 ]
 
 LARGEST_EIGENVECTOR_CONDITION = 1e10
-STATE_REGULARISATION = 1e-9
-"""Of each free response's energy over the whole record: keeps a response that no training row shows from growing."""
+"""Frobenius norm of the eigenvectors times that of their inverse: at least the condition number in the 2-norm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -41,12 +39,14 @@ class ModalForm:
         poles: (n_poles,) discrete-time poles with imaginary part >= 0.
         weights: (n_poles,) 2 for a pair, 1 for a real pole: y = Re(shapes @ (weights * state)) + D u.
         shapes: (n_outputs, n_poles).
+        participations: (n_poles, n_inputs), so that state(k+1) = poles * state(k) + participations @ u(k).
         realisation: the same model as it was given.
     """
 
     poles: ComplexArray
     weights: FloatArray
     shapes: ComplexArray
+    participations: ComplexArray
     realisation: Realisation
 
 
@@ -66,13 +66,27 @@ class FreeRun:
 def modal_form(realisation: Realisation) -> ModalForm | None:
     """The model in modal form, or None when it is unstable or its eigenvectors are too close to dependent."""
     poles, vectors = np.linalg.eig(realisation.A)
-    if poles.size and (np.abs(poles).max() >= 1.0 or np.linalg.cond(vectors) > LARGEST_EIGENVECTOR_CONDITION):
+    if np.abs(poles).max(initial=0.0) >= 1.0:
         return None
-    one_of_each = poles.imag >= 0.0
+    # Real coordinates, 2 Re v and -2 Im v for a pair: the two states of a pair cannot differ by rounding.
+    upper, lower = poles.imag > 0.0, poles.imag < 0.0
+    coordinates = np.where(upper, 2.0 * vectors.real, np.where(lower, 2.0 * vectors.imag, vectors.real))
+    try:
+        inverse = np.linalg.inv(coordinates)
+    except np.linalg.LinAlgError:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # of an inverse that is nothing but rounding
+        condition = np.linalg.norm(coordinates) * np.linalg.norm(inverse)
+    if not condition <= LARGEST_EIGENVECTOR_CONDITION:
+        return None
+    participations = (inverse @ realisation.B).astype(np.complex128)
+    participations[upper] += 1j * participations[lower]  # LAPACK keeps pairs together, in the same order
+    one_of_each = ~lower
     return ModalForm(
         poles=poles[one_of_each].astype(np.complex128),
-        weights=np.where(poles[one_of_each].imag > 0.0, 2.0, 1.0),
-        shapes=(realisation.C @ vectors)[:, one_of_each].astype(np.complex128),
+        weights=np.where(upper[one_of_each], 2.0, 1.0),
+        shapes=(realisation.C @ vectors[:, one_of_each]).astype(np.complex128),
+        participations=participations[one_of_each],
         realisation=realisation,
     )
 
@@ -92,13 +106,23 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
         >>> run.outputs.ravel().round(6).tolist(), run.level.round(6).tolist()
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
-    system = model.realisation
-    outputs = np.array(simulate_array(system.A, system.B, system.C, system.D, record.inputs))
-    remainder = record.outputs - outputs
-    remainder[~training_rows] = 0.0
-    state, level, powers = _fit_initial_state(model, remainder, training_rows)
-    outputs[: powers.shape[0]] += (powers @ ((model.weights * state)[:, np.newaxis] * model.shapes.T)).real
-    return FreeRun(outputs=outputs + level, level=level)
+    shapes = model.weights * model.shapes
+    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D)
+    outputs = recursion.from_rest(record.inputs)
+    trained = training_rows.astype(np.float64)
+    n_alive = recursion.n_alive(record.n_samples)
+    start = slice(0, n_alive)
+    state, level = fit_initial_state(
+        model.poles,
+        shapes,
+        recursion.products((record.outputs[start] - outputs[start]) * trained[start, np.newaxis]),
+        trained @ record.outputs - trained @ outputs,
+        runs=runs_of(training_rows),
+        n_samples=record.n_samples,
+    )
+    outputs[start] += recursion.free_response(state, n_alive)
+    outputs += level
+    return FreeRun(outputs=outputs, level=level)
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -149,70 +173,3 @@ def driven_by_outputs(record: Record) -> Record:
         input_units=(*record.input_units, *record.output_units),
     )
     return filled([twin])[0]
-
-
-def _fit_initial_state(
-    model: ModalForm, remainder: FloatArray, rows: BoolArray
-) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Least squares of what the inputs do not explain on the free responses and a constant.
-
-    With x = a + j b per pole the response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
-    two sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows.
-    """
-    n_poles, n_outputs = model.poles.size, remainder.shape[1]
-    powers = _powers(model.poles, remainder.shape[0])
-    shapes = model.weights * model.shapes
-    edges = np.array(runs_of(rows), dtype=np.int64).reshape(-1, 2)
-    plain = _sums(model.poles, model.poles, edges) * (shapes.T @ shapes)
-    conjugate = _sums(model.poles.conj(), model.poles, edges) * (shapes.conj().T @ shapes)
-    to_level = _sums(model.poles, np.ones(1), edges) * shapes.T  # (n_poles, n_outputs)
-    right = (powers.T @ remainder[: powers.shape[0]] * shapes.T).sum(axis=1)
-    level_rows = max(1, int(rows.sum()))
-
-    size = 2 * n_poles + n_outputs
-    matrix = np.zeros((size, size))
-    a, b, c = slice(0, n_poles), slice(n_poles, 2 * n_poles), slice(2 * n_poles, size)
-    matrix[a, a] = 0.5 * (conjugate.real + plain.real)
-    matrix[b, b] = 0.5 * (conjugate.real - plain.real)
-    matrix[a, b] = -0.5 * (conjugate.imag + plain.imag)
-    matrix[b, a] = matrix[a, b].T
-    matrix[a, c], matrix[b, c] = to_level.real, -to_level.imag
-    matrix[c, a], matrix[c, b] = to_level.real.T, -to_level.imag.T
-    matrix[c, c] = level_rows * np.eye(n_outputs)
-    vector = np.concatenate([right.real, -right.imag, remainder.sum(axis=0)])
-
-    whole = np.array([[0, remainder.shape[0]]])
-    energy = 0.5 * _sums(model.poles.conj(), model.poles, whole).diagonal().real * (np.abs(shapes) ** 2).sum(axis=0)
-    scale = np.concatenate([energy, energy, np.full(n_outputs, float(level_rows))])
-    scale = np.sqrt(np.where(scale > 0.0, scale, 1.0))
-    scaled = matrix / np.outer(scale, scale)
-    scaled[np.diag_indices(size)] += STATE_REGULARISATION
-    solution = scipy.linalg.lstsq(scaled, vector / scale, cond=1e-13, check_finite=False)[0] / scale
-    return solution[a] + 1j * solution[b], solution[c], powers
-
-
-def _sums(left: ComplexArray, right: npt.NDArray[np.inexact], edges: npt.NDArray[np.int64]) -> ComplexArray:
-    """(n_left, n_right) sum over the runs' rows k of left_i^k right_j^k, by the geometric series of each run."""
-    ratio = np.outer(left, right)
-    first, last = edges[:, 0], edges[:, 1]
-    starts = (left[:, np.newaxis] ** first) @ (right[:, np.newaxis] ** first).T
-    ends = starts - (left[:, np.newaxis] ** last) @ (right[:, np.newaxis] ** last).T
-    # a ratio of 1 (an integrator): every term of the series is 1
-    one = np.abs(1.0 - ratio) < 1e-12
-    return np.where(one, float((last - first).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
-
-
-def _powers(poles: ComplexArray, n_samples: int) -> ComplexArray:
-    """(n_rows, n_poles) lambda^k for k = 0, 1, ... until the slowest has died out, by doubling."""
-    slowest = float(np.abs(poles).max(initial=0.0))
-    n_rows = n_samples
-    if slowest < 1.0 - 1e-12:
-        n_rows = min(n_samples, 2 + int(np.ceil(np.log(1e-12) / np.log(max(slowest, 1e-300)))))
-    powers = np.empty((n_rows, poles.size), dtype=np.complex128)
-    powers[:1] = 1.0
-    done, step = 1, poles.astype(np.complex128)
-    while done < n_rows:
-        take = min(done, n_rows - done)
-        powers[done : done + take] = powers[:take] * step
-        done, step = done + take, step * step
-    return powers

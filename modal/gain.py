@@ -1,79 +1,76 @@
-"""Does the input drive this mode? How much of the outputs on held-out rows is lost when it is left out.
+"""Does the input drive this mode? How much of the outputs is lost when its answer to the inputs is left out.
 
 A periodic disturbance is found again in every part of a record, as an undamped pole, and the fit gives it some
 participation by chance. On rows that the model has not seen, that participation only does harm: the free run is better
-without the pole. For a mode that the input drives it gets worse.
+without it. For a mode that the input drives it gets worse.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from era.realisation import Realisation
 from modal.basis import discrete_poles
 from modal.mode import ModalModel, Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["held_out_gain", "undriven_doubt"]
+__all__ = ["driven_gain", "undriven_doubt"]
 
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
+DEVIATIONS = 3.0
+"""Standard deviations by which the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
 
 
-def held_out_gain(
-    realisation: Realisation,
+def driven_gain(
     model: ModalModel,
     records: Sequence[Record],
-    rows: Sequence[BoolArray],
+    left: Sequence[FloatArray],
     *,
     output_scale: FloatArray,
+    rows: Sequence[BoolArray] | None = None,
 ) -> FloatArray:
-    """Share of the squared free-run error without a mode that the mode removes, on held-out rows.
+    """Share of the squared error without what the inputs make a mode do that this removes.
 
-        gain_i = 1 - |e|^2 / |e + y_i|^2,   e = y - D u - sum of y_i over all modes that do not grow
+        gain_i = 1 - |e|^2 / |e + y_i|^2
 
-    with y_i what the input makes mode i do, in a free run from rest through each whole record, outputs in unit size and
-    means removed.
+    with e what the model's free run leaves, initial states fitted, and y_i the mode's answer to the inputs from rest. A
+    line that the inputs do not drive is taken up by its initial state, and its answer to them is chance.
 
     Args:
-        realisation: identified without these rows.
-        model: its modes.
-        records: whole records; missing inputs count as zero, rows with a missing output are left out.
-        rows: (n_samples,) a record, True where it is held out.
+        model: modes of the model that ran.
+        records: that it ran through; missing inputs count as zero.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
         output_scale: (n_outputs,) sizes of the outputs.
+        rows: (n_samples,) a record, True where a row counts; all unless given.
 
     Returns:
-        (n_modes,) at most 1; negative where the free run is better without the mode; nan for growing modes, and for all
-        without inputs or without a complete held-out row.
+        (n_modes,) at most 1, negative where the run is better without; nan for growing modes, and for all without
+        inputs or without a row.
     """
     modes = model.modes
     gains = np.full(len(modes), np.nan)
-    if not modes or realisation.B.shape[1] == 0:
+    if not modes or not records[0].n_inputs:
         return gains
-    poles, is_pair = discrete_poles(modes, realisation.dt)
+    poles, is_pair = discrete_poles(modes, model.dt)
+    weight = np.where(is_pair, 2.0, 1.0)
     driven = [i for i in range(len(modes)) if modes[i].kind != "unstable"]
-    without, error, scored = np.zeros(len(modes)), 0.0, False
-    for record, held_out in zip(records, rows, strict=True):
+    without, error = np.zeros(len(modes)), 0.0
+    counted = [np.ones(record.n_samples, dtype=np.bool_) for record in records] if rows is None else rows
+    n_rows = 0
+    for record, errors, there in zip(records, left, counted, strict=True):
         inputs = np.nan_to_num(record.inputs)
-        kept = held_out & ~np.isnan(record.outputs).any(axis=1)
-        if not kept.any():
-            continue
-        scored = True
-        weight = np.where(is_pair, 2.0, 1.0)
-        parts = [
-            _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, kept)
-            / output_scale
-            for i in driven
-        ]
-        rest = (record.outputs[kept] - inputs[kept] @ realisation.D.T) / output_scale - sum(parts)
-        rest = rest - rest.mean(axis=0)
+        kept: BoolArray = np.isfinite(errors).all(axis=1) & there
+        n_rows += int(kept.sum())
+        rest = errors[kept] / output_scale
         error += float((rest**2).sum())
-        for i, part in zip(driven, parts, strict=True):
-            without[i] += float(((rest + part - part.mean(axis=0)) ** 2).sum())
-    if scored:
+        for i in driven:
+            part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, kept)
+            part = part / output_scale
+            without[i] += float(((rest + part - part.mean(axis=0)) ** 2).sum()) if kept.any() else 0.0
+    if n_rows:
         gains[driven] = 1 - error / np.maximum(without[driven], np.finfo(float).tiny)
     return gains
 
@@ -100,7 +97,10 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
         >>> undriven_doubt(mode, 0.02, 20.0)
         ('an undamped line, which decays by only 18 % over 20 s: periodic disturbance?',)
     """
-    undamped = mode.kind == "oscillatory" and -mode.pole.real * duration < LEAST_DECAY
+    # the least decay that its standard deviation allows; a line's damping is not zero, but cannot be told from zero
+    spread = 0.0 if np.isnan(mode.damping_ratio_std) else mode.damping_ratio_std / abs(mode.damping_ratio or 1.0)
+    decay = -mode.pole.real * duration * max(0.0, 1.0 - DEVIATIONS * spread)
+    undamped = mode.kind == "oscillatory" and decay < LEAST_DECAY
     if gain < 0:
         line = "an undamped line that the input does not drive" if undamped else "the input does not drive it"
         return (f"{line} (held-out gain negative){': periodic disturbance?' if mode.kind == 'oscillatory' else ''}",)

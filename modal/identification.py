@@ -1,11 +1,13 @@
 """What `modal.identify` returns: every stage of the road from records to modes, and why each choice was made."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from era.realisation import Realisation
 from modal.mode import ModalModel
+from modal.uncertainty import Uncertainty
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
@@ -67,6 +69,8 @@ class StabilisationPoint:
         damping_ratio: [-].
         overlap: closed-form overlap, in [0, 1], of its own pulse response with that of the pole it continues (0: new).
         emac: extended modal amplitude coherence.
+        repeatability: mean overlap, in [0, 1], with its continuation in models of halves of the data and of another
+            observer; nan where unknown.
     """
 
     order: int
@@ -74,6 +78,7 @@ class StabilisationPoint:
     damping_ratio: float
     overlap: float
     emac: float
+    repeatability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,7 +116,7 @@ class Identification:
         observer: the observer fit.
         residuals: whiteness and input correlation of its residuals.
         markov: Markov parameters recovered from it.
-        realisation: state-space model in the units of the records.
+        realisation: state-space model in the units of the records, refined by output error where that paid.
         modes: every mode with its indicators and its verdict.
         order_evidence: what the model order was decided on.
         choices: every automatic choice (and every one taken from an argument) with its reason.
@@ -120,6 +125,13 @@ class Identification:
             one-step prediction.
         predicted: one-step prediction for each record.
         warnings: sentences that the user must read; empty when all is well.
+        uncertainty: standard deviations of the modes (in their order) and of the realisation's Markov parameters; None
+            in a file that was saved before there were any.
+        innovations: whiteness and input correlation of the realisation's one-step errors; None where it has no gain or
+            the records are too short for the test.
+        fitted_model: the model that observer, Markov parameters and modes belong to: the realisation without the states
+            that stand for input delays and integrators.
+        innovation_covariance: (n_outputs, n_outputs) of these errors, for `era.forecast`; None without refinement.
     """
 
     records: tuple[Record, ...]
@@ -135,6 +147,10 @@ class Identification:
     simulated: tuple[Record, ...]
     predicted: tuple[Record, ...]
     warnings: tuple[str, ...]
+    uncertainty: Uncertainty | None = None
+    innovations: ResidualCheck | None = None
+    innovation_covariance: FloatArray | None = None
+    fitted_model: Realisation | None = None
 
     def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
         """Write all of it into one file without pickle; `modal.load` reads it back bit for bit.

@@ -26,6 +26,7 @@ class Mode:
         damping_ratio: -Re(pole) / |pole|, negative for an unstable pole.
         frequency_std: standard deviation of the frequency [Hz].
         damping_ratio_std: standard deviation of the damping ratio.
+        shape_std: (n_outputs,) root mean square distance of each complex component from its own mean; None: not known.
         shape: (n_outputs,) complex, output units; largest component 1.
         participation: (n_inputs,) complex; the residue matrix of the pulse response is outer(shape, participation), so
             system[k] = 2 Re(shape participation' lambda^(k-1)) for a pair (without the 2 Re for a real pole).
@@ -38,6 +39,7 @@ class Mode:
         msv: mode singular value relative to the largest of the model.
         mpd: mean phase deviation [deg].
         repeatability: mean overlap with the same mode identified again from other data and orders, in [0, 1].
+        gain: share of the squared free-run error without the mode that the mode removes (`modal.gain`).
         probability: that the mode belongs to the system.
         verdict: "system", "doubtful" or "noise".
         damping_resolved: False where the mode may exist but its damping ratio is not to be quoted.
@@ -52,6 +54,7 @@ class Mode:
     participation: ComplexArray
     frequency_std: float = np.nan
     damping_ratio_std: float = np.nan
+    shape_std: FloatArray | None = None
     amplitude_coherence: float = np.nan
     phase_collinearity: float = np.nan
     emac_output: float = np.nan
@@ -61,6 +64,7 @@ class Mode:
     msv: float = np.nan
     mpd: float = np.nan
     repeatability: float = np.nan
+    gain: float = np.nan
     probability: float = np.nan
     verdict: Verdict = "doubtful"
     damping_resolved: bool = True

@@ -5,23 +5,32 @@ realise -> modes -> judge by repeatability -> say in words what the data do not 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from modal.explanation import explain_scoring, explain_search, order_evidence, warnings_in_words
+import numpy as np
+
+from era.innovation_check import check_innovations
+from era.realisation import Realisation
+from modal.deviations import with_deviations
+from modal.doubts import FILTER_EDGE
+from modal.explanation import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.extraction import extract_modes
 from modal.final_model import fit_all_rows
 from modal.fits import measure_fit, model_runs
+from modal.gain import driven_gain
+from modal.ground import prepare_ground
 from modal.identification import Identification
-from modal.preparation import prepare
+from modal.preparation import Preparation, prepare
+from modal.refined_choice import refined_search
 from modal.repetition import repeat
 from modal.search import search
 from modal.threads import one_blas_thread
 from modal.verdict import judge
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.record import Record
-from okid.residuals import check_residuals
+from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records
 from okid.scalars import real_number, whole_number
 
@@ -35,6 +44,11 @@ def identify(
     ridge: float | Literal["auto"] = "auto",
     order: int | Literal["auto"] = "auto",
     decimation: int | Literal["auto"] = "auto",
+    refinement: Literal["auto", "none"] = "auto",
+    missing: Literal["fill", "leave"] = "fill",
+    integrators: int | Literal["auto"] = "auto",
+    input_delay: int | Sequence[int] | Literal["auto"] = "auto",
+    drift: int | Literal["auto", "none", "linear"] = "auto",
     progress: Callable[[str, float], None] | None = None,
 ) -> Identification:
     """Identify the modes of one system from one record or several; nothing needs to be chosen.
@@ -49,6 +63,13 @@ def identify(
         order: number of states of the model.
         decimation: keep every so-manieth sample after an anti-alias filter; "auto" keeps the band in which the outputs
             follow the inputs.
+        refinement: "auto" refines by output error as far as held-out rows gain by it; "none" leaves the model as OKID
+            and ERA give it.
+        missing: "fill" missing outputs by a model of the rest where they leave too few whole rows, or "leave" them.
+        integrators: number of times that the system sums its inputs (0, 1 or 2).
+        input_delay: samples by which inputs act late, one number or one an input.
+        drift: "none", "linear", or a number of slow functions taken off each channel (1 a line, 2 a parabola, more:
+            half-waves).
         progress: called as `progress(what, share_done)` while it works.
 
     Returns:
@@ -75,14 +96,28 @@ def identify(
     """
     if ridge != "auto" and not 0.0 <= real_number(ridge) < float("inf"):
         raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+    if refinement not in ("auto", "none"):
+        raise InvalidDataError(f'refinement must be "auto" or "none", but is {refinement!r}.')
     settings = _Settings(
         observer_order=_whole_or_auto(observer_order, "observer_order"),
         ridge=ridge,
         order=_whole_or_auto(order, "order"),
         decimation=_whole_or_auto(decimation, "decimation"),
+        refinement=refinement,
     )
+    several = as_records(records)
     with one_blas_thread():
-        return _identify(as_records(records), settings, progress or (lambda _what, _share: None))
+        tell = progress or (lambda _what, _share: None)
+        tell("looking at the data", 0.0)
+        preparation = prepare(
+            several,
+            decimation=settings.decimation,
+            missing=missing,
+            integrators=integrators,
+            input_delay=input_delay,
+            drift=drift,
+        )
+        return _identify(several, preparation, settings, tell)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -91,18 +126,29 @@ class _Settings:
     ridge: float | Literal["auto"]
     order: int | Literal["auto"]
     decimation: int | Literal["auto"]
+    refinement: Literal["auto", "none"]
 
 
-def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[str, float], None]) -> Identification:
-    tell("looking at the data", 0.0)
-    prepared, preparation = prepare(records, decimation=settings.decimation)
+def _identify(
+    records: Sequence[Record],
+    preparation: Preparation,
+    settings: _Settings,
+    tell: Callable[[str, float], None],
+) -> Identification:
+    prepared = preparation.records
+    ground = prepare_ground(prepared)
     found = search(
         prepared,
         observer_order=None if settings.observer_order == "auto" else settings.observer_order,
         ridge=None if settings.ridge == "auto" else float(settings.ridge),
         model_order=None if settings.order == "auto" else settings.order,
-        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.6 * share),
+        ground=ground,
+        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * share),
     )
+    if settings.refinement == "auto" and prepared[0].n_inputs:
+        found = refined_search(
+            ground, found, progress=lambda share: tell("refining on held-out rows", 0.35 + 0.35 * share)
+        )
     tell("fitting all rows", 0.7)
     wanted = found.chosen
     found, final = fit_all_rows(prepared, found)
@@ -110,44 +156,70 @@ def _identify(records: Sequence[Record], settings: _Settings, tell: Callable[[st
     runs = model_runs(model, prepared)
     fit = measure_fit(found, runs)
     tell("identifying again with other halves, orders and ridges", 0.8)
-    excitation = check_excitation(prepared, order=observer.order)
+    excitation = check_excitation(preparation.as_measured, order=observer.order)
     reruns = repeat(
         prepared,
         observer_order=observer.order,
         ridge=observer.ridge,
         model_order=model.order,
         decomposition=decomposition,
+        refinement_steps=0 if final.refined is None else found.chosen.refinement_steps,
     )
+    unjudged, uncertainty = with_deviations(extract_modes(model), final, prepared)
+    left = runs.left
     modes = judge(
-        extract_modes(model),
+        unjudged,
         reruns,
+        gain=driven_gain(unjudged, prepared, left, output_scale=reruns.output_scale),
+        n_values=sum(int(np.isfinite(errors).all(axis=1).sum()) for errors in left) * model.n_outputs,
+        edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
         fit=fit.mean,
         observer_order=observer.order,
         ridge=observer.ridge,
+        refinement_steps=found.chosen.refinement_steps,
         duration=max(record.duration for record in prepared),
         excitation=excitation if prepared[0].n_inputs else None,
     )
     tell("checking residuals", 0.9)
     residuals = check_residuals(observer, prepared)
     result = Identification(
-        records=runs.records,
+        records=tuple(
+            replace(run, inputs=came.inputs) for run, came in zip(runs.records, preparation.as_measured, strict=True)
+        ),
         excitation=excitation,
         observer=observer,
         residuals=residuals,
         markov=final.markov,
-        realisation=model,
+        realisation=preparation.complete(model),
+        fitted_model=model,
         modes=modes,
-        order_evidence=order_evidence(decomposition, model.order, found),
-        choices=(*preparation, *explain_scoring(prepared), *explain_search(found, wanted=wanted)),
+        order_evidence=order_evidence(decomposition, model.order, found, reruns=reruns),
+        choices=(
+            *preparation.choices,
+            *explain_scoring(prepared),
+            *explain_search(found, wanted=wanted),
+            *explain_gain(final.gain),
+        ),
         fit=fit,
         simulated=runs.simulated,
         predicted=runs.predicted,
-        warnings=warnings_in_words(
-            prepared, fit=fit, modes=modes, excitation=excitation, residuals=residuals, found=found
+        warnings=(
+            *preparation.warnings,
+            *warnings_in_words(prepared, fit=fit, modes=modes, excitation=excitation, residuals=residuals, found=found),
         ),
+        uncertainty=uncertainty,
+        innovations=_innovations(model, runs.records),
+        innovation_covariance=None if final.gain is None else final.gain.innovation_covariance,
     )
     tell("done", 1.0)
     return result
+
+
+def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck | None:
+    try:
+        return check_innovations(model, records)
+    except IdentificationError:  # no gain, or too few rows for the test
+        return None
 
 
 def _whole_or_auto(value: int | Literal["auto"], name: str) -> int | Literal["auto"]:

@@ -1,19 +1,25 @@
-"""What is done to the records before anything is fitted: means off, decimation to the band they speak about."""
+"""What is done to the records before anything is fitted: gaps, means, band, integrators, input delays, drift."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from era.realisation import Realisation
 from modal.band import coherent_band
+from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
+from modal.drift import choose_drift, given_drift, integrator_drift, without_drift
+from modal.filling import Filling, fill_where_needed
 from modal.identification import Choice
+from modal.integrators import choose_integrators, given_integrators, summed_inputs, with_integrators
 from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError
+from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import runs_of
+from okid.scalars import whole_number
 
-__all__ = ["prepare", "split_at_input_gaps"]
+__all__ = ["Preparation", "prepare", "split_at_input_gaps"]
 
 FEWEST_SAMPLES = 40
 """One block that always trains and one for each of three folds."""
@@ -21,42 +27,166 @@ SHORTEST = 50
 """Samples between two input gaps from which on a stretch is worth an initial state of its own."""
 SHORTEST_SHARE = 0.02
 """Of the record's longest stretch: a shorter one tells next to nothing, but would limit decimation."""
+_MEAN = Choice(what="mean", value="removed", reason="the model describes motion about the mean of each channel")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Preparation:
+    """Records ready for the observer fit, and what the model needs back to be driven by the inputs as they were.
+
+    Attributes:
+        records: what is fitted: inputs late, summed and free of drift where that was chosen.
+        as_measured: the same rows with the inputs as they came, less mean and drift: what `complete` is driven by.
+        input_delay: (n_inputs,) samples by which each input acts late.
+        n_integrators: how often the system sums its inputs.
+        n_slow_functions: what was taken off each channel besides its mean.
+        choices: all of it, with reasons.
+        warnings: what the user must read before believing a number.
+    """
+
+    records: tuple[Record, ...]
+    as_measured: tuple[Record, ...]
+    input_delay: tuple[int, ...]
+    n_integrators: int
+    n_slow_functions: int
+    choices: tuple[Choice, ...]
+    warnings: tuple[str, ...]
+
+    def complete(self, realisation: Realisation) -> Realisation:
+        """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
+
+        The first states stay those of the model; without integrators and delays it is the model itself.
+        """
+        return with_input_delay(with_integrators(realisation, self.n_integrators), self.input_delay)
 
 
 def prepare(
-    records: Sequence[Record], *, decimation: int | Literal["auto"] = "auto"
-) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
-    """Records ready for the observer fit, and the choices made.
+    records: Sequence[Record],
+    *,
+    decimation: int | Literal["auto"] = "auto",
+    missing: Literal["fill", "leave"] = "fill",
+    integrators: int | Literal["auto"] = "auto",
+    input_delay: int | Sequence[int] | Literal["auto"] = "auto",
+    drift: int | Literal["auto", "none", "linear"] = "auto",
+) -> Preparation:
+    """Everything that is done to records before a model is fitted to them, chosen by the data and explained.
 
     Args:
         records: of one system.
         decimation: factor, or "auto" for the band in which the outputs follow the inputs.
+        missing: "fill" missing outputs by a model of the rest where they leave too few whole rows, or "leave" them.
+        integrators: number of times that the system sums its inputs (0, 1 or 2).
+        input_delay: samples of the records given by which inputs act late, one number or one an input.
+        drift: "none", "linear", or a number of slow functions (1 a line, 2 a parabola, more: half-waves).
 
     Raises:
-        InsufficientDataError: an output that never moves in some record, or an input that moves in none.
+        InsufficientDataError: an output that never moves in some record, an input that moves in none, or records too
+            short for the delay.
+        InvalidDataError: an argument outside its range.
+
+    Example:
+        >>> rng = np.random.default_rng(1)
+        >>> force = rng.standard_normal(1500)
+        >>> late = np.convolve(force, np.r_[np.zeros(6), 1.0, 0.5])[:1500] + np.linspace(0.0, 2.0, 1500)
+        >>> found = prepare([Record(force, late + 0.01 * rng.standard_normal(1500), 0.01)])
+        >>> found.input_delay, found.n_integrators, found.n_slow_functions
+        ((6,), 0, 1)
     """
+    first = records[0]
+    slow_functions_given = _slow_functions_given(drift)
+    given = None if integrators == "auto" else given_integrators(integrators)
+    centred, gaps = _centred_parts(records)
+    filling = _filling(centred, missing)
+    integrating = choose_integrators(filling.records) if given is None else given
+    number = integrating.number
+    banded, factor, band = _to_band(filling.records, decimation, number)
+    if isinstance(input_delay, str):
+        delay = choose_input_delay(banded)
+    else:
+        delay = given_input_delay(input_delay, first, decimation=factor)
+    summed = tuple(summed_inputs(record, number) for record in banded)
+    if slow_functions_given is not None:
+        drifting = given_drift(max(number, slow_functions_given), banded[0])
+    elif number:
+        drifting = integrator_drift(number, banded[0])
+    else:
+        drifting = choose_drift(late_inputs(summed, delay.samples))
+    freed = tuple(without_drift(record, drifting.n_functions) for record in summed)
+    own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
+    longest = max(delay.samples, default=0)
+    return Preparation(
+        records=late_inputs(freed, delay.samples),
+        as_measured=tuple(record.samples(longest) for record in own),
+        input_delay=delay.samples,
+        n_integrators=number,
+        n_slow_functions=drifting.n_functions,
+        choices=(*gaps, *filling.choices, _MEAN, band, integrating.choice, delay.choice, drifting.choice),
+        warnings=(*filling.warnings, *([drifting.warning] if drifting.warning else [])),
+    )
+
+
+def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+    """Records cut where an input is missing, means off."""
     _check_long_enough(records)
     _check_channels_move(records)
     parts = tuple(part for record in records for part in split_at_input_gaps(record))
     centred = tuple(record.detrended() for record in parts)
-    mean = Choice(what="mean", value="removed", reason="the model describes motion about the mean of each channel")
-    if decimation == "auto":
-        band = coherent_band(centred)
-        factor, reason = band.factor, band.reason
-    else:
-        factor, reason = decimation, "given as an argument"
-    if factor > 1:
-        centred = tuple(record.decimated(factor).detrended() for record in centred)
-    nyquist = 0.5 / centred[0].dt
-    band_choice = Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
     if len(parts) == len(records):
-        return centred, (mean, band_choice)
+        return centred, ()
     gaps = Choice(
         what="input gaps",
         value=f"{len(parts)} records from {len(records)}",
         reason="where an input is missing the state is lost: what follows starts a record of its own",
     )
-    return centred, (gaps, mean, band_choice)
+    return centred, (gaps,)
+
+
+def _to_band(
+    records: Sequence[Record], decimation: int | Literal["auto"], n_integrators: int
+) -> tuple[tuple[Record, ...], int, Choice]:
+    """Decimated records, the factor and why; outputs that integrate are compared by what they integrate."""
+    if decimation == "auto":
+        compared = [replace(record, outputs=_differences(record.outputs, n_integrators)) for record in records]
+        band = coherent_band(compared)
+        factor, reason = band.factor, band.reason
+    else:
+        factor, reason = decimation, "given as an argument"
+    if factor > 1:
+        records = tuple(record.decimated(factor).detrended() for record in records)
+    nyquist = 0.5 / records[0].dt
+    return tuple(records), factor, Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
+
+
+def _differences(values: FloatArray, number: int) -> FloatArray:
+    """As many differences of each column, the first ones repeated so that no row is lost."""
+    if number == 0:
+        return values
+    inner = np.diff(values, number, axis=0)
+    return np.vstack([np.repeat(inner[:1], number, axis=0), inner])
+
+
+def _own_inputs(banded: Record, summed: Record, freed: Record, number: int) -> Record:
+    """The inputs whose sums are those of `freed`: as they came, less what of them drives the slow motion taken off."""
+    slow = _differences(summed.inputs - freed.inputs, number)
+    return replace(freed, inputs=banded.inputs - slow)
+
+
+def _filling(records: Sequence[Record], missing: Literal["fill", "leave"]) -> Filling:
+    if missing == "fill":
+        return fill_where_needed(records)
+    measured = tuple(~np.isnan(record.outputs) for record in records)
+    return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
+
+
+def _slow_functions_given(drift: int | Literal["auto", "none", "linear"]) -> int | None:
+    if isinstance(drift, str):
+        words = {"auto": None, "none": 0, "linear": 1}
+        if drift not in words:
+            raise InvalidDataError(
+                f'drift must be "auto", "none", "linear" or a number of slow functions, but is {drift!r}.'
+            )
+        return words[drift]
+    return whole_number(drift, name="a number of slow functions", least=0)
 
 
 def split_at_input_gaps(record: Record) -> tuple[Record, ...]:

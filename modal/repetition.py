@@ -6,22 +6,31 @@ and one SVD.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
 from modal.extraction import extract_modes
-from modal.gain import held_out_gain
-from modal.trials import hankel_limits, markov_lags
+from modal.fits import model_runs
+from modal.free_run import filled
+from modal.gain import driven_gain
+from modal.ground import hankel_limits, markov_lags, scaled_record
+from modal.modal_realisation import in_units, scaled_model
+from modal.modal_states import blocks_of
+from modal.mode import ModalModel
+from modal.refinement import NONE, OutputError, refine
+from modal.starting import starting_parameters
 from modal.verdict import Rerun, Reruns
-from okid.arrays import BoolArray
+from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram
 from okid.observer import observer_fit
 from okid.record import Record
 from okid.recovery import recover_markov
 from okid.regression import solve
+from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["repeat"]
@@ -34,6 +43,8 @@ ORDER_SHARES = (0.85, 1.2, 1.4)
 OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
+STEPS_AGAIN = 4
+"""Most refinement steps of a rerun."""
 
 
 def repeat(
@@ -43,8 +54,12 @@ def repeat(
     ridge: float,
     model_order: int,
     decomposition: HankelDecomposition,
+    refinement_steps: int = 0,
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
+
+    Where the model was refined its reruns are refined too, on their own rows, with a few steps each: what they have in
+    common is then the system, not the bias of an observer.
 
     Args:
         records: as the model was identified from.
@@ -52,6 +67,7 @@ def repeat(
         ridge: of the model's observer.
         model_order: of the model.
         decomposition: that the model was cut from; gives the other model orders.
+        refinement_steps: of the model.
     """
     scaling = channel_scaling(records)
     first_half = tuple(_every_second_block(record.n_samples) for record in records)
@@ -62,25 +78,76 @@ def repeat(
     dt = records[0].dt
     runs = []
     second_half = tuple(~rows for rows in first_half)
-    for label, gram, unseen in (("first half", one, second_half), ("second half", whole - one, first_half)):
+    again = _Refiner(records, scaling, (first_half, second_half), min(refinement_steps, STEPS_AGAIN))
+    for half, (label, gram, unseen) in enumerate(
+        (("first half", one, second_half), ("second half", whole - one, first_half))
+    ):
         model = _model(_carried(gram, model_order), ridge, scaling, dt, model_order)
         if model is not None:
+            model = again.refined(model, held_out=1 - half)
             modes = extract_modes(model)
-            gain = held_out_gain(model, modes, records, unseen, output_scale=scaling.output_scale)
+            gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, model_order)
     if model is not None:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        runs.append(Rerun(label=label, change="observer", modes=extract_modes(model)))
+        runs.append(Rerun(label=label, change="observer", modes=extract_modes(again.refined(model))))
     for n in _other_orders(model_order, min(decomposition.rank, decomposition.max_order)):
-        again = extract_modes(realise_from(decomposition, n))
-        runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=again))
+        modes = extract_modes(again.refined(realise_from(decomposition, n)))
+        runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
     return Reruns(
         runs=tuple(runs),
         n_steps=decomposition.n_block_rows + decomposition.n_block_columns,
         output_scale=scaling.output_scale,
         input_scale=scaling.input_scale,
     )
+
+
+class _Refiner:
+    """Refines reruns on all rows or on one half of them; hands them back as they are where no steps are asked for."""
+
+    def __init__(
+        self,
+        records: Sequence[Record],
+        scaling: ChannelScaling,
+        halves: Sequence[Sequence[BoolArray]],
+        n_steps: int,
+    ) -> None:
+        self._scaling, self._n_steps = scaling, n_steps if records[0].n_inputs else 0
+        if self._n_steps:
+            scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+            self._data = OutputError(
+                records=scaled,
+                rows=tuple(record.complete_rows() for record in records),
+                blocks=blocks_of(scaled, [[runs_of(rows) for rows in half] for half in halves]),
+            )
+
+    def refined(self, model: Realisation, *, held_out: int = NONE) -> Realisation:
+        """The model after a few steps on the rows that are not held out."""
+        if not self._n_steps:
+            return model
+        start = starting_parameters(scaled_model(model, self._scaling), self._data, held_out=held_out)
+        if start is None:
+            return model
+        last = refine(start, self._data, held_out=held_out, n_steps=self._n_steps)[-1]
+        return in_units(last, model, self._scaling)
+
+
+def _gain(
+    model: Realisation,
+    modes: ModalModel,
+    records: Sequence[Record],
+    unseen: Sequence[BoolArray],
+    output_scale: FloatArray,
+) -> FloatArray | None:
+    """Gain of the modes on rows that the model has not seen; None where it cannot run freely."""
+    if not model.n_inputs:
+        return None
+    try:
+        runs = model_runs(replace(model, K=None), records)
+    except NumericalError:
+        return None
+    return driven_gain(modes, records, runs.left, output_scale=output_scale, rows=unseen)
 
 
 def _every_second_block(n_samples: int) -> BoolArray:

@@ -5,8 +5,9 @@ Each candidate (observer order, ridge) is fitted on the rows outside a fold, red
 and run freely through the whole record; its squared error counts on the fold's rows only. Without inputs there is no
 free run to score: the one-step prediction of the reduced model takes its place.
 
-The search is coarse to fine: every candidate on one fold and a few model orders, then the most promising on all folds
-and all model orders, then their neighbours, until no neighbour is better (so a grid that ends too early extends).
+The search is coarse to fine. A scout looks at a coarse grid on one fold; the most promising candidates go on to all
+folds; the neighbours of the best are scouted and, where they are promising too, go on as well, until no neighbour is
+better (so a grid that ends too early extends). Model orders are coarse until two observers are left.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,37 +15,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal.search_grid import SearchLimits, search_limits, untried_neighbours
 from modal.trials import Ground, Trial, hankel_shape, make_trials, prepare_ground
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
-from okid.rows import check_enough_rows
 
-__all__ = ["Search", "SearchLimits", "search", "search_limits"]
+__all__ = ["Search", "SearchLimits", "as_good", "search", "search_limits", "significantly_worse"]
 
-OBSERVER_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-RIDGES = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-MODEL_ORDERS = (*range(1, 13), 14, 16, 18, 20, 24, 28, 32, 36, 40, 48, 56, 64)
-COARSE_MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 40, 64)
-FINALISTS = 6
-ROUNDS = 4
+RIDGE_RATIOS = (10.0, 3.0, 3.0, 3.0)
+"""Between the ridges of neighbours, in each round of the search."""
+COARSE_MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 40)
+SEMIFINALISTS = 9
+"""Observers that a scout sends to a second fold."""
+FINALISTS = 4
+NEIGHBOURS = 2
+"""Neighbours of the best that are run on all folds, of those that a scout finds better."""
+NEAR = 1.1
+"""Ratio to the best error of an observer from which on a coarse model order is not refined."""
 SHORT = 4000
 """Samples up to which a fold is too short to scout alone, and all of them are cheap."""
-LEAST_ROWS = 0.75
-"""Share of the samples that an observer order must leave as rows; a short record among long ones does not limit it."""
 WITHIN = 1.02
 """Largest ratio to the best error of a smaller model that may stand in for it."""
 ROUND_OFF = 1e-14
 """Relative squared errors below this are equal: noise-free data."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SearchLimits:
-    """Candidates that may be tried; a single value is a choice that the caller made."""
-
-    observer_orders: tuple[int, ...]
-    ridges: tuple[float, ...]
-    model_orders: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -70,6 +64,7 @@ def search(
     observer_order: int | None = None,
     ridge: float | None = None,
     model_order: int | None = None,
+    ground: Ground | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Search:
     """Choose observer order, ridge and model order together; a given one is kept.
@@ -79,6 +74,7 @@ def search(
         observer_order: the caller's choice, None to choose.
         ridge: likewise.
         model_order: likewise.
+        ground: of the same records, from `prepare_ground`, for a caller who wants to go on with what is computed here.
         progress: called with the share done.
 
     Raises:
@@ -86,32 +82,41 @@ def search(
             stable model.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
-    ground = prepare_ground(records)
+    ground = prepare_ground(records) if ground is None else ground
     if model_order is not None:
         _check_model_order(model_order, ground)
     every_fold = tuple(range(len(ground.folds)))
     n_samples = sum(record.n_samples for record in records)
     scouted = every_fold if n_samples <= SHORT else every_fold[:1]
-    coarse_orders = tuple(n for n in limits.model_orders if n in COARSE_MODEL_ORDERS) or limits.model_orders
+    coarse = tuple(n for n in limits.model_orders if n in COARSE_MODEL_ORDERS) or limits.model_orders
     scout: list[Trial] = []
     for i, candidate in enumerate(limits.ridges):
-        scout += make_trials(ground, limits.observer_orders, candidate, coarse_orders, scouted)
+        scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted)
         progress(0.5 * (i + 1) / len(limits.ridges))
-    finalists = _best_observers(scout, FINALISTS)
-    tried: dict[tuple[int, float], list[Trial]] = {}
-    for step in range(ROUNDS):
-        tried |= _grouped(ground, finalists, coarse_orders, every_fold)
-        progress(0.5 + 0.4 * (step + 1) / ROUNDS)
-        finalists = _untried_neighbours([t for row in tried.values() for t in row], limits, set(tried))
-        if not finalists:
+    if len(scouted) < len(every_fold):
+        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2])
+    tried = _finals(ground, scout, coarse, every_fold)
+    seen = {(p, ridge) for p in limits.observer_orders for ridge in limits.ridges}
+    for i, ratio in enumerate(RIDGE_RATIOS):
+        progress(0.5 + 0.4 * (i + 1) / len(RIDGE_RATIOS))
+        around = untried_neighbours(tried, limits, seen, ratio)
+        if not around:
             break
-    best = _best_observers([t for row in tried.values() for t in row], 2)
-    tried |= _grouped(ground, best, limits.model_orders, every_fold)
-    trials = sorted((t for row in tried.values() for t in row), key=lambda t: (t.error, t.model_order))
-    if not trials:
+        seen |= set(around)
+        tried += _neighbours(ground, around, min(tried, key=_by_error), coarse, (scouted, every_fold))
+    if not tried:
         raise InsufficientDataError(_nothing_stable(limits))
+    for observer in _best_observers(tried, 2):
+        own = _trials(ground, [observer], coarse, every_fold)
+        own += _trials(ground, [observer], _worth_trying(own, limits.model_orders), every_fold)
+        tried = [trial for trial in tried if (trial.observer_order, trial.ridge) != observer] + own
     progress(1.0)
-    return Search(trials=tuple(trials), chosen=_chosen(trials), power=ground.power, limits=limits)
+    tried.sort(key=_by_error)
+    return Search(trials=tuple(tried), chosen=_chosen(tried), power=ground.power, limits=limits)
+
+
+def _by_error(trial: Trial) -> tuple[float, int]:
+    return trial.error, trial.model_order
 
 
 def _check_model_order(model_order: int, ground: Ground) -> None:
@@ -124,40 +129,84 @@ def _check_model_order(model_order: int, ground: Ground) -> None:
         )
 
 
-def _grouped(
+def _trials(
     ground: Ground,
     observers: Sequence[tuple[int, float]],
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
-) -> dict[tuple[int, float], list[Trial]]:
-    """Trials of each (observer order, ridge), also of those that gave none."""
-    tried: dict[tuple[int, float], list[Trial]] = {observer: [] for observer in observers}
-    for ridge in sorted({ridge for _, ridge in observers}):
-        orders = tuple(sorted(p for p, other in observers if other == ridge))
-        for trial in make_trials(ground, orders, ridge, model_orders, fold_indices):
-            tried[trial.observer_order, ridge].append(trial)
-    return tried
+) -> list[Trial]:
+    return [trial for p, ridge in observers for trial in make_trials(ground, [p], ridge, model_orders, fold_indices)]
 
 
-def search_limits(
-    records: Sequence[Record], *, observer_order: int | None, ridge: float | None, model_order: int | None
-) -> SearchLimits:
-    """The grid that the records can carry: an observer needs several rows an unknown, and a Gram that fits a cache."""
-    n_channels = records[0].n_inputs + records[0].n_outputs
-    n_samples = sum(record.n_samples for record in records)
-    if observer_order is not None:
-        check_enough_rows(records, observer_order)
-    largest = max(1, min(256, n_samples // (3 * n_channels), 1600 // n_channels))
-    while largest > 1 and sum(max(0, record.n_samples - largest) for record in records) < LEAST_ROWS * n_samples:
-        largest -= 1
-    doubling = [p for p in OBSERVER_ORDERS if p <= largest]
-    if largest >= 1.4 * doubling[-1]:
-        doubling.append(largest)
-    return SearchLimits(
-        observer_orders=tuple(doubling) if observer_order is None else (observer_order,),
-        ridges=RIDGES if ridge is None else (ridge,),
-        model_orders=MODEL_ORDERS if model_order is None else (model_order,),
-    )
+def _finals(
+    ground: Ground, scout: Sequence[Trial], model_orders: Sequence[int], every_fold: Sequence[int]
+) -> list[Trial]:
+    """Trials, on every fold, of the best `FINALISTS` observers that are stable on all of them, and of one more.
+
+    That one gave the smallest of the models as good as the best: where many observers do equally well, chance ranks
+    them.
+    """
+    least = min((trial.error for trial in scout), default=0.0)
+    good = [trial for trial in scout if trial.error <= WITHIN * least + ROUND_OFF**0.5]
+    good.sort(key=lambda trial: (trial.model_order, trial.observer_order, trial.error))
+    by_size = list(dict.fromkeys((trial.observer_order, trial.ridge) for trial in good))
+    smallest = _first_stable(ground, by_size, 1, model_orders, every_fold)
+    taken = {(trial.observer_order, trial.ridge) for trial in smallest}
+    others = [observer for observer in _best_observers(scout, len(scout)) if observer not in taken]
+    return smallest + _first_stable(ground, others, FINALISTS, model_orders, every_fold)
+
+
+def _first_stable(
+    ground: Ground,
+    ranked: Sequence[tuple[int, float]],
+    count: int,
+    model_orders: Sequence[int],
+    every_fold: Sequence[int],
+) -> list[Trial]:
+    """Trials of the first so many observers that are stable on every fold."""
+    found: list[Trial] = []
+    for observer in ranked:
+        own = _trials(ground, [observer], model_orders, every_fold)
+        found += own
+        count -= bool(own)
+        if count == 0:
+            break
+    return found
+
+
+def _neighbours(
+    ground: Ground,
+    around: Sequence[tuple[int, float]],
+    best: Trial,
+    coarse: Sequence[int],
+    folds: tuple[Sequence[int], Sequence[int]],
+) -> list[Trial]:
+    """Trials, on every fold, of the neighbours that a scout finds better than the best so far.
+
+    Args:
+        ground: of all trials.
+        around: (observer order, ridge) of the neighbours.
+        best: trial so far; the model orders next to its own are run.
+        coarse: model orders.
+        folds: those of the scout, and all.
+    """
+    scouted, every_fold = folds
+    place = int(np.searchsorted(coarse, best.model_order))
+    near = coarse[max(0, place - 1) : place + 2]
+    (mark,) = make_trials(ground, [best.observer_order], best.ridge, [best.model_order], scouted)
+    scout = _trials(ground, around, near, scouted)
+    promising = _best_observers([trial for trial in scout if trial.error <= WITHIN * mark.error], NEIGHBOURS)
+    return _trials(ground, promising, near, every_fold)
+
+
+def _worth_trying(trials: Sequence[Trial], model_orders: Sequence[int]) -> list[int]:
+    """Model orders not tried yet between the coarse ones that frame all that come near the best of one observer."""
+    best = min(trials, key=_by_error)
+    near = [trial.model_order for trial in trials if trial.error <= NEAR * best.error + ROUND_OFF**0.5]
+    below = max((trial.model_order for trial in trials if trial.model_order < min(near)), default=0)
+    above = min((trial.model_order for trial in trials if trial.model_order > best.model_order), default=np.inf)
+    done = {trial.model_order for trial in trials}
+    return [n for n in model_orders if below < n < above and n not in done]
 
 
 def _best_observers(trials: Sequence[Trial], count: int) -> list[tuple[int, float]]:
@@ -167,22 +216,6 @@ def _best_observers(trials: Sequence[Trial], count: int) -> list[tuple[int, floa
         key = (trial.observer_order, trial.ridge)
         best[key] = min(best.get(key, np.inf), trial.error)
     return sorted(best, key=lambda key: best[key])[:count]
-
-
-def _untried_neighbours(
-    trials: Sequence[Trial], limits: SearchLimits, tried: set[tuple[int, float]]
-) -> list[tuple[int, float]]:
-    """Observer orders half an octave and ridges half a decade around the best so far."""
-    if not trials:
-        return []
-    best = min(trials, key=lambda trial: trial.error)
-    orders, ridges = {best.observer_order}, {best.ridge}
-    if len(limits.observer_orders) > 1:
-        around = (round(best.observer_order / 1.4), round(best.observer_order * 1.4))
-        orders |= {p for p in around if 1 <= p <= max(limits.observer_orders)}
-    if len(limits.ridges) > 1 and best.ridge > 0.0:
-        ridges |= {float(f"{ridge:.1g}") for ridge in (best.ridge / 3.0, best.ridge * 3.0) if ridge <= 1.0}
-    return [(p, ridge) for p in sorted(orders) for ridge in sorted(ridges) if (p, ridge) not in tried]
 
 
 def _nothing_stable(limits: SearchLimits) -> str:
@@ -206,12 +239,17 @@ def _chosen(trials: Sequence[Trial]) -> Trial:
     Significant is one standard error of the differences from block to block (Breiman, Friedman, Olshen, Stone,
     Classification and Regression Trees, 1984, section 3.4.3): a weak mode that helps in every block is kept.
     """
-    good = [trial for trial in trials if _as_good(trial, trials[0])]
+    good = [trial for trial in trials if as_good(trial, trials[0])]
     return min(good, key=lambda trial: (trial.model_order, trial.error))
 
 
-def _as_good(trial: Trial, best: Trial) -> bool:
-    worse = trial.block_errors - best.block_errors
+def as_good(trial: Trial, best: Trial) -> bool:
+    """Within 2 % of the best, and not significantly worse."""
+    return not significantly_worse(trial, best) and trial.error <= WITHIN * best.error + ROUND_OFF**0.5
+
+
+def significantly_worse(trial: Trial, other: Trial) -> bool:
+    """By more than one standard error of the differences from block to block."""
+    worse = trial.block_errors - other.block_errors
     spread = float(np.sqrt(worse.size) * worse.std(ddof=1)) if worse.size > 1 else 0.0
-    significantly = float(worse.sum()) > spread + ROUND_OFF
-    return not significantly and trial.error <= WITHIN * best.error + ROUND_OFF**0.5
+    return float(worse.sum()) > spread + ROUND_OFF

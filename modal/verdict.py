@@ -5,13 +5,10 @@ the observer, not the data. Repeatability asks the data: identify again with hal
 and ridge, with other model orders, and take the mean overlap of the mode's pulse response with its continuation
 (`modal.overlap`). The three kinds of change have equal weight, however many runs each has.
 
-The probability 1 / (1 + exp(7.36 - 12.3 r)) and the limits 0.71 and 0.42 on r are starting values from a study of 940
-simulated structures; they are to be calibrated again for the runs that `modal.identify` makes.
+Found again is not enough: hum is, and so is what describes coloured noise. `modal.probability` weighs r together with
+how much of the outputs the mode's answer to the inputs explains.
 
-A line that the input does not drive (hum) is found again too. What tells it from a mode is its gain on held-out rows
-(`modal.gain`), and that it hardly decays within the record. On 160 simulated records with 123 hum lines 16 were called
-"system" without these two rules and 4 with them, and 2 of 462 true modes lost that verdict; the limits were set on
-these records, so fresh ones may do worse.
+A line that the input does not drive (hum), and a pole in the edge of a decimation filter, are never more than doubtful.
 """
 
 from collections.abc import Sequence
@@ -22,22 +19,37 @@ import numpy as np
 
 from modal.assurance import assurance
 from modal.damping import damping_doubt
-from modal.doubts import colour_doubt, delay_doubt, excitation_doubt, poor_fit_doubt
+from modal.doubts import (
+    colour_doubt,
+    delay_doubt,
+    edge_doubt,
+    excitation_doubt,
+    poor_fit_doubt,
+    unexcited_doubt,
+)
 from modal.extraction import NOT_JUDGED, remarks
 from modal.gain import undriven_doubt
 from modal.mode import ModalModel, Mode, Verdict
 from modal.overlap import Pulses, Repeatability, energies, pulses, repeatability
+from modal.probability import f_ratio, probability
 from modal.resonance import group_overlaps, groups
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
 
-__all__ = ["Change", "Rerun", "Reruns", "judge", "probability"]
+__all__ = ["Change", "Rerun", "Reruns", "judge"]
 
 Change = Literal["data", "observer", "lower order", "higher order"]
 """What a rerun changed: the rows it saw, observer order and ridge, or the model order."""
 
-SYSTEM_FROM = 0.71
-NOISE_BELOW = 0.42
+SYSTEM_FROM = 0.8
+"""Probability from which a mode is called one of the system."""
+NOISE_BELOW = 0.05
+DOUBTED = 0.5
+"""Largest probability of a line that the input does not drive and of a pole in a filter's edge."""
+LEAST_PART = 0.42
+"""Overlap that every kind of change must leave of a mode of the system."""
+HARDLY_DRIVEN = 5.0
+"""F ratio below which a mode that was found again may still be chance."""
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
@@ -95,11 +107,14 @@ def judge(
     refinement_steps: int = 0,
     duration: float = np.nan,
     excitation: Excitation | None = None,
+    gain: FloatArray | None = None,
+    n_values: int = 0,
+    edge: float = np.inf,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
-    Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for r
-    >= 0.71 where no kind of change leaves less than 0.42, "noise" for r < 0.42, else "doubtful". At most doubtful are:
+    Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for p
+    >= 0.8 where no kind of change leaves less than 0.42, "noise" for p < 0.05, else "doubtful". At most doubtful are:
     a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of `modal.doubts` or
     `modal.gain`. Poles side by side that share one resonance are judged together (`modal.resonance`). A real pole is
     judged like the others but named as what it is.
@@ -115,6 +130,9 @@ def judge(
         refinement_steps: output-error refinement steps made after the observer fit.
         duration: of the longest record [s]; nan where unknown: undamped lines are then not looked for.
         excitation: what the inputs allow; None without inputs.
+        gain: (n_modes,) share of the free-run error that each mode removes (`modal.gain`); None where unknown.
+        n_values: measured values, rows times outputs, that the gain was taken on.
+        edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -140,18 +158,28 @@ def judge(
     modes = []
     for i, mode in enumerate(model.modes):
         numbers = {group: float(values[i]) for group, values in parts.items()}
-        verdict, words = _verdict(mode, float(r[i]), numbers, _worse_order(found.parts[:, i], changes))
+        own_gain = np.nan if gain is None else float(gain[i])
+        ratio = f_ratio(mode, own_gain, n_values)
+        p = probability(float(r[i]), ratio)
+        undriven = (
+            *undriven_doubt(mode, _mean_gain(found, reruns, i), duration),
+            *edge_doubt(mode, edge),
+            *unexcited_doubt(mode, excitation),
+        )
+        verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
         words = (*resonance.get(i, ()), *words)
         if primary[i] != i and mode.kind == "oscillatory":
             words = (f"second pole of the mode at {model.modes[primary[i]].frequency:.4g} Hz", *words)
             verdict = "doubtful" if verdict == "system" else verdict
         doubts = (
             *poor_fit_doubt(fit),
-            *excitation_doubt(n_states, excitation),
-            *undriven_doubt(mode, _mean_gain(found, reruns, i), duration),
+            *excitation_doubt(n_states, excitation, own_gain),
+            *undriven,
             *colour_doubt(mode),
             *delay_doubt(mode, model.dt),
         )
+        if undriven:
+            p = min(p, DOUBTED)
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
         doubt = damping_doubt(
@@ -165,7 +193,8 @@ def judge(
             replace(
                 mode,
                 repeatability=float(r[i]),
-                probability=0.0 if mode.kind in ("unstable", "nyquist") else probability(float(r[i])),
+                gain=own_gain,
+                probability=0.0 if mode.kind in ("unstable", "nyquist") else p,
                 verdict=verdict,
                 damping_resolved=not doubt,
                 reason="; ".join((*remarks(mode, model.dt), *words, *doubt)),
@@ -190,16 +219,6 @@ def _with_resonances(
     return replace(found, parts=parts), words
 
 
-def probability(r: float) -> float:
-    """That a mode of repeatability r belongs to the system.
-
-    Example:
-        >>> [round(probability(r), 2) for r in (0.42, 0.71, 1.0)]
-        [0.1, 0.8, 0.99]
-    """
-    return float(1 / (1 + np.exp(7.36 - 12.3 * r)))
-
-
 def _group_means(parts: FloatArray, changes: tuple[Change, ...]) -> dict[str, FloatArray]:
     rows = {group: [i for i, change in enumerate(changes) if change in members] for group, members in GROUPS.items()}
     return {group: parts[chosen].mean(axis=0) for group, chosen in rows.items() if chosen}
@@ -213,15 +232,19 @@ def _worse_order(parts: FloatArray, changes: tuple[Change, ...]) -> str:
     return "is lost at higher model order"
 
 
-def _verdict(mode: Mode, r: float, numbers: dict[str, float], worse_order: str) -> tuple[Verdict, tuple[str, ...]]:
+def _verdict(
+    mode: Mode, p: float, ratio: float, numbers: dict[str, float], worse_order: str
+) -> tuple[Verdict, tuple[str, ...]]:
     if mode.kind in ("unstable", "nyquist"):
         return "noise", ()
-    if np.isnan(r):
+    if np.isnan(p):
         return "doubtful", (NOT_JUDGED,)
     shown = ", ".join(f"{group} {value:.2f}" for group, value in numbers.items())
-    if r >= SYSTEM_FROM and min(numbers.values()) >= NOISE_BELOW:
+    if p >= SYSTEM_FROM and min(numbers.values()) >= LEAST_PART:
         return "system", (f"found again: {shown}",)
-    verdict: Verdict = "noise" if r < NOISE_BELOW else "doubtful"
+    verdict: Verdict = "noise" if p < NOISE_BELOW else "doubtful"
+    if ratio < HARDLY_DRIVEN and min(numbers.values()) >= 0.5:
+        return verdict, (f"found again, but what the inputs make it do may be chance (F ratio {ratio:.1g})",)
     if max(numbers.values()) < NOT_FOUND_BELOW:
         return verdict, (f"not found again ({shown})",)
     phrases = {

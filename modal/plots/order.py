@@ -1,6 +1,7 @@
 """What the model order was decided on: singular values, fit against order, and which poles stay when it grows."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,6 +18,13 @@ __all__ = ["order_fits", "singular_values", "stabilisation_diagram"]
 
 OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
 """Overlap with the pole that it continues: (from, below, word)."""
+REPEATABILITY_CLASSES = (
+    (0.0, 0.4, "below 0.4"),
+    (0.4, 0.7, "0.4 to 0.7"),
+    (0.7, 0.9, "0.7 to 0.9"),
+    (0.9, 1.01, "above 0.9"),
+)
+"""Repeatability over halves of the data and another observer: (from, below, word)."""
 
 
 def singular_values(evidence: OrderEvidence, *, theme: Theme = LIGHT, limit: int = 120) -> Figure:
@@ -71,10 +79,11 @@ def stabilisation_diagram(
     measured: Sequence[Record] = (),
     theme: Theme = LIGHT,
 ) -> Figure:
-    """Every pole of every model order over the power of the measured outputs, coloured by how well it stays.
+    """Every pole of every model order over the power of the measured outputs, coloured by how well it is found again.
 
     Args:
-        evidence: holds the poles of all orders.
+        evidence: holds the poles of all orders; where their repeatability is not known, the colour is the overlap with
+            the pole of the next lower order.
         modes: of the chosen order; the system modes are marked above.
         measured: records whose mean output spectrum is drawn behind.
         theme: colours.
@@ -91,8 +100,9 @@ def stabilisation_diagram(
         axis.fill_between(frequency, 0, height * highest * 0.96, color=theme.measured, alpha=0.10, lw=0)
         axis.plot(frequency, height * highest * 0.96, color=theme.measured, lw=0.8, alpha=0.45)
     colours = (theme.noise, theme.doubtful, theme.measured, theme.system)
-    for (low, high, word), colour in zip(OVERLAP_CLASSES, colours, strict=True):
-        chosen = [point for point in points if low <= point.overlap < high]
+    measure, classes, title = colour_measure(evidence)
+    for (low, high, word), colour in zip(classes, colours, strict=True):
+        chosen = [point for point in points if low <= np.nan_to_num(getattr(point, measure)) < high]
         axis.plot(
             [point.frequency for point in chosen],
             [point.order for point in chosen],
@@ -118,11 +128,20 @@ def stabilisation_diagram(
         frameon=False,
         fontsize=8.5,
         labelcolor=theme.muted,
-        title="overlap with the pole of the next lower order",
+        title=title,
         title_fontsize=8.5,
     )
     legend.get_title().set_color(theme.muted)
     return figure
+
+
+def colour_measure(
+    evidence: OrderEvidence,
+) -> tuple[Literal["repeatability", "overlap"], tuple[tuple[float, float, str], ...], str]:
+    """What colours the poles: the field of a point, its classes (from, below, word), and its meaning for a reader."""
+    if any(np.isfinite(point.repeatability) for point in evidence.stabilisation):
+        return "repeatability", REPEATABILITY_CLASSES, "found again: halves of the data, another observer"
+    return "overlap", OVERLAP_CLASSES, "overlap with the pole of the next lower order"
 
 
 def _mean_spectrum(records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:

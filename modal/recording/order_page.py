@@ -48,7 +48,7 @@ def _response_size(identification: Identification, frequencies: FloatArray) -> F
     """
     from modal.synthesis import frf
 
-    model, markov = identification.realisation, identification.markov
+    model, markov = identification.fitted_model or identification.realisation, identification.markov
     into = markov.input_scale
     if not markov.n_inputs:
         if model.K is None:
@@ -70,11 +70,17 @@ def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") ->
     fits = {"cross_validated_fit": evidence.candidate_fits[order]}
     log_table(recording, "order/fit", TIMELINE, evidence.candidate_orders[order], fits)
     orders = sorted({point.order for point in evidence.stabilisation})
+    # a column of nan would say nothing, and two recordings with nan in a cell never compare equal
+    known = ("repeatability",) if _is_repeatability_known(evidence) else ()
     poles = {
         name: [[getattr(p, name) for p in evidence.stabilisation if p.order == order] for order in orders]
-        for name in ("frequency", "damping_ratio", "overlap", "emac")
+        for name in ("frequency", "damping_ratio", "overlap", "emac", *known)
     }
     log_table(recording, "order/stabilisation", TIMELINE, orders, poles)
+
+
+def _is_repeatability_known(evidence: OrderEvidence) -> bool:
+    return any(np.isfinite(point.repeatability) for point in evidence.stabilisation)
 
 
 def _log_response(recording: "rerun.RecordingStream", frequencies: FloatArray, size: FloatArray) -> None:
@@ -154,6 +160,7 @@ def _draw_stabilisation(
 ) -> None:
     evidence = identification.order_evidence
     points = evidence.stabilisation
+    known = _is_repeatability_known(evidence)
     highest = max([point.order for point in points], default=evidence.order)
     figure = Figure(
         recording=recording,
@@ -166,20 +173,21 @@ def _draw_stabilisation(
     figure.line("chosen", [0.0, frequencies[-1]], [evidence.order] * 2, GOLD, width=0.5, order=4.0)
     _draw_modes(figure, plan, highest)
     if points:
-        overlap = np.array([point.overlap for point in points])
         texts = [
             f"order {p.order}: {p.frequency:.5g} Hz, damping {100 * p.damping_ratio:.2g} %, overlap {p.overlap:.3f}"
+            + (f", found again {p.repeatability:.3f}" if np.isfinite(p.repeatability) else "")
             for p in points
         ]
         figure.points(
             "poles",
             [point.frequency for point in points],
             [point.order for point in points],
-            by_share(overlap),
+            by_share([point.repeatability if known else point.overlap for point in points]),
             radius=3.0,
             texts=texts,
         )
-    swatches = [("overlap with the order below: 0.95", GREEN), ("0.8", GOLD), ("0.5 and less", GREY)]
+    meaning = "found again from halves, other observer" if known else "overlap with the order below"
+    swatches = [(f"{meaning}: 0.95", GREEN), ("0.8", GOLD), ("0.5 and less", GREY)]
     figure.legend([*swatches, (f"order {evidence.order}", GOLD), ("response", DIM_BLUE)])
 
 

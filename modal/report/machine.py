@@ -25,7 +25,7 @@ SCHEMA = "modal-report/1"
 _MODE_NUMBERS = tuple(
     field.name
     for field in fields(Mode)
-    if field.name not in ("pole", "kind", "shape", "participation", "verdict", "reason")
+    if field.name not in ("pole", "kind", "shape", "shape_std", "participation", "verdict", "reason")
 )
 
 
@@ -67,6 +67,7 @@ def csv_text(result: Identification) -> str:
     header = ["mode", "verdict", "kind", *_MODE_NUMBERS, "pole_real", "pole_imaginary", "reason"]
     for word, names in (("shape", outputs), ("participation", inputs)):
         header += [csv_cell(f"{word} {name} {part}") for name in names for part in ("real", "imaginary")]
+    header += [csv_cell(f"shape_std {name}") for name in outputs]
     writer.writerow(header)
     for number, mode in numbered(result.modes):
         row: list[object] = [number, mode.verdict, mode.kind]
@@ -74,6 +75,7 @@ def csv_text(result: Identification) -> str:
         row += [_cell(mode.pole.real), _cell(mode.pole.imag), csv_cell(mode.reason)]
         for component in (*mode.shape, *mode.participation):
             row += [_cell(component.real), _cell(component.imag)]
+        row += [""] * len(outputs) if mode.shape_std is None else [_cell(value) for value in mode.shape_std]
         writer.writerow(row)
     return file.getvalue()
 

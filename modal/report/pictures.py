@@ -7,7 +7,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.assurance import assurance
-from modal.identification import Identification
+from modal.identification import Identification, OrderEvidence
 from modal.mode import ModalModel
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
@@ -58,7 +58,8 @@ def _order_pictures(result: Identification) -> dict[str, Picture]:
             plots.stabilisation_diagram(evidence, result.modes, measured=result.records),
             "stabilisation",
             f"Stabilisation diagram: the {n_points} poles of the models of all orders over the mean spectrum of the "
-            "measured outputs. A mode of the system forms a column of green points; noise moves about.",
+            f"measured outputs, coloured by {_colour_words(evidence)}. A mode of the system forms a column of green "
+            "points; noise moves about.",
         ),
         "singular_values": _picture(
             plots.singular_values(evidence), "singular values", "Singular values of the scaled block Hankel matrix."
@@ -71,6 +72,14 @@ def _order_pictures(result: Identification) -> dict[str, Picture]:
     }
 
 
+def _colour_words(evidence: OrderEvidence) -> str:
+    from modal.plots.order import colour_measure
+
+    if colour_measure(evidence)[0] == "repeatability":
+        return "how well each is found again from halves of the data and with another observer"
+    return "the overlap of each with the pole of the next lower order"
+
+
 def _fit_pictures(result: Identification) -> dict[str, Picture]:
     from modal import plots
 
@@ -80,7 +89,7 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
     first = "" if len(result.records) == 1 else f" Record 1 of {len(result.records)}."
     detail = 10.0 / result.modes.frequencies[0] if result.modes.system else None
     modelled = "simulated from the inputs alone" if record.n_inputs else "predicted one step ahead"
-    pulse = _pulse_response(result.realisation, min(result.markov.n_lags, MOST_LAGS))
+    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, MOST_LAGS))
     pictures = {
         "histories": _picture(
             plots.measured_against_simulated(

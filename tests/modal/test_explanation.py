@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from era.balanced import decompose
+from era.balanced import decompose, realise_from
 from modal.explanation import (
     EXPLAINS,
     FOLDS_APART,
@@ -14,11 +14,13 @@ from modal.explanation import (
     order_evidence,
     warnings_in_words,
 )
+from modal.extraction import extract_modes
 from modal.identification import Fit
 from modal.mode import ModalModel, Mode
 from modal.search import WITHIN, Search, SearchLimits
 from modal.stretches import LONGEST_SCORED
 from modal.trials import Trial
+from modal.verdict import Rerun, Reruns
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.record import Record
@@ -240,3 +242,19 @@ def test_order_evidence_collects_the_candidates_of_the_chosen_observer():
     np.testing.assert_allclose(evidence.candidate_fits, [0.6, 0.9, 0.8])
     assert (evidence.order, evidence.gap_order) == (4, 4)
     assert {point.order for point in evidence.stabilisation} == set(range(1, 9))
+    assert all(np.isnan(point.repeatability) for point in evidence.stabilisation)
+
+
+def test_order_evidence_asks_the_reruns_of_every_pole():
+    lag = np.arange(1.0, 60.0)
+    pulse = np.r_[0.0, 0.95**lag * np.cos(0.5 * lag) + 0.9**lag * np.cos(1.7 * lag)]
+    runs = []
+    for seed in (2, 3):
+        noise = 1e-4 * np.random.default_rng(seed).standard_normal(60)
+        again = decompose(MarkovParameters(system=(pulse + noise).reshape(-1, 1, 1), dt=0.1), max_order=8)
+        runs.append(Rerun(label="", change="data", modes=extract_modes(realise_from(again, 8))))
+    reruns = Reruns(runs=tuple(runs), n_steps=60, output_scale=np.ones(1), input_scale=np.ones(1))
+    evidence = order_evidence(again, 4, found_of(trial(model_order=4, error=0.1)), reruns=reruns)
+    share = {order: [p.repeatability for p in evidence.stabilisation if p.order == order] for order in (4, 8)}
+    assert min(share[4]) > 0.99  # the two modes
+    assert sorted(share[8])[-3] < 0.8  # the poles of the noise, of which one run of the two has others

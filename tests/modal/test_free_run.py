@@ -116,6 +116,7 @@ def test_a_pole_at_the_edge_of_stability():
         poles=np.ones(1, complex),
         weights=np.ones(1),
         shapes=np.ones((1, 1), complex),
+        participations=np.ones((1, 1), complex),
         realisation=Realisation([[1.0]], [[1.0]], [[1.0]], [[0.5]], 0.1),
     )
     check_equal(free_run(exactly_one, record, rows).outputs[:, 0], outputs)
@@ -151,6 +152,31 @@ def test_modal_form_holds_one_of_each_pair():
 def test_what_cannot_run_freely_has_no_modal_form(A):
     n = len(A)
     assert modal_form(Realisation(A, np.ones((n, 1)), np.ones((1, n)), [[0.0]], 0.1)) is None
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_nearly_dependent_eigenvectors_cost_their_condition_only(sign):
+    """Two poles 7e-8 apart, as of a deadbeat predictor: one pair, or two real ones."""
+    A = np.array([[0.3, 1.0], [sign * 1e-15, 0.3]])
+    model = Realisation(A, [[1.0], [2.0]], [[1.0, -1.0]], [[0.5]], 0.1)
+    form = modal_form(model)
+    assert form is not None
+    inputs = np.random.default_rng(8).standard_normal(200)
+    outputs, state = np.empty(200), np.zeros(2)
+    for k in range(200):
+        outputs[k] = model.C[0] @ state + 0.5 * inputs[k]
+        state = A @ state + model.B[:, 0] * inputs[k]
+    check_equal(free_run(form, Record(inputs, outputs, 0.1), np.ones(200, bool)).outputs[:, 0], outputs, 1e-5)
+
+
+def test_participations_and_shapes_give_the_pulse_response():
+    _, system = a_system(9)
+    form = modal_form(model_of(system))
+    power = np.eye(system.order)
+    for k in range(6):
+        pulse = ((form.shapes * form.weights * form.poles**k) @ form.participations).real
+        np.testing.assert_allclose(pulse, system.C @ power @ system.B, rtol=0, atol=1e-10)
+        power = system.A @ power
 
 
 def test_the_one_step_predictor_is_the_innovation_loop():

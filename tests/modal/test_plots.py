@@ -6,7 +6,7 @@ import pytest
 
 from modal import plots
 from modal.identification import OrderEvidence
-from modal.plots.order import OVERLAP_CLASSES, _levels
+from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels
 from modal.plots.spectra import power_spectra
 from modal.plots.style import envelope
 from modal.synthesis import measured_frf
@@ -140,19 +140,28 @@ def test_power_spectrum_finds_the_line_of_a_sine():
     assert abs(frequency[np.argmax(power[:, 0])] - 12.5) <= frequency[1] / 2 + 1e-12
 
 
-def test_overlap_classes_cover_the_unit_interval_without_overlap():
-    edges = [low for low, _, _ in OVERLAP_CLASSES] + [OVERLAP_CLASSES[-1][1]]
+@pytest.mark.parametrize("classes", [OVERLAP_CLASSES, REPEATABILITY_CLASSES])
+def test_classes_cover_the_unit_interval_without_overlap(classes):
+    edges = [low for low, _, _ in classes] + [classes[-1][1]]
     assert edges[0] == 0.0
     assert edges[-1] > 1.0
-    assert [high for _, high, _ in OVERLAP_CLASSES] == edges[1:]
+    assert [high for _, high, _ in classes] == edges[1:]
 
 
-def test_stabilisation_diagram_draws_every_pole_in_its_class(identification):
-    figure = plots.stabilisation_diagram(identification.order_evidence, identification.modes)
+@pytest.mark.parametrize("measure", ["overlap", "repeatability"])
+def test_stabilisation_diagram_draws_every_pole_in_its_class(identification, measure):
+    classes = {"overlap": OVERLAP_CLASSES, "repeatability": REPEATABILITY_CLASSES}[measure]
+    evidence = identification.order_evidence
+    if measure == "repeatability":
+        again = np.linspace(0.0, 1.0, len(evidence.stabilisation)).tolist()
+        points = tuple(
+            replace(point, repeatability=value) for point, value in zip(evidence.stabilisation, again, strict=True)
+        )
+        evidence = replace(evidence, stabilisation=points)
+    figure = plots.stabilisation_diagram(evidence, identification.modes)
     drawn = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
-    for low, high, word in OVERLAP_CLASSES:
-        count = sum(low <= point.overlap < high for point in identification.order_evidence.stabilisation)
-        assert drawn[word] == count
+    for low, high, word in classes:
+        assert drawn[word] == sum(low <= getattr(point, measure) < high for point in evidence.stabilisation)
 
 
 def test_pictures_of_empty_evidence_say_so(identification):

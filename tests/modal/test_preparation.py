@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
-from systems import random_chain, simulate
+from signals import random_inputs, with_noise
+from systems import modal_system, random_chain, simulate
 
+import era
+from era.initial_state import estimate_initial_state
+from era.realisation import Realisation
 from modal.preparation import SHORTEST, prepare, split_at_input_gaps
-from okid.errors import InsufficientDataError
+from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
 
@@ -45,7 +49,7 @@ def test_an_input_may_rest_in_one_record_but_an_output_may_not():
     """Two tests with one shaker each: the other is at rest."""
     first = changed(a_record(), inputs=[(ALL, 0, 0.0)])
     second = changed(a_record(seed=1), inputs=[(ALL, 1, 0.0)])
-    prepared, _ = prepare([first, second])
+    prepared = prepare([first, second]).records
     assert len(prepared) == 2
     with pytest.raises(InsufficientDataError, match="input 'shaker'"):
         prepare([first, first])
@@ -55,29 +59,33 @@ def test_an_input_may_rest_in_one_record_but_an_output_may_not():
 
 def test_means_go_and_nothing_else():
     record = a_record()
-    (prepared,), choices = prepare([record])
+    found = prepare([record])
+    (prepared,), choices = found.records, found.choices
     np.testing.assert_allclose(prepared.inputs, record.inputs - record.inputs.mean(axis=0), atol=1e-10)
     np.testing.assert_allclose(prepared.outputs, record.outputs - record.outputs.mean(axis=0), atol=1e-9)
-    assert [choice.what for choice in choices] == ["mean", "frequency band"]
+    assert [choice.what for choice in choices] == ["mean", "frequency band", "integrators", "input delay", "drift"]
     assert choices[1].value == "0 to 50 Hz"
 
 
 def test_missing_outputs_stay_missing_and_do_not_move_the_mean():
     gaps = changed(a_record(), outputs=[(slice(100, 130), 0, np.nan)])
-    (prepared,), _ = prepare([gaps])
+    (prepared,) = prepare([gaps]).records
     np.testing.assert_array_equal(np.isnan(prepared.outputs), np.isnan(gaps.outputs))
     assert np.nanmean(prepared.outputs[:, 0]) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_an_input_gap_makes_two_records():
     record = a_record(name="run 7")
-    prepared, choices = prepare([changed(record, inputs=[(slice(400, 410), 1, np.nan)]), a_record(seed=1)])
+    found = prepare([changed(record, inputs=[(slice(400, 410), 1, np.nan)]), a_record(seed=1)])
+    prepared, choices = found.records, found.choices
     assert [part.n_samples for part in prepared] == [400, 490, 900]
     assert prepared[1].name == "run 7, part 2"
     assert prepared[1].start_time == pytest.approx(4.1)
     stretch = record.outputs[410:]
     np.testing.assert_allclose(prepared[1].outputs, stretch - stretch.mean(axis=0), atol=1e-9)
-    assert [choice.what for choice in choices] == ["input gaps", "mean", "frequency band"]
+    assert [choice.what for choice in choices] == [
+        *("input gaps", "mean", "frequency band", "integrators", "input delay", "drift")
+    ]
     assert choices[0].value == "3 records from 2"
 
 
@@ -114,12 +122,13 @@ def test_a_record_without_gaps_is_passed_on():
 @pytest.mark.parametrize("factor", [1, 3])
 def test_a_given_decimation_is_kept(factor):
     record = a_record()
-    (prepared,), choices = prepare([record], decimation=factor)
+    found = prepare([record], decimation=factor)
+    (prepared,), choices = found.records, found.choices
     expected = record.detrended().decimated(factor).detrended()
     np.testing.assert_allclose(prepared.outputs, expected.outputs, atol=1e-12)
     assert prepared.dt == pytest.approx(0.01 * factor)
-    assert choices[-1].reason == "given as an argument"
-    assert choices[-1].value == f"0 to {50 / factor:.4g} Hz"
+    assert choices[1].reason == "given as an argument"
+    assert choices[1].value == f"0 to {50 / factor:.4g} Hz"
 
 
 def test_an_oversampled_record_is_decimated_with_its_reason():
@@ -128,11 +137,12 @@ def test_an_oversampled_record_is_decimated_with_its_reason():
     inputs = rng.standard_normal((4000, 2))
     outputs = simulate(system, inputs)
     noisy = outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
-    (prepared,), choices = prepare([Record(inputs, noisy, system.dt)])
+    found = prepare([Record(inputs, noisy, system.dt)])
+    (prepared,), choices = found.records, found.choices
     factor = round(prepared.dt / system.dt)
     assert factor > 1
     assert 0.5 / prepared.dt > 1.2 * system.frequencies.max()
-    assert f"decimated by {factor}" in choices[-1].reason
+    assert f"decimated by {factor}" in choices[1].reason
     np.testing.assert_allclose(prepared.outputs.mean(axis=0), 0.0, atol=1e-12)
 
 
@@ -145,3 +155,85 @@ def test_too_short_a_record_is_refused_with_the_number_it_needs(n_samples):
         return
     with pytest.raises(InsufficientDataError, match=r"at least 40 samples in one record, .* the longest has 39"):
         prepare([record])
+
+
+def a_system(rng, n_samples=3000, *, delays=(0, 0), noise=0.03):
+    """A record of two modes whose inputs act late, and the system."""
+    system = modal_system(rng, frequencies=[6.0, 21.0], damping_ratios=[0.02, 0.015], n_outputs=2)
+    inputs = random_inputs(rng, n_samples, 2)
+    acting = np.zeros_like(inputs)
+    for j, d in enumerate(delays):
+        acting[d:, j] = inputs[: n_samples - d, j]
+    return system, Record(inputs, with_noise(rng, simulate(system, acting), noise), system.dt)
+
+
+def completed(system, prepared):
+    return prepared.complete(Realisation(system.A, system.B, system.C, system.D, system.dt))
+
+
+def fit_of_true_model(system, prepared):
+    """Fit of the true model, made complete, to what it is said to be driven by."""
+    model = completed(system, prepared)
+    (record,) = prepared.as_measured
+    run = era.simulate(model, record, initial_state=estimate_initial_state(model, record)).outputs
+    return 1.0 - np.linalg.norm(run - record.outputs, axis=0) / np.linalg.norm(record.outputs, axis=0)
+
+
+def test_nothing_to_do_is_said_and_leaves_the_records_alone():
+    _, record = a_system(np.random.default_rng(1))
+    prepared = prepare([record])
+    assert (prepared.input_delay, prepared.n_integrators, prepared.n_slow_functions) == ((0, 0), 0, 0)
+    np.testing.assert_allclose(prepared.records[0].outputs, record.detrended().outputs, atol=1e-10)
+    np.testing.assert_allclose(prepared.as_measured[0].inputs, prepared.records[0].inputs, atol=1e-10)
+    assert [c.what for c in prepared.choices] == ["mean", "frequency band", "integrators", "input delay", "drift"]
+    assert prepared.warnings == ()
+
+
+def test_delay_and_drift_together():
+    system, record = a_system(np.random.default_rng(2), delays=(5, 20))
+    line = np.linspace(-1.0, 1.0, 3000)[:, np.newaxis] * record.outputs.std(axis=0)
+    prepared = prepare([Record(record.inputs, record.outputs + line, record.dt)])
+    assert prepared.input_delay == (5, 20)
+    assert prepared.n_slow_functions == 1
+    assert prepared.records[0].n_samples == prepared.as_measured[0].n_samples == 2980
+    assert (fit_of_true_model(system, prepared) > 0.965).all()  # 3 % noise
+
+
+def test_integrators_come_back():
+    rng = np.random.default_rng(3)
+    system = modal_system(rng, frequencies=[6.0], damping_ratios=[0.02], n_outputs=2)
+    inputs = random_inputs(rng, 3000, 2)
+    outputs = with_noise(rng, simulate(system, np.cumsum(inputs, axis=0)), 0.01)
+    prepared = prepare([Record(inputs, outputs, system.dt)])
+    assert prepared.n_integrators == 1
+    assert (fit_of_true_model(system, prepared) > 0.985).all()
+
+
+def test_outputs_at_half_the_rate_are_filled_and_said():
+    _, record = a_system(np.random.default_rng(4))
+    outputs = record.outputs.copy()
+    outputs[1::2] = np.nan
+    prepared = prepare([Record(record.inputs, outputs, record.dt)])
+    assert np.isfinite(prepared.records[0].outputs).all()
+    assert prepared.choices[0].what == "missing outputs"
+    assert "50 % of the output samples were missing" in prepared.warnings[0]
+    left = prepare([Record(record.inputs, outputs, record.dt)], missing="leave", drift="none")
+    assert np.isnan(left.records[0].outputs).sum() == 3000
+
+
+def test_arguments_are_kept():
+    _, record = a_system(np.random.default_rng(5))
+    prepared = prepare([record], integrators=1, input_delay=[4, 0], drift="linear", decimation=1)
+    assert (prepared.input_delay, prepared.n_integrators, prepared.n_slow_functions) == ((4, 0), 1, 1)
+    assert [choice.reason for choice in prepared.choices[1:]] == ["given as an argument"] * 4
+    sums = np.diff(prepared.records[0].inputs, axis=0)[10:, 1] - prepared.as_measured[0].inputs[11:, 1]
+    np.testing.assert_allclose(sums, 0.0, atol=1e-9)
+    with pytest.raises(InvalidDataError, match="drift must be"):
+        prepare([record], drift="quadratic")
+
+
+def test_a_jump_is_said():
+    _, record = a_system(np.random.default_rng(6))
+    jump = np.where(np.arange(3000) > 1700, 2.0, -2.0)[:, np.newaxis] * record.outputs.std(axis=0)
+    prepared = prepare([Record(record.inputs, record.outputs + jump, record.dt)])
+    assert "cut the record there" in prepared.warnings[-1]

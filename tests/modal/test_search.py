@@ -8,13 +8,14 @@ from systems import initial_state, modal_system, simulate
 from modal.search import (
     ROUND_OFF,
     WITHIN,
-    _as_good,
     _chosen,
     _nothing_stable,
-    _untried_neighbours,
+    _worth_trying,
+    as_good,
     search,
     search_limits,
 )
+from modal.search_grid import untried_neighbours
 from modal.trials import Trial
 from okid.errors import InsufficientDataError
 from okid.record import Record
@@ -152,14 +153,29 @@ def test_nothing_stable_of_all_is_said():
 
 def test_neighbours_lie_around_the_best_and_are_not_tried_twice():
     limits = limits_of(plain(5000))
-    around = _untried_neighbours([trial(0.2, observer_order=16, ridge=1e-3), trial(0.3)], limits, {(16, 1e-3)})
+    around = untried_neighbours([trial(0.2, observer_order=16, ridge=1e-3), trial(0.3)], limits, {(16, 1e-3)}, 3.0)
     assert set(around) == {(p, r) for p in (11, 16, 22) for r in (3e-4, 1e-3, 3e-3)} - {(16, 1e-3)}
     # a grid that ends at the best one extends, but not beyond what the record carries
-    edge = _untried_neighbours([trial(0.2, observer_order=256, ridge=0.1)], limits, set())
+    edge = untried_neighbours([trial(0.2, observer_order=256, ridge=0.1)], limits, set(), 3.0)
     assert {p for p, _ in edge} == {183, 256}
     assert max(r for _, r in edge) == 0.3
     given = limits_of(plain(5000), observer_order=16, ridge=1e-3)
-    assert _untried_neighbours([trial(0.2, observer_order=16, ridge=1e-3)], given, {(16, 1e-3)}) == []
+    assert untried_neighbours([trial(0.2, observer_order=16, ridge=1e-3)], given, {(16, 1e-3)}, 3.0) == []
+
+
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ({2: 0.9, 4: 0.5, 6: 0.3, 8: 0.31, 12: 0.35}, [5, 7]),  # the best is 6; 4 and 8 frame it
+        ({2: 0.9, 4: 0.32, 6: 0.3, 8: 0.31}, [3, 5, 7]),  # 4 comes near, so what lies below it may stand in for 6
+        ({4: 0.5, 6: 0.4, 8: 0.3}, [7, 9, 10, 11, 12, 14]),  # the end of what was tried is not the end of the grid
+        ({1: 0.30, 2: 0.31}, []),
+        ({4: 1e-9, 6: 3e-9}, [1, 2, 3, 5]),  # exact data: all below round-off are equal
+    ],
+)
+def test_model_orders_are_refined_where_models_come_near_the_best(errors, expected):
+    trials = [trial(error, model_order=n) for n, error in errors.items()]
+    assert [n for n in _worth_trying(trials, range(1, 16)) if n not in (13, 15)] == expected
 
 
 # --- which trial is taken --------------------------------------------------------------------------------------------
@@ -183,10 +199,10 @@ def worse(by, spread):
         (-0.0010, 0.0, WITHIN - 1e-4, True),
     ],
 )
-def test_a_smaller_model_stands_in_only_if_it_is_as_good(by, spread, ratio, good):
+def test_a_smaller_model_stands_in_only_if_it_isas_good(by, spread, ratio, good):
     best = trial(0.3, model_order=8, block_errors=EVEN)
     smaller = trial(0.3 * ratio, model_order=4, block_errors=worse(by, spread))
-    assert _as_good(smaller, best) is good
+    assert as_good(smaller, best) is good
     assert _chosen([best, smaller]) is (smaller if good else best)
 
 

@@ -8,7 +8,8 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.hankel import block_sizes
-from modal.trials import hankel_shape, make_trials, markov_lags, prepare_ground, scaled_record
+from modal.ground import hankel_shape, markov_lags, prepare_ground, scaled_record, training_decomposition, training_gram
+from modal.trials import make_trials
 from okid.record import Record
 
 
@@ -24,6 +25,9 @@ def a_record(seed, n_samples=400, *, noise=0.05, n_inputs=2, n_outputs=2, freque
     inputs = random_inputs(rng, n_samples, n_inputs)
     outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
     return system, Record(inputs, with_noise(rng, outputs, noise), system.dt).detrended()
+
+
+NOTHING_DONE = {"grams": {}, "decompositions": {}, "scores": {}}
 
 
 # --- a naive twin ----------------------------------------------------------------------------------------------------
@@ -115,7 +119,7 @@ def test_held_out_rows_do_not_reach_the_model():
     spoilt = record.outputs.copy()
     spoilt[first : last - order] += 30.0 * record.outputs.std(axis=0)
     changed = replace(record, outputs=spoilt)
-    again = replace(ground, records=(changed,), scaled=(scaled_record(changed, ground.scaling),), grams={})
+    again = replace(ground, records=(changed,), scaled=(scaled_record(changed, ground.scaling),), **NOTHING_DONE)
     (before,) = make_trials(ground, [order], 1e-4, [4], [0])
     (after,) = make_trials(again, [order], 1e-4, [4], [0])
     assert after.block_errors[1] > 100 * before.block_errors[1]
@@ -138,9 +142,8 @@ def test_missing_rows_are_neither_fitted_nor_scored():
         np.testing.assert_array_equal(trained[0], ~fold[0] & complete)
     assert np.isfinite(ground.scaled[0].outputs).all()
     bridge = replace(ground.scaled[0], outputs=np.where(complete[:, None], ground.scaled[0].outputs, 1e6))
-    trials = [
-        make_trials(replace(ground, scaled=scaled), [8], 0.0, [4], [0, 1, 2]) for scaled in (ground.scaled, (bridge,))
-    ]
+    grounds = [replace(ground, scaled=scaled, **NOTHING_DONE) for scaled in (ground.scaled, (bridge,))]
+    trials = [make_trials(each, [8], 0.0, [4], [0, 1, 2]) for each in grounds]
     np.testing.assert_array_equal(trials[0][0].squared_errors, trials[1][0].squared_errors)
 
 
@@ -155,6 +158,27 @@ def test_exact_data_have_no_error_at_the_true_order():
 def test_orders_beyond_the_rank_are_left_out():
     _, record = a_record(5, noise=0.0)
     assert [t.model_order for t in make_trials(prepare_ground([record]), [8], 0.0, [4, 12], [0])] == [4]
+
+
+def test_what_was_computed_is_given_again_and_a_larger_order_is_decomposed_anew():
+    _, record = a_record(7)
+    ground = prepare_ground([record])
+    small = training_decomposition(ground, 6, 1e-3, 1, 2)
+    assert training_decomposition(ground, 6, 1e-3, 1, 2) is small
+    assert training_decomposition(ground, 6, 1e-3, 1, 1) is small
+    assert training_gram(ground, 6, 1) is training_gram(ground, 6, 1)
+    larger = training_decomposition(ground, 6, 1e-3, 1, 8)
+    assert (small.max_order, larger.max_order) == (2, 8)
+    # other candidates share nothing with it
+    alone = prepare_ground([record])
+    for p, ridge, fold in ((6, 1e-3, 0), (5, 1e-3, 1), (6, 1e-2, 1)):
+        again = training_decomposition(ground, p, ridge, fold, 8)
+        expected = training_decomposition(alone, p, ridge, fold, 8)
+        np.testing.assert_array_equal(again.singular_values, expected.singular_values)
+        assert np.abs(again.singular_values - larger.singular_values).max() > 1e-6
+    (first,) = make_trials(ground, [6], 1e-3, [4], [0, 1, 2])
+    (apart,) = make_trials(prepare_ground([record]), [6], 1e-3, [4], [0, 1, 2])
+    assert first.error == pytest.approx(apart.error, rel=1e-5)  # the randomised decomposition of 8 orders, and of 4
 
 
 def test_without_inputs_the_one_step_prediction_is_scored():

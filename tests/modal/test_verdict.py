@@ -61,13 +61,41 @@ def judged(mode, reruns, **options):
 
 
 @pytest.mark.parametrize(
-    ("r", "verdict"), [(1.0, "system"), (0.72, "system"), (0.70, "doubtful"), (0.43, "doubtful"), (0.41, "noise")]
+    ("r", "verdict"), [(1.0, "system"), (0.77, "system"), (0.76, "doubtful"), (0.52, "doubtful"), (0.51, "noise")]
 )
 def test_the_verdict_follows_repeatability(r, verdict):
     mode = judged(vibration(), found_with(data=r, observer=r, order=r))
     assert mode.repeatability == pytest.approx(r)
     assert mode.verdict == verdict
-    assert mode.probability == pytest.approx(1 / (1 + np.exp(7.36 - 12.3 * r)))
+    assert mode.probability == pytest.approx(1 / (1 + np.exp(12.0 - 17.5 * r)))
+
+
+@pytest.mark.parametrize(
+    ("r", "ratio", "verdict"),
+    [
+        (0.9, 1e4, "system"),
+        (0.9, 1.0, "doubtful"),
+        (0.63, 1e5, "doubtful"),
+        (0.66, 1e5, "system"),
+        (0.5, 100.0, "noise"),
+    ],
+)
+def test_what_the_inputs_hardly_drive_needs_more_repeatability(r, ratio, verdict):
+    mode = vibration()
+    numbers = 2 * (mode.shape.size + mode.participation.size)  # of a pair
+    gain = ratio / (ratio + 5000 / numbers)
+    mode = judged(mode, found_with(data=r, observer=r, order=r), gain=np.array([gain]), n_values=5000)
+    assert mode.verdict == verdict
+    assert mode.gain == gain
+    assert mode.probability == pytest.approx(1 / (1 + np.exp(12.6 - 13.0 * r - 1.12 * np.log10(ratio))))
+
+
+def test_a_pole_in_the_edge_of_the_decimation_filter_is_not_certain():
+    sure = judged(vibration(), found_with(data=1.0, observer=1.0, order=1.0))
+    edge = judged(vibration(), found_with(data=1.0, observer=1.0, order=1.0), edge=0.9 * sure.frequency)
+    assert (sure.verdict, edge.verdict) == ("system", "doubtful")
+    assert edge.probability == 0.5
+    assert "filter" in edge.reason
 
 
 def test_data_observer_and_order_have_equal_weight_whatever_their_number_of_runs():

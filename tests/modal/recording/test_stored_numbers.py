@@ -99,6 +99,23 @@ def test_order_evidence_is_stored_by_model_order(stored, identification):
         for name in ("frequency", "damping_ratio", "overlap", "emac"):
             assert row[name] == [getattr(point, name) for point in points]
     assert sum(len(row["emac"]) for row in poles.values()) == len(evidence.stabilisation)
+    assert not any("repeatability" in row for row in poles.values())  # nobody knows it here
+
+
+def test_the_repeatability_of_the_poles_is_stored_and_colours_them(identification, tmp_path, read):
+    evidence = identification.order_evidence
+    again = np.linspace(0.0, 1.0, len(evidence.stabilisation)).tolist()
+    points = tuple(
+        replace(point, repeatability=value) for point, value in zip(evidence.stabilisation, again, strict=True)
+    )
+    changed = replace(identification, order_evidence=replace(evidence, stabilisation=points))
+    stored = read(save_recording(changed, tmp_path / "a.rrd"))
+    rows = stored.rows("/order/stabilisation", "model_order")
+    for order, row in rows.items():
+        assert row["repeatability"] == [point.repeatability for point in points if point.order == order]
+    colours = stored.static("/order/stabilisation/plot/poles", "Points2D:colors")
+    assert len(colours) == len(points)
+    assert colours[0] != colours[-1]
 
 
 def test_the_response_behind_the_poles_is_that_of_the_model(stored, identification):

@@ -1,0 +1,271 @@
+"""Input delays: found in the pulse response of a long observer, taken off the inputs, put back into the model.
+
+An input that acts d samples late leaves the first d coefficients of its observer at zero, alpha_0 = ... = alpha_(d-1) =
+0 (alpha_0 = D), whatever else the system does. A model without delays has to spend d states on it, and those states
+are poles with a frequency and a damping ratio that no structure has. So the inputs are shifted before the fit, and the
+shift comes back as states that only pass on their input: their poles are zero, deadbeat, and no modes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from era.realisation import Realisation
+from modal.identification import Choice
+from okid.arrays import FloatArray
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.gram import LagGram, lag_gram
+from okid.record import Record
+from okid.recovery import recover_system
+from okid.regression import solve
+from okid.scalars import whole_number
+from okid.scaling import channel_scaling
+
+__all__ = ["InputDelay", "choose_input_delay", "given_input_delay", "late_inputs", "with_input_delay"]
+
+LONGEST_OBSERVER = 128
+"""Order of the observer whose pulse response is looked at; longer delays are found by shifting and looking again."""
+LONGEST_SHARE = 0.1
+"""Of the longest record: a delay beyond it is not looked for."""
+ROWS_PER_UNKNOWN = 4
+MOST_UNKNOWNS = 600
+"""An output's equation has no more, so that many channels cost no more than few."""
+RIDGE = 1e-8
+"""Only keeps the covariance finite where inputs do not tell neighbouring lags apart."""
+CHANCE = 1e-4
+"""Probability that the leading lags of an input that acts at once look as empty as they may."""
+LEAST_DELAY = 2
+"""A single empty lag is what sampling does to any system without direct feedthrough."""
+EMPTY = 0.05
+"""Part of the largest pulse response that the empty lags cannot exceed (two standard deviations): noise hides none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class InputDelay:
+    """How late each input acts.
+
+    Attributes:
+        samples: one number an input, in samples of the records looked at.
+        choice: what was chosen and why.
+    """
+
+    samples: tuple[int, ...]
+    choice: Choice
+
+
+def choose_input_delay(records: Sequence[Record]) -> InputDelay:
+    """Delays in which the pulse response is empty: not significant together, and small beside what follows.
+
+    Nested Wald tests: with a the leading d coefficients of an input in all outputs, P their part of the inverse of the
+    Gram matrix and S the residuals' covariance, tr(S^-1 a' P^-1 a) is chi-square with d n_outputs degrees of freedom
+    while the input has not acted. Where no lag of an input is significant its delay may be longer than the observer:
+    it is shifted by half of it and looked at again.
+
+    Args:
+        records: of one system, means removed, at the time step that the model will have.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal(600)
+        >>> record = Record(force, np.roll(force, 7) + 0.01 * rng.standard_normal(600), 0.01).samples(7)
+        >>> choose_input_delay([record]).samples
+        (7,)
+    """
+    n_inputs = records[0].n_inputs
+    if n_inputs == 0:
+        return _found((), records[0])
+    limit = int(LONGEST_SHARE * max(record.n_samples for record in records))
+    found = np.zeros(n_inputs, dtype=int)
+    waiting = np.ones(n_inputs, dtype=bool)
+    while waiting.any():
+        try:
+            empty, order = _empty_lags(late_inputs(records, found.tolist()))
+        except InsufficientDataError:
+            break
+        silent = waiting & (empty > order)
+        seen = waiting & ~silent & (empty >= LEAST_DELAY)
+        found[seen] += empty[seen]
+        gone = silent & (found + order // 2 > limit)
+        found[gone] = 0  # it drives nothing that can be seen: no reason to shift it
+        waiting = silent & ~gone
+        found[waiting] += max(1, order // 2)
+    return _found(tuple(int(d) for d in found), records[0])
+
+
+def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation: int = 1) -> InputDelay:
+    """The caller's delay, one for all inputs or one an input, in samples of the record before decimation.
+
+    What is not a whole number of decimated samples stays for the model to explain.
+
+    Raises:
+        InvalidDataError: a negative or broken number, or not one an input.
+
+    Example:
+        >>> given_input_delay(5, Record([0.0, 1.0], [0.0, 1.0], 0.1), decimation=2).samples
+        (2,)
+    """
+    values = [delay] * record.n_inputs if isinstance(delay, int) else list(delay)
+    if len(values) != record.n_inputs:
+        raise InvalidDataError(
+            f"input_delay needs one number of samples for each of the {record.n_inputs} inputs, but has {len(values)}."
+        )
+    samples = tuple(whole_number(value, name="an input delay", least=0) // decimation for value in values)
+    return InputDelay(
+        samples=samples,
+        choice=Choice(what="input delay", value=_in_words(samples, record), reason="given as an argument"),
+    )
+
+
+def late_inputs(records: Sequence[Record], samples: Sequence[int]) -> tuple[Record, ...]:
+    """The records with each input as it acts: so many samples later. Rows whose inputs lie before the record go.
+
+    Raises:
+        InsufficientDataError: a record that is not longer than the longest delay.
+
+    Example:
+        >>> record = Record([1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 2.0], 0.1)
+        >>> [late.inputs.ravel().tolist() for late in late_inputs([record], [2])]
+        [[1.0, 2.0]]
+    """
+    longest = max(samples, default=0)
+    if longest == 0:
+        return tuple(records)
+    shifted = []
+    for record in records:
+        if record.n_samples <= longest + max(record.n_inputs, record.n_outputs):
+            raise InsufficientDataError(
+                f"an input delay of {longest} samples leaves nothing of a record of {record.n_samples}; leave that "
+                "record out or give a shorter input_delay."
+            )
+        inputs = np.column_stack(
+            [
+                column[longest - int(d) : record.n_samples - int(d)]
+                for column, d in zip(record.inputs.T, samples, strict=True)
+            ]
+        )
+        shifted.append(replace(record.samples(longest), inputs=inputs))
+    return tuple(shifted)
+
+
+def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realisation:
+    """The model of late inputs, driven by the inputs as they are: one more state for each sample of delay.
+
+    The first states are those of the model that was given; Hankel factors belong to that model and are left behind. The
+    delay states are known exactly, so the gain does not correct them.
+
+    Args:
+        realisation: whose inputs act at once.
+        samples: (n_inputs,) delays.
+
+    Raises:
+        InvalidDataError: a negative delay, or not one an input.
+
+    Example:
+        >>> from era.simulation import simulate
+        >>> late = with_input_delay(Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01), [2])
+        >>> simulate(late, Record([1.0, 0.0, 0.0, 0.0, 0.0], [0.0] * 5, 0.01)).outputs.ravel().tolist()
+        [0.0, 0.0, 0.0, 2.0, 1.0]
+    """
+    model = realisation
+    delays = [whole_number(d, name="an input delay", least=0) for d in samples]
+    if len(delays) != model.n_inputs:
+        raise InvalidDataError(
+            f"one delay for each of {model.n_inputs} inputs is needed, but {len(delays)} were given."
+        )
+    if not any(delays):
+        return model
+    order, n_late = model.order, sum(delays)
+    A, B = np.zeros((order + n_late,) * 2), np.zeros((order + n_late, model.n_inputs))
+    C, D = np.zeros((model.n_outputs, order + n_late)), np.array(model.D)
+    A[:order, :order], B[:order], C[:, :order] = model.A, model.B, model.C
+    first = order
+    for j, d in enumerate(delays):
+        if d == 0:
+            continue
+        # first ... first + d - 1 hold u(k-d) ... u(k-1), so that A stays upper triangular in blocks
+        A[:order, first], C[:, first] = model.B[:, j], model.D[:, j]
+        A[range(first, first + d - 1), range(first + 1, first + d)] = 1.0
+        B[:, j], D[:, j] = 0.0, 0.0
+        B[first + d - 1, j] = 1.0
+        first += d
+    gain = None if model.K is None else np.vstack([model.K, np.zeros((n_late, model.n_outputs))])
+    return Realisation(A, B, C, D, model.dt, K=gain, singular_values=model.singular_values)
+
+
+def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
+    """(n_inputs,) leading lags that are empty, order + 1 where all are; and the order that was looked at."""
+    order = _order(records)
+    scaling = channel_scaling(records)
+    gram = lag_gram(records, order, scaling=scaling)
+    n_inputs, n_outputs = gram.n_inputs, gram.n_outputs
+    width = 1 + n_inputs + order * (n_inputs + n_outputs)
+    if gram.n_rows < 2 * width:
+        raise InsufficientDataError(f"{gram.n_rows} complete rows are too few to look for a delay; leave out gaps.")
+    fit = solve(gram, RIDGE)
+    pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, order)
+    coefficients = np.concatenate([fit.feedthrough[np.newaxis], fit.input_coefficients])
+    sizes = np.linalg.norm(pulse, axis=1)  # (order + 1, n_inputs)
+    weight = np.linalg.pinv(np.atleast_2d(fit.residual_covariance), hermitian=True)
+    inverse = _inverse(gram)
+    lags = np.arange(order + 1)
+    bounds = scipy.stats.chi2.isf(CHANCE, n_outputs * (lags + 1))
+    empty = np.zeros(n_inputs, dtype=int)
+    for j in range(n_inputs):
+        own = inverse[np.ix_(_places(gram, j), _places(gram, j))]
+        leading = coefficients[:, :, j]
+        reduced = scipy.linalg.solve_triangular(np.linalg.cholesky(own), leading, lower=True)
+        statistic = np.cumsum(np.einsum("ko,op,kp->k", reduced, weight, reduced))
+        n_empty = int(np.argmax(statistic > bounds)) if (statistic > bounds).any() else order + 1
+        noise = np.sqrt(np.diag(own) * np.trace(np.atleast_2d(fit.residual_covariance)))
+        upper = np.linalg.norm(leading, axis=1) + 2.0 * noise
+        hidden = (upper > EMPTY * sizes[:, j].max())[:n_empty].any()
+        empty[j] = 0 if hidden and n_empty <= order else n_empty
+    return empty, order
+
+
+def _order(records: Sequence[Record]) -> int:
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    n_samples = sum(record.n_samples for record in records)
+    longest = max(record.n_samples for record in records)
+    rows = n_samples // ROWS_PER_UNKNOWN
+    return max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
+
+
+def _places(gram: LagGram, channel: int) -> np.ndarray:
+    """Of an input's lags 0, 1, ... among the regressors [1, u(k), u(k-1), y(k-1), ...]."""
+    n_inputs, n_outputs = gram.n_inputs, gram.n_outputs
+    later = 1 + n_inputs + (n_inputs + n_outputs) * np.arange(gram.order) + channel
+    return np.concatenate([[1 + channel], later])
+
+
+def _inverse(gram: LagGram) -> FloatArray:
+    """Of the Gram matrix of the regressors, without the outputs at lag 0."""
+    now = slice(1 + gram.n_inputs, 1 + gram.n_inputs + gram.n_outputs)
+    own = np.delete(np.delete(gram.matrix, now, axis=0), now, axis=1)
+    own = own + RIDGE * gram.n_rows * np.eye(own.shape[0])
+    inverse = np.linalg.inv(own)
+    symmetric: FloatArray = np.asarray(0.5 * (inverse + inverse.T), dtype=np.float64)
+    return symmetric
+
+
+def _found(samples: tuple[int, ...], record: Record) -> InputDelay:
+    reason = (
+        "before it the pulse response of a long observer is empty: not significant together, and below "
+        f"{100 * EMPTY:g} % of its largest value"
+        if any(samples)
+        else "each input acts at once or, within the noise, cannot be said to act late"
+    )
+    return InputDelay(
+        samples=samples, choice=Choice(what="input delay", value=_in_words(samples, record), reason=reason)
+    )
+
+
+def _in_words(samples: Sequence[int], record: Record) -> str:
+    late = [
+        f"{name}: {d} samples ({d * record.dt:.4g} s)"
+        for name, d in zip(record.input_names, samples, strict=True)
+        if d > 0
+    ]
+    return ", ".join(late) or "none"

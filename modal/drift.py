@@ -1,0 +1,279 @@
+"""Slow drift of the sensors: found in what a model leaves of the outputs, and taken off.
+
+A linear system answers slow functions of time with slow functions of time. So what spans the drift (a straight line, a
+parabola, slow half-waves over the record) is taken off the inputs as well as off the outputs, and the relation between
+the two stays what it was (partial regression: Frisch, Waugh, Econometrica 1(4), 1933, doi 10.2307/1907330); only what
+the record says about these few frequencies next to zero is given up.
+
+Two quick models decide, one of the records as they are and one of the records without any slow motion. Each runs freely
+with the inputs as they are. If the second, with a few slow functions of time beside it, is nearer to rows that those
+functions were not fitted to, there is a drift; if the first is as near, its own slow poles explain the motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.initial_state import estimate_initial_state
+from era.realisation import Realisation
+from era.simulation import simulate_array
+from modal.identification import Choice
+from modal.quick_model import free_runs, quick_model
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = [
+    "CANDIDATES",
+    "Drift",
+    "choose_drift",
+    "given_drift",
+    "held_out_squares",
+    "integrator_drift",
+    "is_significant",
+    "slow_functions",
+    "unit_outputs",
+    "without_drift",
+]
+
+CANDIDATES = (0, 1, 2, 3, 4, 6, 8, 12)
+"""Numbers of slow functions besides the constant: a straight line, a parabola, then half-waves over the record."""
+SAMPLES_PER_FUNCTION = 40
+"""A record shorter than this many samples a function gets fewer functions."""
+SLOW_SAMPLES = 600
+"""Blocks over which the remainders are averaged: fast noise goes, drift stays."""
+N_FOLDS = 5
+HELD_OUT = 4
+"""Blocks side by side that are held out together."""
+SIGNIFICANT = 4.0
+"""Standard errors by which the held-out error must fall for a drift to be believed."""
+AS_GOOD = 2.0
+"""Standard errors within which fewer functions stand in for the best number."""
+LEAST_SHARE = 0.01
+"""Of what all slow functions explain: more functions for less than this are not worth their frequencies."""
+LEAST_GAIN = 0.1
+"""Part of the slow motion that is left without it by which a drift must lower the held-out error."""
+MOST_EXPLAINED = 0.97
+"""Part of the slow motion that the largest number of functions must explain; else no drift moves the sensor."""
+
+
+SLOW_INPUTS = 20.0
+"""Power of an input in the slow functions, in that of white noise, from which a drift cannot be told from its doing; a
+first-order colour of 0.9 from sample to sample has 19."""
+
+_WANDERS = (
+    "The outputs wander in a way that neither the inputs nor a slow drift explains, so the fit stays low and nothing "
+    "is known of motion that slow; where a sensor jumped, cut the record there and give the parts as several records."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Drift:
+    """What is taken off each channel of each record.
+
+    Attributes:
+        n_functions: slow functions besides the mean: 0 none, 1 a straight line, 2 a parabola too, more: half-waves too.
+        choice: what was chosen and why.
+        warning: a sentence where slow motion is left that no number of functions explains, else empty.
+    """
+
+    n_functions: int
+    choice: Choice
+    warning: str = ""
+
+
+def choose_drift(records: Sequence[Record]) -> Drift:
+    """The fewest slow functions that are needed beside a model's free run on held-out rows.
+
+    Args:
+        records: of one system, no input missing.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal(2000)
+        >>> tip = np.convolve(force, [0.0, 1.0, 0.5])[:2000] + np.linspace(0.0, 1.0, 2000)
+        >>> choose_drift([Record(force, tip, 0.01)]).n_functions
+        1
+    """
+    first = records[0]
+    if first.n_inputs == 0:
+        return _explained(0, first, "without inputs a drift cannot be told from slow motion of the system")
+    most = max(record.n_samples for record in records) // SAMPLES_PER_FUNCTION
+    candidates = [n for n in CANDIDATES if n <= most] or [0]
+    share = _slow_share(records, candidates[-1])
+    if share > SLOW_INPUTS:
+        return _explained(
+            0,
+            first,
+            f"the inputs move as slowly themselves ({share:.3g} times as much as white noise does), so slow motion of "
+            "the outputs may be their doing",
+        )
+    unit = unit_outputs(records)
+    plain = tuple(without_drift(record, 0) for record in unit)
+    freed = tuple(without_drift(record, candidates[-1]) for record in unit)
+    own, _ = quick_model(plain)
+    slow_free, _ = quick_model(freed)
+    if slow_free is None or candidates[-1] == 0:
+        return _explained(0, first, "no model to tell a drift by")
+    left = [_remainder(slow_free, record, candidates[-1]) for record in plain]
+    errors = {n: held_out_squares(left, n) for n in candidates}
+    best = min(candidates, key=lambda n: float(errors[n].sum()))
+    worth = LEAST_SHARE * float((errors[0] - errors[best]).sum())
+    chosen = next(
+        n
+        for n in candidates
+        if (errors[n] - errors[best]).sum() <= worth or not is_significant(errors[n] - errors[best], AS_GOOD)
+    )
+    without = errors[0]
+    if own is not None:
+        runs = free_runs(own, plain)
+        explained = held_out_squares([record.outputs - run for record, run in zip(plain, runs, strict=True)], 0)
+        without = explained if explained.sum() < without.sum() else without
+    gain = without - errors[chosen]
+    if chosen == 0 or not is_significant(gain, SIGNIFICANT) or gain.sum() < LEAST_GAIN * without.sum():
+        return _explained(0, first, "slow functions of time explain nothing that a model does not explain")
+    if not _confirmed(unit, chosen, without):
+        return _explained(0, first, "slow functions of time explain nothing that a model does not explain")
+    share = float(gain.sum() / without.sum())
+    return _explained(
+        chosen,
+        first,
+        f"explains {100 * share:.4g} % of the slow motion that a model without it leaves on "
+        "held-out rows; taken off inputs and outputs alike, so that their relation stays what it is",
+        warning=_WANDERS if chosen == candidates[-1] and share < MOST_EXPLAINED else "",
+    )
+
+
+def _slow_share(records: Sequence[Record], n_functions: int) -> float:
+    """Largest power of an input in the slow functions, relative to that of white noise of the same size."""
+    slow, whole, white = 0.0 * records[0].inputs[0], 0.0 * records[0].inputs[0], 0.0
+    for record in records:
+        inputs = record.inputs - record.inputs.mean(axis=0)
+        functions = slow_functions(record.n_samples, min(n_functions, record.n_samples // SAMPLES_PER_FUNCTION))
+        slow = slow + np.square(functions @ _coefficients(inputs, functions)).sum(axis=0)
+        whole = whole + np.square(inputs).sum(axis=0)
+        white += functions.shape[1] - 1
+    n_samples = sum(record.n_samples for record in records)
+    return float((slow / np.maximum(whole, np.finfo(float).tiny)).max() * n_samples / max(white, 1.0))
+
+
+def _confirmed(records: Sequence[Record], n_functions: int, without: FloatArray) -> bool:
+    """Whether a model of the records without these functions leaves clearly less slow motion than one with them."""
+    freed = tuple(without_drift(record, n_functions) for record in records)
+    model, _ = quick_model(freed)
+    if model is None:
+        return False
+    left = [record.outputs - run for record, run in zip(freed, free_runs(model, freed), strict=True)]
+    return bool(held_out_squares(left, n_functions).sum() < 0.5 * without.sum())
+
+
+def given_drift(n_functions: int, record: Record) -> Drift:
+    """So many slow functions as the caller chose."""
+    return _explained(n_functions, record, "given as an argument")
+
+
+def integrator_drift(n_integrators: int, record: Record) -> Drift:
+    """What unknown states and input means make of integrators; more drift than that cannot be told from them."""
+    return _explained(n_integrators, record, "the unknown start of the integrators; more cannot be told from them")
+
+
+def without_drift(record: Record, n_functions: int) -> Record:
+    """Every channel less its mean and slow functions, by least squares over the samples that are there.
+
+    Args:
+        record: to be freed of its drift.
+        n_functions: 0 takes off the mean, 1 a straight line too, 2 a parabola, more: half-waves. A short record gets
+            fewer.
+
+    Example:
+        >>> line = Record([0.0, 1.0] * 40, np.arange(80.0), 0.1)
+        >>> bool(abs(without_drift(line, 1).outputs).max() < 1e-12)
+        True
+    """
+    functions = slow_functions(record.n_samples, min(n_functions, record.n_samples // SAMPLES_PER_FUNCTION))
+    return replace(record, inputs=_less(record.inputs, functions), outputs=_less(record.outputs, functions))
+
+
+def slow_functions(n_samples: int, n_functions: int) -> FloatArray:
+    """(n_samples, 1 + n_functions): a constant, a straight line, a parabola, then 1, 2, ... half-waves."""
+    time = (np.arange(n_samples) + 0.5) / n_samples
+    waves = [np.cos(np.pi * k * time) for k in range(1, n_functions - 1)]
+    line = 2.0 * time - 1.0
+    return np.column_stack([np.ones(n_samples), line, 1.5 * line**2 - 0.5, *waves])[:, : 1 + n_functions]
+
+
+def _less(values: FloatArray, functions: FloatArray) -> FloatArray:
+    return values - functions @ _coefficients(values, functions)
+
+
+def _coefficients(values: FloatArray, functions: FloatArray) -> FloatArray:
+    """(n_functions, n_channels) by least squares over the samples of each channel that are there."""
+    found = np.zeros((functions.shape[1], values.shape[1]))
+    there = ~np.isnan(values)
+    complete = there.all(axis=0)
+    if complete.any():
+        found[:, complete] = np.linalg.lstsq(functions, values[:, complete], rcond=None)[0]
+    for i in np.flatnonzero(~complete):
+        rows = there[:, i]
+        found[:, i] = np.linalg.lstsq(functions[rows], values[rows, i], rcond=None)[0]
+    return found
+
+
+def unit_outputs(records: Sequence[Record]) -> tuple[Record, ...]:
+    """Outputs divided by their size over all records, so that each counts alike."""
+    squares = sum(np.nansum(np.square(r.outputs - np.nanmean(r.outputs, axis=0)), axis=0) for r in records)
+    size = np.sqrt(squares / sum(record.n_samples for record in records))
+    size = np.where(size > 0.0, size, 1.0)
+    return tuple(replace(record, outputs=record.outputs / size) for record in records)
+
+
+def _remainder(model: Realisation, record: Record, n_functions: int) -> FloatArray:
+    """What the free run with the record's own inputs leaves, the initial state fitted beside all slow functions."""
+    matrices = (model.A, model.B, model.C, model.D)
+    at_rest = np.array(simulate_array(*matrices, record.inputs))
+    functions = slow_functions(record.n_samples, min(n_functions, record.n_samples // SAMPLES_PER_FUNCTION))
+    slow = functions @ _coefficients(record.outputs - at_rest, functions)
+    state = estimate_initial_state(model, replace(record, outputs=record.outputs - slow))
+    left: FloatArray = record.outputs - simulate_array(*matrices, record.inputs, initial_state=state)
+    return left
+
+
+def held_out_squares(left: Sequence[FloatArray], n_functions: int) -> FloatArray:
+    """Squared errors of groups of held-out block means, predicted by slow functions fitted to the other blocks."""
+    n_rows = max(1, sum(len(one) for one in left) // SLOW_SAMPLES)
+    groups = []
+    for one in left:
+        blocks = _block_means(one, n_rows)
+        functions = slow_functions(len(blocks), min(n_functions, len(one) // SAMPLES_PER_FUNCTION))
+        group = np.arange(len(blocks)) // HELD_OUT
+        squares = np.zeros(blocks.shape)
+        for fold in range(N_FOLDS):
+            held = group % N_FOLDS == fold
+            if held.any() and not held.all():
+                coefficients = _coefficients(blocks[~held], functions[~held])
+                squares[held] = np.nan_to_num(np.square(blocks[held] - functions[held] @ coefficients))
+        if len(blocks):
+            groups.append(np.bincount(group, weights=squares.sum(axis=1)))
+    return np.concatenate(groups)
+
+
+def _block_means(values: FloatArray, n_rows: int) -> FloatArray:
+    """(n_blocks, n_outputs), nan where nothing of a block was measured."""
+    n_blocks = len(values) // n_rows
+    blocks = values[: n_blocks * n_rows].reshape(n_blocks, n_rows, values.shape[1])
+    counts = (~np.isnan(blocks)).sum(axis=1)
+    means: FloatArray = np.where(counts > 0, np.nansum(blocks, axis=1) / np.maximum(counts, 1), np.nan)
+    return means
+
+
+def is_significant(gain: FloatArray, limit: float) -> bool:
+    """Whether the sum of the differences exceeds so many of its standard errors."""
+    return bool(gain.sum() > limit * np.sqrt(gain.size) * gain.std(ddof=1))
+
+
+def _explained(n_functions: int, record: Record, reason: str, *, warning: str = "") -> Drift:
+    n_waves = n_functions - 2
+    value = {0: "none", 1: "a straight line", 2: "a parabola"}.get(
+        n_functions, f"a parabola and {n_waves} half-waves: up to {n_waves / (2.0 * record.duration):.2g} Hz"
+    )
+    return Drift(n_functions=n_functions, choice=Choice(what="drift", value=value, reason=reason), warning=warning)

@@ -1,0 +1,233 @@
+"""Missing output samples filled by a model of the record itself, so that a long observer finds whole rows.
+
+An observer of order p needs p + 1 whole rows in succession: 1 % of the samples missing at random leave 13 % of the rows
+at order 200, and outputs sampled at different rates leave none. The regression of outputs on past INPUTS alone needs
+only the outputs that are there. It gives a first model; its free run fills the gaps, what it leaves at the neighbouring
+measured samples is interpolated by its own correlation (the smoothed estimate, which a Kalman smoother would give too),
+an observer is fitted to the filled record, and so on while the free run comes nearer to the measured samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.identification import Choice
+from modal.quick_model import best_model, free_runs, observer_markov
+from modal.trials import scaled_record
+from okid.arrays import BoolArray, FloatArray
+from okid.markov import MarkovParameters
+from okid.record import Record
+from okid.rows import usable_rows
+from okid.scaling import channel_scaling
+
+__all__ = ["Filling", "fill_where_needed"]
+
+LOOK_BACK = 64
+"""Observer order at which whole rows are counted."""
+LEAST_ROWS = 0.75
+"""Share of the rows that gaps must leave at that order; below it they are filled."""
+PULSE_LAGS = 128
+"""Most lags of the first model's pulse response."""
+FIRST_RIDGE = 1e-3
+ROUNDS = 8
+GAIN = 0.99
+"""Ratio of errors above which another round is not worth its cost."""
+NEIGHBOURS = 6
+"""Measured samples on either side that a missing one is interpolated from."""
+NUGGET = 0.02
+"""Of the variance, added where an estimated correlation need not be positive definite."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Filling:
+    """Records without missing outputs, and what was done.
+
+    Attributes:
+        records: with every missing output filled; the records given where nothing was filled.
+        measured: (n_samples, n_outputs) a record, False where a sample was filled.
+        choices: empty where nothing was filled.
+        warnings: what the user must know of it.
+    """
+
+    records: tuple[Record, ...]
+    measured: tuple[BoolArray, ...]
+    choices: tuple[Choice, ...]
+    warnings: tuple[str, ...]
+
+
+def fill_where_needed(records: Sequence[Record]) -> Filling:
+    """Fill missing outputs where they would leave too few whole rows; else leave them missing, which loses nothing.
+
+    Args:
+        records: of one system, means removed, no input missing.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal((800, 1))
+        >>> moved = np.convolve(force[:, 0], [0.0, 1.0, 0.5, 0.2])[:800]
+        >>> every_second = np.where(np.arange(800) % 2, np.nan, moved)
+        >>> filling = fill_where_needed([Record(force, every_second, 0.01)])
+        >>> bool(np.abs(filling.records[0].outputs[10:, 0] - moved[10:]).max() < 0.05 * moved.std())
+        True
+    """
+    measured = tuple(~np.isnan(record.outputs) for record in records)
+    share, order = _whole_rows(records)
+    if share >= LEAST_ROWS:
+        return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
+    scaling = channel_scaling(records)
+    scaled = tuple(scaled_record(record, scaling) for record in records)
+    done, how = _filled(scaled)
+    filled = tuple(
+        replace(
+            record, outputs=np.where(there, record.outputs, one.outputs * scaling.output_scale + scaling.output_mean)
+        )
+        for record, there, one in zip(records, measured, done, strict=True)
+    )
+    n_missing = sum(int((~there).sum()) for there in measured)
+    missing = n_missing / sum(there.size for there in measured)
+    choice = Choice(
+        what="missing outputs",
+        value=f"{100 * missing:.3g} % of the samples filled",
+        reason=f"an observer of order {order} would find {100 * share:.2g} % of its rows whole; {how}",
+    )
+    warning = (
+        f"{100 * missing:.3g} % of the output samples were missing and have been filled by a model of the rest, so the "
+        "fits look better, and what is uncertain looks more certain, than the measured samples alone allow; where a "
+        "record can be repeated, sample all channels together."
+    )
+    return Filling(records=filled, measured=measured, choices=(choice,), warnings=(warning,))
+
+
+def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:
+    """Share of the rows that are whole with their past, of those there would be without gaps; and the order."""
+    longest = max(record.n_samples for record in records)
+    order = min(LOOK_BACK, longest // 4)
+    possible = sum(max(0, record.n_samples - order) for record in records)
+    whole = sum(int(usable_rows(record.complete_rows(), order).sum()) for record in records)
+    return whole / possible, order
+
+
+def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
+    """Scaled records with their gaps filled, and how in words."""
+    model: Realisation | None = None
+    first = _first_markov(records) if records[0].n_inputs else None
+    if first is not None:
+        model, error = best_model(first, records)
+    if model is None:
+        zeros = tuple(np.zeros_like(record.outputs) for record in records)
+        return _bridged(records, zeros), "interpolated by the correlation of each output"
+    runs, rounds = free_runs(model, records), 1
+    filled = _bridged(records, runs)
+    while rounds < ROUNDS:
+        markov = observer_markov(filled)
+        candidate, new = (None, np.inf) if markov is None else best_model(markov, records)
+        if candidate is None or new >= error:
+            break
+        filled, rounds = _bridged(records, free_runs(candidate, records)), rounds + 1
+        small, error = new > GAIN * error, new
+        if small:
+            break
+    words = f"filled by the free run of a model of the measured samples and what it left beside them, {rounds} rounds"
+    return filled, words
+
+
+def _first_markov(records: Sequence[Record]) -> MarkovParameters | None:
+    """Pulse response by least squares of each output on past inputs, over the samples at which it was measured."""
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    present = min(sum(int((~np.isnan(record.outputs[:, i])).sum()) for record in records) for i in range(n_outputs))
+    longest = max(record.n_samples for record in records)
+    n_lags = min(PULSE_LAGS, present // (3 * n_inputs), longest // 4)
+    if n_lags < 4:  # a Hankel matrix of two block rows and columns needs four lags
+        return None
+    width = (n_lags + 1) * n_inputs
+    own, cross = np.zeros((n_outputs, width, width)), np.zeros((n_outputs, width))
+    counts = np.zeros(n_outputs)
+    patterns = _patterns(records)
+    for record in records:
+        if record.n_samples <= n_lags:
+            continue
+        for first in range(n_lags, record.n_samples, 4096):
+            last = min(first + 4096, record.n_samples)
+            lags = np.lib.stride_tricks.sliding_window_view(record.inputs[first - n_lags : last], n_lags + 1, axis=0)
+            rows = lags[:, :, ::-1].transpose(0, 2, 1).reshape(last - first, width)
+            for outputs in patterns:
+                there = ~np.isnan(record.outputs[first:last, outputs[0]])
+                part = rows[there]
+                own[outputs] += part.T @ part
+                cross[outputs] += (part.T @ record.outputs[first:last, outputs][there]).T
+                counts[outputs] += there.sum()
+    penalty = np.repeat(1.0 + np.arange(n_lags + 1.0), n_inputs) * FIRST_RIDGE
+    pulse = np.empty((n_lags + 1, n_outputs, n_inputs))
+    for i in range(n_outputs):
+        pulse[:, i] = np.linalg.solve(own[i] + np.diag(penalty * counts[i]), cross[i]).reshape(n_lags + 1, n_inputs)
+    return MarkovParameters(system=pulse, dt=records[0].dt)
+
+
+def _patterns(records: Sequence[Record]) -> list[list[int]]:
+    """Outputs that are missing together in all records."""
+    together: dict[bytes, list[int]] = {}
+    for i in range(records[0].n_outputs):
+        key = b"".join(np.packbits(np.isnan(record.outputs[:, i])).tobytes() for record in records)
+        together.setdefault(key, []).append(i)
+    return list(together.values())
+
+
+def _bridged(records: Sequence[Record], runs: Sequence[FloatArray]) -> tuple[Record, ...]:
+    """The records with missing samples at the run plus what it leaves of their measured neighbours."""
+    left = [record.outputs - run for record, run in zip(records, runs, strict=True)]
+    filled = [np.array(record.outputs) for record in records]
+    for i in range(records[0].n_outputs):
+        correlation = _correlation([one[:, i] for one in left])
+        for one, run, rest in zip(filled, runs, left, strict=True):
+            missing = np.flatnonzero(np.isnan(rest[:, i]))
+            if missing.size:
+                one[missing, i] = run[missing, i] + _interpolated(rest[:, i], missing, correlation)
+    return tuple(replace(record, outputs=one) for record, one in zip(records, filled, strict=True))
+
+
+def _correlation(parts: Sequence[FloatArray]) -> FloatArray:
+    """(4 NEIGHBOURS + 1,) autocovariance over the pairs that are there, tapered.
+
+    A lag without a pair (outputs at every second row) gets the value of the next longer one: no more than is known.
+    """
+    n_lags = 4 * NEIGHBOURS
+    sums, counts = np.zeros(n_lags + 1), np.zeros(n_lags + 1)
+    for part in parts:
+        there = ~np.isnan(part)
+        values = np.where(there, part, 0.0)
+        for lag in range(min(n_lags, part.size - 1) + 1):
+            sums[lag] += values[lag:] @ values[: part.size - lag]
+            counts[lag] += np.count_nonzero(there[lag:] & there[: part.size - lag])
+    known = counts > 0
+    lags = np.arange(n_lags + 1.0)
+    longer = np.flatnonzero(known)[np.minimum(np.searchsorted(np.flatnonzero(known), lags), known.sum() - 1)]
+    covariance = np.where(known[longer], sums[longer] / np.maximum(counts[longer], 1.0), 0.0)
+    result: FloatArray = covariance * (1.0 - lags / (n_lags + 1.0))
+    return result
+
+
+def _interpolated(values: FloatArray, missing: np.ndarray, correlation: FloatArray) -> FloatArray:
+    """Best linear estimate of missing values from their measured neighbours, for this autocovariance."""
+    measured = np.flatnonzero(~np.isnan(values))
+    if measured.size == 0 or correlation[0] <= 0.0:
+        return np.zeros(missing.size)
+    beside = np.searchsorted(measured, missing)[:, np.newaxis] + np.arange(-NEIGHBOURS, NEIGHBOURS)
+    inside = (beside >= 0) & (beside < measured.size)
+    places = measured[np.clip(beside, 0, measured.size - 1)]
+    longest = correlation.size - 1
+    padded = np.append(correlation, 0.0)
+
+    def covariance(distance: np.ndarray) -> FloatArray:
+        value: FloatArray = padded[np.minimum(np.abs(distance), longest + 1)]
+        return value
+
+    between = covariance(places[:, :, np.newaxis] - places[:, np.newaxis, :])
+    both = inside[:, :, np.newaxis] & inside[:, np.newaxis, :]
+    between = np.where(both, between, 0.0) + NUGGET * correlation[0] * np.eye(2 * NEIGHBOURS)
+    between += np.where(inside, 0.0, correlation[0])[:, :, np.newaxis] * np.eye(2 * NEIGHBOURS)
+    towards = np.where(inside, covariance(places - missing[:, np.newaxis]), 0.0)
+    weights = np.linalg.solve(between, towards[:, :, np.newaxis])[:, :, 0]
+    estimate: FloatArray = (weights * np.where(inside, values[places], 0.0)).sum(axis=1)
+    return estimate

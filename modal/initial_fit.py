@@ -1,0 +1,96 @@
+"""Initial state and level of each output, by least squares on the training rows of a free run.
+
+With x = a + j b per pole the free response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
+sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows, and these have a closed form.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from okid.arrays import ComplexArray, FloatArray
+
+__all__ = ["fit_initial_state"]
+
+STATE_REGULARISATION = 1e-9
+"""Of each free response's energy over the whole record: keeps a response that no training row shows from growing."""
+
+
+def fit_initial_state(
+    poles: ComplexArray,
+    shapes: ComplexArray,
+    products: ComplexArray,
+    totals: FloatArray,
+    *,
+    runs: Sequence[tuple[int, int]],
+    n_samples: int,
+) -> tuple[ComplexArray, FloatArray]:
+    """Least squares of what the inputs do not explain on the free responses and a constant.
+
+    Args:
+        poles: (n_poles,) one of each conjugate pair.
+        shapes: (n_outputs, n_poles) w c, with the weights.
+        products: (n_poles,) sum over training rows and outputs of what is to be explained times w c lambda^k.
+        totals: (n_outputs,) sum over training rows of what is to be explained.
+        runs: (first, one past last) row of each run of training rows.
+        n_samples: of the record.
+
+    Returns:
+        (n_poles,) initial state and (n_outputs,) level.
+    """
+    n_poles, n_outputs = poles.size, totals.size
+    edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
+    ones = np.ones(1, dtype=np.complex128)
+    plain = _sums(poles, poles, edges) * (shapes.T @ shapes)
+    conjugate = _sums(poles.conj(), poles, edges) * (shapes.conj().T @ shapes)
+    to_level = _sums(poles, ones, edges) * shapes.T  # (n_poles, n_outputs)
+    level_rows = max(1.0, float((edges[:, 1] - edges[:, 0]).sum()))
+
+    size = 2 * n_poles + n_outputs
+    matrix = np.zeros((size, size))
+    a, b, c = slice(0, n_poles), slice(n_poles, 2 * n_poles), slice(2 * n_poles, size)
+    matrix[a, a] = 0.5 * (conjugate.real + plain.real)
+    matrix[b, b] = 0.5 * (conjugate.real - plain.real)
+    matrix[a, b] = -0.5 * (conjugate.imag + plain.imag)
+    matrix[b, a] = matrix[a, b].T
+    matrix[a, c], matrix[b, c] = to_level.real, -to_level.imag
+    matrix[c, a], matrix[c, b] = to_level.real.T, -to_level.imag.T
+    matrix[c, c] = level_rows * np.eye(n_outputs)
+    vector = np.concatenate([products.real, -products.imag, totals])
+
+    energy = 0.5 * _energies(poles, n_samples) * np.square(np.abs(shapes)).sum(axis=0)
+    scale = np.concatenate([energy, energy, np.full(n_outputs, level_rows)])
+    scale = np.sqrt(np.where(scale > 0.0, scale, 1.0))
+    scaled = matrix / np.outer(scale, scale)
+    scaled[np.diag_indices(size)] += STATE_REGULARISATION
+    solution = _solved(scaled, vector / scale) / scale
+    return solution[a] + 1j * solution[b], solution[c]
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    _, solution, info = scipy.linalg.lapack.dposv(matrix, right)
+    if info:  # rounding of the sums beyond the regularisation: poles at the edge of stability
+        solution = scipy.linalg.lstsq(matrix, right, cond=1e-13, check_finite=False)[0]
+    result: FloatArray = solution
+    return result
+
+
+def _sums(left: ComplexArray, right: ComplexArray, edges: npt.NDArray[np.int64]) -> ComplexArray:
+    """(n_left, n_right) sum over the runs' rows k of left_i^k right_j^k, by the geometric series of each run."""
+    ratio = np.outer(left, right)
+    first, last = edges[:, 0], edges[:, 1]
+    starts = (left[:, np.newaxis] ** first) @ (right[:, np.newaxis] ** first).T
+    ends = starts - (left[:, np.newaxis] ** last) @ (right[:, np.newaxis] ** last).T
+    # a ratio of 1 (an integrator): every term of the series is 1
+    one = np.abs(1.0 - ratio) < 1e-12
+    return np.where(one, float((last - first).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
+
+
+def _energies(poles: ComplexArray, n_samples: int) -> FloatArray:
+    """(n_poles,) sum of |pole|^(2 k) over the samples."""
+    ratio = np.square(np.abs(poles))
+    one = 1.0 - ratio < 1e-12
+    result: FloatArray = np.where(one, float(n_samples), (1.0 - ratio**n_samples) / np.where(one, 1.0, 1.0 - ratio))
+    return result

@@ -1,0 +1,162 @@
+"""Integrating systems: sums of the inputs drive a stable model, and the integrators come back as states with pole 1.
+
+A free mass under a force, a tank, a heated block without losses: the response to a pulse never dies out, and no stable
+model of the inputs can say so. But y = G(z) / (1 - z^-1) u is G(z) driven by the running sum of u, and G is stable. An
+output that does not integrate has a zero of G at z = 1 instead, so all inputs are summed alike. The unknown state of an
+integrator and the unknown mean of its input are a constant and a straight line in its output (two integrators: and a
+parabola); those are taken off the sums and off the outputs, which leaves their relation as it is (see `modal.drift`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.drift import choose_drift, held_out_squares, is_significant, unit_outputs, without_drift
+from modal.identification import Choice
+from modal.quick_model import free_runs, quick_model
+from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
+from okid.record import Record
+from okid.scalars import whole_number
+
+__all__ = ["Integrators", "choose_integrators", "given_integrators", "summed_inputs", "with_integrators"]
+
+MOST = 2
+"""Force to position is the most that mechanics asks for."""
+SIGNIFICANT = 4.0
+"""Standard errors by which an integrator must lower the held-out error of slow motion."""
+AS_GOOD = 2.0
+"""Ratio to what a stable model leaves beside a drift of more functions, up to which an integrator is preferred."""
+LEAST_GAIN = 0.2
+"""Part of that error which it must take off: where a slow pole does as well, it is no integrator."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Integrators:
+    """How often the system integrates its inputs.
+
+    Attributes:
+        number: 0, 1 or 2.
+        choice: what was chosen and why.
+    """
+
+    number: int
+    choice: Choice
+
+
+def choose_integrators(records: Sequence[Record]) -> Integrators:
+    """As many as explain slow motion that neither a stable model nor a drift beside it explains.
+
+    A quick model is driven by the inputs, by their sums and by the sums of those, each beside the drift that would
+    otherwise be found; the mean square of what the free run leaves of slow motion on held-out rows decides.
+
+    Args:
+        records: of one system, no input missing.
+
+    Example:
+        >>> push = np.random.default_rng(0).standard_normal(2000)
+        >>> level = np.cumsum(push)
+        >>> choose_integrators([Record(push, level, 0.01)]).number
+        1
+    """
+    if records[0].n_inputs == 0:
+        return _explained(0, "without inputs an integrator cannot be told from a drift")
+    unit = unit_outputs(records)
+    drift = choose_drift(records).n_functions
+    beside_drift = _slow_error(unit, 0, drift)
+    chosen, before = 0, 0.0
+    for number in range(1, MOST + 1):
+        with_one = _slow_error(unit, number, number)
+        without = _slow_error(unit, chosen, number)
+        if with_one is None or (without is not None and not _much_better(with_one, without)):
+            continue
+        if drift > number and beside_drift is not None and with_one.sum() > AS_GOOD * beside_drift.sum():
+            continue
+        chosen, before = number, np.inf if without is None else 1.0 - with_one.sum() / without.sum()
+    if chosen == 0:
+        return _explained(0, "sums of the inputs explain no slow motion that a stable model does not explain")
+    how = (
+        f"leaves {100 * before:.3g} % less slow motion on held-out rows than one with fewer sums"
+        if np.isfinite(before)
+        else "is stable and one with fewer sums is not"
+    )
+    return _explained(chosen, f"a model of the summed inputs {how}: the response to a pulse does not die out")
+
+
+def given_integrators(number: int) -> Integrators:
+    """So many as the caller chose.
+
+    Raises:
+        InvalidDataError: a number outside 0 ... 2.
+    """
+    number = whole_number(number, name="the number of integrators", least=0)
+    if number > MOST:
+        raise InvalidDataError(
+            f"at most {MOST} integrators (force to position) can be fitted, but {number} were given."
+        )
+    return _explained(number, "given as an argument")
+
+
+def summed_inputs(record: Record, number: int) -> Record:
+    """The record with each input summed so many times: s(k) = u(0) + ... + u(k), u about its mean.
+
+    Example:
+        >>> summed_inputs(Record([2.0, 0.0, 1.0], [0.0, 0.0, 0.0], 0.1), 1).inputs.ravel().tolist()
+        [1.0, 0.0, 0.0]
+    """
+    inputs = record.inputs
+    for _ in range(number):
+        inputs = np.cumsum(inputs - inputs.mean(axis=0), axis=0)
+    return replace(record, inputs=inputs) if number else record
+
+
+def with_integrators(realisation: Realisation, number: int) -> Realisation:
+    """The model of summed inputs, driven by the inputs themselves: one more state for each input and each sum.
+
+        s(k+1) = s(k) + u(k),   x(k+1) = A x(k) + B (s(k) + u(k)),   y(k) = C x(k) + D (s(k) + u(k))
+
+    The first states are those of the model that was given; Hankel factors belong to that model and are left behind. The
+    sums are known from the inputs, so the gain does not correct them.
+
+    Example:
+        >>> from era.simulation import simulate
+        >>> level = with_integrators(Realisation([[0.0]], [[1.0]], [[0.0]], [[2.0]], 0.1), 1)
+        >>> simulate(level, Record([1.0, 0.0, 1.0], [0.0, 0.0, 0.0], 0.1)).outputs.ravel().tolist()
+        [2.0, 2.0, 4.0]
+    """
+    model = realisation
+    for _ in range(number):
+        n_inputs, nothing = model.n_inputs, np.zeros((model.n_inputs, model.order))
+        model = Realisation(
+            np.block([[model.A, model.B], [nothing, np.eye(n_inputs)]]),
+            np.vstack([model.B, np.eye(n_inputs)]),
+            np.hstack([model.C, model.D]),
+            model.D,
+            model.dt,
+            K=None if model.K is None else np.vstack([model.K, np.zeros((n_inputs, model.n_outputs))]),
+            singular_values=model.singular_values,
+        )
+    return model
+
+
+def _slow_error(records: Sequence[Record], number: int, n_functions: int) -> FloatArray | None:
+    """Squared slow remainder of a quick model beside slow functions, group by group; None where there is no model."""
+    freed = tuple(without_drift(summed_inputs(record, number), max(number, n_functions)) for record in records)
+    model, _ = quick_model(freed)
+    if model is None:
+        return None
+    runs = free_runs(model, freed)
+    left = [record.outputs - run for record, run in zip(freed, runs, strict=True)]
+    return held_out_squares(left, n_functions)
+
+
+def _much_better(error: FloatArray, than: FloatArray) -> bool:
+    gain = than - error
+    return is_significant(gain, SIGNIFICANT) and bool(gain.sum() > LEAST_GAIN * than.sum())
+
+
+def _explained(number: int, reason: str) -> Integrators:
+    value = {0: "none", 1: "one"}.get(number, "two")
+    return Integrators(number=number, choice=Choice(what="integrators", value=value, reason=reason))

@@ -1,0 +1,269 @@
+"""Modal states of a driven model, their sensitivities, and the one Gram matrix that a refinement step needs.
+
+Each pole has one complex state in each record, driven by all inputs and by what it starts from:
+
+    x_i(k+1) = lambda_i x_i(k) + b_i' u(k),   x_i(0) = x0_i,   y(k) = sum over i of Re(c_i x_i(k)) + D u(k) + level
+
+Sensitivities of a state run through the same pole: to lambda_i the state once more filtered, to b_ij the filtered input
+u_j, to x0_i the power lambda_i^k. All sums over rows that a Gauss-Newton step and its linear part need are products of
+these signals, so a record is passed once and only its Gram matrix is kept, one for each block of rows.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.record import Record
+
+__all__ = ["Block", "ModalParameters", "SignalLayout", "block_grams", "blocks_of", "free_runs", "whole_gram"]
+
+IndexArray = npt.NDArray[np.intp]
+
+LONGEST_CHUNK = 8192
+"""Rows of signals that are held at a time."""
+DELAY = np.array([0.0, 1.0])
+"""Numerator of the recursion: the input acts on the next sample."""
+DIED_OUT = 1e-100
+"""Free responses below this are set to zero: their squares would be too small for a normal number, and so slow."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModalParameters:
+    """The nonlinear parameters of a model in modal form; C, D and levels follow from them by least squares.
+
+    Attributes:
+        poles: (n_poles,) discrete poles inside the unit circle, one of each conjugate pair, imaginary part >= 0.
+        is_pair: (n_poles,) False for a pole on the real axis, whose inputs and states are real.
+        inputs: (n_poles, n_inputs) b.
+        states: (n_records, n_poles) x0.
+    """
+
+    poles: ComplexArray
+    is_pair: BoolArray
+    inputs: ComplexArray
+    states: ComplexArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Block:
+    """Consecutive rows of one record whose sums are kept apart.
+
+    Attributes:
+        record: index of the record.
+        first: first row.
+        last: one past the last row.
+        label: the fold that holds these rows out, -1 for none.
+    """
+
+    record: int
+    first: int
+    last: int
+    label: int
+
+
+def blocks_of(records: Sequence[Record], held_out: Sequence[Sequence[Sequence[tuple[int, int]]]]) -> tuple[Block, ...]:
+    """The records cut into the runs of rows that each fold holds out, and what lies between them.
+
+    Args:
+        records: to be cut.
+        held_out: [fold][record] runs (first row, one past the last row); no row in two folds.
+
+    Example:
+        >>> record = Record([], np.arange(6.0), 0.1)
+        >>> [(block.first, block.last, block.label) for block in blocks_of([record], [[[(2, 4)]]])]
+        [(0, 2, -1), (2, 4, 0), (4, 6, -1)]
+    """
+    blocks = []
+    for r, record in enumerate(records):
+        runs = sorted((first, last, label) for label, fold in enumerate(held_out) for first, last in fold[r])
+        done = 0
+        for first, last, label in (*runs, (record.n_samples, record.n_samples, -1)):
+            if first > done:
+                blocks.append(Block(record=r, first=done, last=first, label=-1))
+            if last > first:
+                blocks.append(Block(record=r, first=first, last=last, label=label))
+            done = last
+    return tuple(blocks)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SignalLayout:
+    """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
+
+    Regressors of the linear part: states, inputs, one level a record. Sensitivities: to the poles, to the inputs'
+    participations, to the initial states. Last the outputs.
+    """
+
+    n_poles: int
+    n_inputs: int
+    n_outputs: int
+    n_records: int
+
+    @property
+    def n_regressors(self) -> int:
+        """States (real and imaginary part), inputs, levels."""
+        return 2 * self.n_poles + self.n_inputs + self.n_records
+
+    @property
+    def n_sensitivities(self) -> int:
+        """Complex ones."""
+        return self.n_poles * (1 + self.n_inputs + self.n_records)
+
+    @property
+    def regressors(self) -> slice:
+        """All regressors of the linear part."""
+        return slice(0, self.n_regressors)
+
+    @property
+    def real(self) -> slice:
+        """Real parts of the sensitivities."""
+        return slice(self.n_regressors, self.n_regressors + self.n_sensitivities)
+
+    @property
+    def imaginary(self) -> slice:
+        """Imaginary parts of the sensitivities."""
+        return slice(self.real.stop, self.real.stop + self.n_sensitivities)
+
+    @property
+    def outputs(self) -> slice:
+        """Measured outputs."""
+        return slice(self.imaginary.stop, self.imaginary.stop + self.n_outputs)
+
+    @property
+    def size(self) -> int:
+        """Number of real signals."""
+        return self.outputs.stop
+
+    @property
+    def owners(self) -> IndexArray:
+        """(n_sensitivities,) the pole that each sensitivity belongs to."""
+        return np.tile(np.arange(self.n_poles), 1 + self.n_inputs + self.n_records)
+
+    @property
+    def alone(self) -> "SignalLayout":
+        """Of the signals that one record has: its own level, its own initial states."""
+        return SignalLayout(n_poles=self.n_poles, n_inputs=self.n_inputs, n_outputs=self.n_outputs, n_records=1)
+
+    def places(self, record: int) -> IndexArray:
+        """(alone.size,) places among all signals of those that one record has."""
+        n, m = self.n_poles, self.n_inputs
+        regressors = [*range(2 * n + m), 2 * n + m + record]
+        start = n * (1 + m)
+        own = [*range(start), *range(start + n * record, start + n * (record + 1))]
+        real = [self.real.start + i for i in own]
+        imaginary = [self.imaginary.start + i for i in own]
+        return np.array([*regressors, *real, *imaginary, *range(self.outputs.start, self.outputs.stop)], dtype=np.intp)
+
+
+def block_grams(
+    parameters: ModalParameters, records: Sequence[Record], rows: Sequence[BoolArray], blocks: Sequence[Block]
+) -> tuple[SignalLayout, FloatArray]:
+    """Gram matrices of all signals over the counted rows of each block.
+
+    Args:
+        parameters: of the model.
+        records: without NaN in the inputs; outputs of rows that do not count may be anything finite.
+        rows: (n_samples,) a record, True where a row counts.
+        blocks: in the order of their rows, each record whole.
+
+    Returns:
+        Layout of all signals, and (n_blocks, alone.size, alone.size) Gram matrices of each block's own ones: the others
+        are zero in it, and thirty records have thirty times as many.
+    """
+    first = records[0]
+    layout = SignalLayout(
+        n_poles=parameters.poles.size,
+        n_inputs=first.n_inputs,
+        n_outputs=first.n_outputs,
+        n_records=len(records),
+    )
+    size = layout.alone.size
+    grams = np.zeros((len(blocks), size, size))
+    for r, record in enumerate(records):
+        own = [i for i, block in enumerate(blocks) if block.record == r]
+        _add_grams(grams[own[0] : own[-1] + 1], parameters, record, rows[r], [blocks[i] for i in own])
+    return layout, grams
+
+
+def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], chosen: Sequence[int]) -> FloatArray:
+    """(size, size) Gram matrix of all signals over the rows of the chosen blocks.
+
+    Args:
+        layout: of all signals.
+        grams: of each block's own signals, from `block_grams`.
+        blocks: of the Gram matrices.
+        chosen: indices of blocks.
+    """
+    if layout.n_records == 1:
+        gram: FloatArray = grams[list(chosen)].sum(axis=0)
+        return gram
+    gram = np.zeros((layout.size, layout.size))
+    for r in range(layout.n_records):
+        places = layout.places(r)
+        gram[np.ix_(places, places)] += grams[[i for i in chosen if blocks[i].record == r]].sum(axis=0)
+    return gram
+
+
+def _add_grams(
+    grams: FloatArray, parameters: ModalParameters, record: Record, rows: BoolArray, blocks: Sequence[Block]
+) -> None:
+    """Add one record's products to the Gram matrices of its blocks."""
+    for start, signals in _signals(parameters, blocks[0].record, record):
+        stop = start + signals.shape[0]
+        for i, block in enumerate(blocks):
+            first, last = max(start, block.first), min(stop, block.last)
+            if first < last:
+                counted = rows[first:last]
+                part = signals[first - start : last - start]
+                chosen = part if counted.all() else part[counted]
+                grams[i] += chosen.T @ chosen
+
+
+def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterator[tuple[int, FloatArray]]:
+    """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
+    import scipy.signal
+
+    poles, n_inputs = parameters.poles, record.n_inputs
+    n_poles = poles.size
+    recursions = [np.array([1.0, -pole]) for pole in poles]
+    powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
+    np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
+    driven_memory = np.zeros((n_inputs, n_poles, 1), dtype=np.complex128)
+    slope_memory = np.zeros((n_poles, 1), dtype=np.complex128)
+    free_memory = np.ones(n_poles, dtype=np.complex128)
+    for first in range(0, record.n_samples, LONGEST_CHUNK):
+        outputs = record.outputs[first : first + LONGEST_CHUNK]
+        inputs = record.inputs[first : first + LONGEST_CHUNK].T
+        n_rows = outputs.shape[0]
+        # sensitivities to the poles, to the participations, to the initial states
+        s = np.empty((1 + n_inputs + 1, n_poles, n_rows), dtype=np.complex128)
+        for j, i in np.ndindex(n_inputs, n_poles):
+            s[1 + j, i], driven_memory[j, i] = scipy.signal.lfilter(
+                DELAY, recursions[i], inputs[j], zi=driven_memory[j, i]
+            )
+        s[-1] = (powers[:n_rows] * free_memory).T
+        s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
+        state = parameters.states[index][:, np.newaxis] * s[-1]
+        for j in range(n_inputs):
+            state += parameters.inputs[:, [j]] * s[1 + j]
+        for i in range(n_poles):
+            s[0, i], slope_memory[i] = scipy.signal.lfilter(DELAY, recursions[i], state[i], zi=slope_memory[i])
+        s[0] *= poles[:, np.newaxis]
+        free_memory = free_memory * powers[n_rows - 1] * poles
+        flat = s.reshape(-1, n_rows)
+        one = np.ones((1, n_rows))
+        yield first, np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs.T]).T
+
+
+def free_runs(parameters: ModalParameters, coefficients: FloatArray, records: Sequence[Record]) -> Iterator[FloatArray]:
+    """(n_samples, n_outputs) outputs of the model in each record, given the coefficients of its regressors."""
+    n = 2 * parameters.poles.size + records[0].n_inputs
+    for index, record in enumerate(records):
+        run = np.empty((record.n_samples, record.n_outputs))
+        own = np.vstack([coefficients[:n], coefficients[[n + index]]])
+        for first, signals in _signals(parameters, index, record):
+            run[first : first + signals.shape[0]] = signals[:, : n + 1] @ own
+        yield run

@@ -1,0 +1,235 @@
+"""Model order and number of refinement steps, chosen together by the free run on held-out rows.
+
+On each fold the model that its training rows gave is refined on these rows by output error, and scored on the rows held
+out after every step. Run to convergence a refinement may follow what is not linear in the training rows and lose on the
+others, so the number of steps is a choice like the order (early stopping), and both are made together: a refined model
+needs fewer states than one that must make up for its observer's bias.
+
+Two observers start it, the best and the best of another order or ridge: what Gauss-Newton steps reach depends on where
+they start.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modal.ground import Ground, corner, training_decomposition
+from modal.growth import with_weak_mode
+from modal.modal_states import blocks_of
+from modal.refinement import OutputError, Step, refine
+from modal.search import Search, as_good, significantly_worse
+from modal.starting import starting_parameters
+from modal.trials import Trial, trial_of
+from okid.arrays import FloatArray
+
+__all__ = ["MOST_STEPS", "output_error_data", "refined_search"]
+
+MOST_STEPS = 8
+"""Steps after which nearly all refinements stand still; a trial with so many means: until it stands still."""
+SCOUT_STEPS = 3
+STANDS_STILL = 1e-5
+"""Relative decrease of the squared error by a step below which a refinement of a fold ends."""
+ORDER_SHARES = (0.2, 0.3, 0.45, 0.7, 1.0, 1.3)
+"""Of the model order that was best without refinement: mostly smaller ones."""
+HOPELESS = 1.5
+"""Error after the first steps, relative to the best so far, from which on a candidate is given up."""
+GAIN = 0.99
+"""A larger order must bring the error below this share of the best so far,"""
+PATIENCE = 2
+"""or the search ends after so many, once refinement has paid or the order chosen without it is passed."""
+MOST_WEAK_MODES = 4
+"""Modes that are looked for in what the chosen model leaves."""
+FEW = 8
+"""Orders up to here are tried odd and even."""
+
+
+@dataclass(slots=True, eq=False)
+class _Workshop:
+    """Refinements done so far."""
+
+    ground: Ground
+    data: OutputError
+    largest_order: int
+    steps: dict[tuple[int, float, int, int], list[Step]] = field(default_factory=dict)
+    errors: dict[tuple[int, float, int, int], list[FloatArray]] = field(default_factory=dict)
+    still: set[tuple[int, float, int, int]] = field(default_factory=set)
+
+
+def output_error_data(ground: Ground) -> OutputError:
+    """The scored stretches with their complete rows, cut into the blocks of the folds."""
+    rows = tuple(held_out | trained for held_out, trained in zip(ground.held_out[0], ground.trained[0], strict=True))
+    return OutputError(records=ground.scaled, rows=rows, blocks=blocks_of(ground.scaled, ground.blocks))
+
+
+def refined_search(ground: Ground, found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
+    """The search with its best candidates refined; the refined trials stand beside those without refinement.
+
+    Args:
+        ground: of the search.
+        found: observers and model orders by their free runs without refinement.
+        progress: called with the share done.
+    """
+    first, *others = _observers(found)
+    orders = _orders(found)
+    shop = _Workshop(ground=ground, data=output_error_data(ground), largest_order=max(orders) + 2)
+    refined: dict[tuple[int, float, int], list[Trial]] = {}
+    best, without_gain = found.trials[0].error, 0
+    for i, n in enumerate(orders):
+        refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
+        progress(0.6 * (i + 1) / len(orders))
+        error = _least_error(refined[*first, n])
+        without_gain = 0 if error < GAIN * best else without_gain + 1
+        best = min(best, error)
+        if without_gain >= PATIENCE and (best < GAIN * found.trials[0].error or n >= found.chosen.model_order):
+            break
+    if len(orders) > 1:
+        for n in _between(sorted(n for *_, n in refined), _best_order(refined)):
+            refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
+    progress(0.8)
+    for observer in others:
+        n = _best_order(refined)
+        refined[*observer, n] = _trials(shop, (*observer, n), hopeless=HOPELESS * best)
+    trials = [trial for row in refined.values() for trial in row]
+    everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
+    if not trials:
+        return found
+    chosen = _chosen(everything)
+    if len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
+        grown = _grown(shop, chosen)
+        everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
+        chosen = grown[-1] if grown else chosen
+    progress(1.0)
+    return replace(found, trials=tuple(everything), chosen=chosen)
+
+
+def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
+    """Trials with one weak mode more each, as long as held-out rows gain significantly by it."""
+    key = (chosen.observer_order, chosen.ridge, chosen.model_order)
+    steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
+    grown: list[Trial] = []
+    last = chosen
+    while len(grown) < MOST_WEAK_MODES:
+        larger = [with_weak_mode(step, shop.data, held_out=fold) for fold, step in enumerate(steps)]
+        if any(step is None for step in larger):
+            break
+        steps = [
+            refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1]
+            for fold, step in enumerate(larger)
+            if step is not None
+        ]
+        errors = [
+            step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])
+            for fold, step in enumerate(steps)
+        ]
+        n = last.model_order + 2
+        trial = trial_of(*key[:2], n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=len(grown) + 1)
+        if not significantly_worse(last, trial):
+            break
+        grown.append(trial)
+        last = trial
+    return grown
+
+
+def _observers(found: Search) -> list[tuple[int, float]]:
+    """The best observer and the best other one."""
+    pairs = list(dict.fromkeys((trial.observer_order, trial.ridge) for trial in found.trials))
+    return pairs[:2]
+
+
+def _orders(found: Search) -> list[int]:
+    if len(found.limits.model_orders) == 1:
+        return list(found.limits.model_orders)
+    best = found.trials[0].model_order
+    shares = {max(1, round(share * best)) for share in ORDER_SHARES}
+    return sorted({_even(n) for n in shares | {found.chosen.model_order}})
+
+
+def _between(orders: Sequence[int], best: int) -> list[int]:
+    """Orders next to the best and half-way to its neighbours, as far as they were not tried."""
+    at = list(orders).index(best)
+    lower = (best + orders[at - 1]) // 2 if at > 0 else best
+    upper = (best + orders[at + 1]) // 2 if at + 1 < len(orders) else best
+    near = {best - 2, best + 2, lower, upper} if best > FEW else {best - 1, best + 1, upper}
+    return sorted({_even(n) for n in near if n > 0} - set(orders))
+
+
+def _even(n: int) -> int:
+    """Above a few states whole pairs only: an odd order cuts one."""
+    return n if n <= FEW else n + n % 2
+
+
+def _least_error(trials: Sequence[Trial]) -> float:
+    return min((trial.error for trial in trials), default=np.inf)
+
+
+def _best_order(refined: dict[tuple[int, float, int], list[Trial]]) -> int:
+    return min(refined, key=lambda candidate: _least_error(refined[candidate]))[-1]
+
+
+def _trials(shop: _Workshop, candidate: tuple[int, float, int], *, hopeless: float) -> list[Trial]:
+    """The candidate refined on every fold, one trial after each number of steps; none where it cannot start.
+
+    Where its error after a few steps is still above `hopeless` it gets no more.
+    """
+    p, ridge, n = candidate
+    trials: list[Trial] = []
+    for n_steps in (SCOUT_STEPS, MOST_STEPS):
+        errors = [_fold_errors(shop, candidate, fold, n_steps) for fold in range(len(shop.ground.folds))]
+        if not all(errors):
+            return []
+        trials = [
+            trial_of(
+                p, ridge, n, [fold[min(k, len(fold) - 1)] for fold in errors], shop.ground.power, refinement_steps=k
+            )
+            for k in range(n_steps + 1)
+        ]
+        if _least_error(trials) > hopeless:
+            break
+    return trials
+
+
+def _fold_errors(shop: _Workshop, candidate: tuple[int, float, int], fold: int, n_steps: int) -> list[FloatArray]:
+    """(n_blocks, n_outputs) squared errors after each step; empty where the candidate has no stable start."""
+    key = (*candidate, fold)
+    scored = [i for i, block in enumerate(shop.data.blocks) if block.label == fold]
+    if key not in shop.errors:
+        start = _start(shop, candidate, fold)
+        shop.steps[key] = [] if start is None else [start]
+        shop.errors[key] = [] if start is None else [start.block_errors(scored)]
+    done = len(shop.errors[key]) - 1
+    if shop.steps[key] and done < n_steps and key not in shop.still:
+        last = shop.steps[key][-1]
+        steps = refine(last, shop.data, held_out=fold, n_steps=n_steps - done, least_gain=STANDS_STILL)
+        shop.errors[key] += [step.block_errors(scored) for step in steps[1:]]
+        shop.steps[key] = [steps[-1]]
+        if len(steps) <= n_steps - done:
+            shop.still.add(key)
+    return shop.errors[key]
+
+
+def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Step | None:
+    p, ridge, n = candidate
+    found = training_decomposition(shop.ground, p, ridge, fold, shop.largest_order)
+    realisation = None if found is None else corner(found, n)
+    return None if realisation is None else starting_parameters(realisation, shop.data, held_out=fold)
+
+
+def _chosen(trials: Sequence[Trial]) -> Trial:
+    """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
+
+    A refinement that may run until it stands still without harm has no early stop to be explained, and its covariance
+    is that of the least-squares estimate.
+    """
+    good = [trial for trial in trials if as_good(trial, trials[0])]
+    smallest = min(trial.model_order for trial in good)
+    same = [trial for trial in good if trial.model_order == smallest]
+    best = same[0]
+    longer = [
+        trial
+        for trial in same
+        if (trial.observer_order, trial.ridge) == (best.observer_order, best.ridge)
+        and trial.refinement_steps == MOST_STEPS
+        and as_good(trial, best)
+    ]
+    return longer[0] if longer else best

@@ -1,0 +1,120 @@
+"""The chosen model refined on all rows, as a state-space model in the units of the records.
+
+Where a refinement may run until it stands still and leaves white noise, its last steps weigh each output by the noise
+that it has: then it is the maximum-likelihood estimate for noise on the outputs, and reaches the Cramer-Rao bound.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.free_run import filled
+from modal.ground import scaled_record
+from modal.growth import errors_of, with_weak_mode
+from modal.modal_realisation import in_units, scaled_model
+from modal.modal_states import blocks_of
+from modal.refined_choice import MOST_STEPS
+from modal.refinement import OutputError, Step, refine
+from modal.starting import starting_parameters
+from okid.arrays import FloatArray
+from okid.record import Record
+from okid.scaling import ChannelScaling, channel_scaling
+from okid.whiteness import centred, whiteness
+
+__all__ = ["RefinedModel", "refined_model"]
+
+UNTIL_STILL = 30
+"""Steps of a refinement that may run until it stands still."""
+N_BLOCKS = 40
+"""Blocks of rows whose sums are kept apart, for a covariance that holds for noise of any colour."""
+WHITE = 1.3
+"""Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
+WHITENESS_LAGS = 20
+SMALLEST_NOISE = 1e-3
+"""Of the noisiest output's: an output with less noise is not weighted more."""
+NOISE_FREE = 1e-7
+"""Relative error of a free run that leaves nothing to be refined."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RefinedModel:
+    """A refined model and what its covariance needs.
+
+    Attributes:
+        realisation: in the units of the records; its Hankel factors are those of the data before refinement.
+        step: the last one, scaled channels.
+        data: what it was fitted to.
+        scaling: of the channels.
+        weights: (n_outputs,) of the squared errors.
+        whiteness_ratio: of what the free run leaves; nan where it leaves nothing.
+    """
+
+    realisation: Realisation
+    step: Step
+    data: OutputError
+    scaling: ChannelScaling
+    weights: FloatArray
+    whiteness_ratio: float
+
+    @property
+    def leaves_white_noise(self) -> bool:
+        """Whether what the free run leaves is white."""
+        return self.whiteness_ratio <= WHITE
+
+
+def refined_model(
+    records: Sequence[Record],
+    start: Realisation,
+    n_steps: int,
+    *,
+    weak_modes: int = 0,
+    evidence: Realisation | None = None,
+) -> RefinedModel | None:
+    """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
+
+    Args:
+        records: as identified from.
+        start: from OKID and ERA, with Hankel factors.
+        n_steps: as chosen on held-out rows; `MOST_STEPS` means until it stands still.
+        weak_modes: modes to add from what the refined model leaves over.
+        evidence: realisation of the order that includes them, whose Hankel factors the result keeps; `start` unless
+            given.
+    """
+    scaling = channel_scaling(records)
+    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+    rows = tuple(record.complete_rows() for record in records)
+    data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, _even_blocks(scaled)))
+    first = starting_parameters(scaled_model(start, scaling), data)
+    if first is None or n_steps == 0:
+        return None
+    power = sum(float(np.square(record.outputs[there]).sum()) for record, there in zip(scaled, rows, strict=True))
+    if first.error <= NOISE_FREE**2 * power:
+        return None
+    weights = np.ones(start.n_outputs)
+    most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
+    last = refine(first, data, n_steps=most)[-1]
+    for _ in range(weak_modes):
+        larger = with_weak_mode(last, data)
+        last = last if larger is None else refine(larger, data, n_steps=most)[-1]
+    ratio = whiteness(centred(errors_of(last, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio
+    variance = last.linear.squared_errors
+    if n_steps == MOST_STEPS and ratio <= WHITE and start.n_outputs > 1 and variance.max() > 0.0:
+        weights = variance.max() / np.maximum(variance, SMALLEST_NOISE**2 * variance.max())
+        last = refine(last, data, n_steps=UNTIL_STILL, weights=weights)[-1]
+    realisation = in_units(last, start if evidence is None else evidence, scaling)
+    return RefinedModel(
+        realisation=realisation, step=last, data=data, scaling=scaling, weights=weights, whiteness_ratio=ratio
+    )
+
+
+def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]:
+    """Every second of the even blocks as runs of a fold of its own: what lies between is cut off as well."""
+    total = sum(record.n_samples for record in records)
+    fold = []
+    for record in records:
+        count = max(1, round(N_BLOCKS * record.n_samples / total))
+        edges = np.linspace(0, record.n_samples, count + 1).round().astype(int).tolist()
+        fold.append(list(zip(edges[1:-1:2], edges[2::2], strict=False)))
+    return [fold]

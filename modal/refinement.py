@@ -1,0 +1,299 @@
+"""Output-error refinement in modal form: damped Gauss-Newton on the free run's error, stable by construction.
+
+The model's free run, y = sum of Re(c_i x_i) + D u + level, is linear in the shapes c, in D and in the levels, which are
+projected out (variable projection, Kaufman's form), and nonlinear in poles, participations b and initial states. A
+complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit circle. With s a sensitivity of state i
+(`modal.modal_states`) and ' the transpose, * the conjugate transpose,
+
+    J'J = 1/2 Re(M1 + M2) for real, 1/2 Re(M1 - M2) for imaginary parts of parameters, Im between them,
+    M1 = (c_i* W c_j) (s_i* P s_j),   M2 = (c_i' W c_j) (s_i' P s_j),   P = I - Phi (Phi' Phi)^-1 Phi'
+
+so that one Gram matrix of states and sensitivities gives shapes, gradient and J'J; no Jacobian is formed. The scale
+that b and c share is fixed by leaving the largest entry of each b alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from modal.modal_states import Block, ModalParameters, SignalLayout, block_grams, whole_gram
+from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.record import Record
+
+__all__ = ["LinearPart", "Normal", "OutputError", "Step", "linear_part", "normal_equations", "refine"]
+
+NONE = -2
+"""Label of no block: nothing is held out."""
+FIRST_DAMPING = 1e-3
+LARGEST_DAMPING = 1e6
+SMALLEST_GAIN = 1e-9
+"""Relative decrease of the error below which another step is not worth its cost."""
+LARGEST_STEP = 0.7
+"""Of the logarithm of a decay rate, and of an angle relative to itself or to what is left to half the sampling rate."""
+LEAST_DECAY = 1e-10
+"""Decay per sample of a pole on the edge of the unit circle."""
+MOST_DECAY = 25.0
+"""Decay per sample of a pole that is over at once."""
+ROUND_OFF = 1e-13
+"""Relative size of directions of the regressors that are rounding error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OutputError:
+    """Scaled records, which of their rows count, and in which blocks their sums are kept.
+
+    Attributes:
+        records: channels of unit size, without NaN.
+        rows: (n_samples,) a record, True where all channels were measured.
+        blocks: all rows, with the fold that holds each block out.
+    """
+
+    records: tuple[Record, ...]
+    rows: tuple[BoolArray, ...]
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LinearPart:
+    """What is linear in the outputs, by least squares on the training rows.
+
+    Attributes:
+        coefficients: (n_regressors, n_outputs) on real and imaginary parts of the states, inputs and levels.
+        shapes: (n_outputs, n_poles) c, so that mode i gives Re(c_i x_i).
+        inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
+        squared_errors: (n_outputs,) on the training rows.
+    """
+
+    coefficients: FloatArray
+    shapes: ComplexArray
+    inverse_factor: FloatArray
+    squared_errors: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Normal:
+    """Normal equations of one step in the free real parameters.
+
+    Attributes:
+        matrix: (n_free, n_free) J'J.
+        gradient: (n_free,) J'e.
+        free: indices into [real parts, imaginary parts] of all sensitivities.
+    """
+
+    matrix: FloatArray
+    gradient: FloatArray
+    free: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Step:
+    """The model after one accepted step.
+
+    Attributes:
+        parameters: nonlinear ones.
+        linear: linear ones, from the training rows.
+        layout: of all signals.
+        blocks: of the Gram matrices.
+        grams: (n_blocks, alone.size, alone.size) of each block's own signals.
+        error: weighted sum of squares over the training rows.
+    """
+
+    parameters: ModalParameters
+    linear: LinearPart
+    layout: SignalLayout
+    blocks: tuple[Block, ...]
+    grams: FloatArray
+    error: float
+
+    def block_errors(self, chosen: Sequence[int]) -> FloatArray:
+        """(n_chosen, n_outputs) squared error of the model on these blocks."""
+        out, phi = self.layout.alone.outputs, self.layout.alone.regressors
+        errors = np.empty((len(chosen), self.layout.n_outputs))
+        for k, i in enumerate(chosen):
+            gram = self.grams[i]
+            theta = self.linear.coefficients[self.layout.places(self.blocks[i].record)[phi]]
+            cross = gram[phi, out]
+            errors[k] = np.diag(gram[out, out]) - (theta * (2.0 * cross - gram[phi, phi] @ theta)).sum(axis=0)
+        return np.maximum(errors, 0.0)
+
+    def block_products(self, block: int) -> FloatArray:
+        """(size, n_outputs) products of all signals with the model's error on the rows of one block."""
+        out, phi = self.layout.alone.outputs, self.layout.alone.regressors
+        places, gram = self.layout.places(self.blocks[block].record), self.grams[block]
+        products = np.zeros((self.layout.size, self.layout.n_outputs))
+        products[places] = gram[:, out] - gram[:, phi] @ self.linear.coefficients[places[phi]]
+        return products
+
+
+def refine(
+    start: Step,
+    data: OutputError,
+    *,
+    held_out: int = NONE,
+    n_steps: int,
+    least_gain: float = SMALLEST_GAIN,
+    weights: FloatArray | None = None,
+) -> list[Step]:
+    """Models after 0, 1, ... at most `n_steps` accepted Levenberg-Marquardt steps.
+
+    Args:
+        start: the model to refine, from `evaluate`.
+        data: what is fitted.
+        held_out: blocks with this label do not count.
+        n_steps: most steps.
+        least_gain: relative decrease of the error by a step below which it is the last.
+        weights: (n_outputs,) of the squared errors; ones unless given.
+
+    References:
+        Golub, Pereyra, SIAM Journal on Numerical Analysis 10(2), 1973, 413-432, doi 10.1137/0710036 (variable
+        projection); Kaufman, BIT 15, 1975, 49-57, doi 10.1007/BF01932995; Marquardt, Journal of the Society for
+        Industrial and Applied Mathematics 11(2), 1963, 431-441, doi 10.1137/0111030.
+    """
+    weights = np.ones(data.records[0].n_outputs) if weights is None else weights
+    current = replace(start, error=float(weights @ start.linear.squared_errors))
+    done = [current]
+    damping, growth = FIRST_DAMPING, 2.0
+    while len(done) <= n_steps and damping < LARGEST_DAMPING:
+        normal = normal_equations(current, data, held_out=held_out, weights=weights)
+        diagonal = np.maximum(np.diag(normal.matrix), 0.0)
+        while damping < LARGEST_DAMPING:
+            size = diagonal + ROUND_OFF * diagonal.max(initial=0.0) + np.finfo(np.float64).tiny
+            step = _solve(normal.matrix, normal.gradient, damping * size)
+            trial = evaluate(moved(current, normal.free, step), data, held_out=held_out, weights=weights)
+            predicted = float(step @ (normal.gradient + damping * size * step))
+            gain = current.error - trial.error
+            if predicted > 0.0 and gain > 0.0:
+                damping *= max(1.0 / 5.0, 1.0 - (2.0 * gain / predicted - 1.0) ** 3)
+                growth = 2.0
+                break
+            damping, growth = damping * growth, 2.0 * growth
+            if predicted <= least_gain * current.error:
+                return done
+        else:
+            return done
+        small = gain <= least_gain * current.error
+        current = trial
+        done.append(current)
+        if small:
+            break
+    return done
+
+
+def evaluate(
+    parameters: ModalParameters, data: OutputError, *, held_out: int = NONE, weights: FloatArray | None = None
+) -> Step:
+    """Run the model through the records and solve for its linear part."""
+    weights = np.ones(data.records[0].n_outputs) if weights is None else weights
+    layout, grams = block_grams(parameters, data.records, data.rows, data.blocks)
+    linear = linear_part(layout, training_gram(layout, grams, data.blocks, held_out))
+    return Step(
+        parameters=parameters,
+        linear=linear,
+        layout=layout,
+        blocks=data.blocks,
+        grams=grams,
+        error=float(weights @ linear.squared_errors),
+    )
+
+
+def training_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], held_out: int) -> FloatArray:
+    """(size, size) sum over the blocks that are not held out."""
+    return whole_gram(layout, grams, blocks, [i for i, block in enumerate(blocks) if block.label != held_out])
+
+
+def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
+    """Shapes, feedthrough and levels by least squares; directions that the rows do not show are left at zero."""
+    phi, out = layout.regressors, layout.outputs
+    own, cross = gram[phi, phi], gram[phi, out]
+    size = np.sqrt(np.diag(own))
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = own / np.outer(size, size)
+    factor, info = scipy.linalg.lapack.dpotrf(scaled, lower=1)
+    if info == 0 and np.diag(factor).min() ** 2 >= ROUND_OFF:
+        inverse_factor = scipy.linalg.solve_triangular(factor, np.diag(1.0 / size), lower=True, check_finite=False)
+    else:
+        values, vectors = np.linalg.eigh(scaled)
+        kept = values > ROUND_OFF * max(1.0, values[-1])
+        inverse_factor = (vectors[:, kept] / np.sqrt(values[kept])).T / size
+    projected = inverse_factor @ cross
+    coefficients = inverse_factor.T @ projected
+    n = layout.n_poles
+    return LinearPart(
+        coefficients=coefficients,
+        shapes=(coefficients[:n] - 1j * coefficients[n : 2 * n]).T,
+        inverse_factor=inverse_factor,
+        squared_errors=np.maximum(np.diag(gram[out, out]) - (projected**2).sum(axis=0), 0.0),
+    )
+
+
+def normal_equations(step: Step, data: OutputError, *, held_out: int, weights: FloatArray) -> Normal:
+    """J'J and J'e in the free parameters, the linear part projected out."""
+    layout, linear = step.layout, step.linear
+    gram = training_gram(layout, step.grams, data.blocks, held_out)
+    n, phi, out = layout.n_sensitivities, layout.regressors, layout.outputs
+    both = slice(layout.real.start, layout.imaginary.stop)
+    projected = linear.inverse_factor @ gram[phi, both]
+    own = gram[both, both] - projected.T @ projected
+    residual = gram[both, out] - gram[both, phi] @ linear.coefficients
+    rr, ri, ii = own[:n, :n], own[:n, n:], own[n:, n:]
+    hermitian = (rr + ii) + 1j * (ri - ri.T)
+    symmetric = (rr - ii) + 1j * (ri + ri.T)
+    owners = layout.owners
+    c = linear.shapes[:, owners]
+    weighted = weights[:, np.newaxis] * c
+    first = (c.conj().T @ weighted) * hermitian
+    second = (c.T @ weighted) * symmetric
+    total, difference = 0.5 * (first + second), 0.5 * (first - second)
+    matrix = np.block([[total.real, -total.imag], [difference.imag, difference.real]])
+    slope = (weighted.T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
+    gradient = np.concatenate([slope.real, -slope.imag])
+    # the first parameter of a pole is the logarithm of its decay, not the decay itself
+    scale = np.ones(2 * n)
+    scale[: layout.n_poles] = np.log(np.abs(step.parameters.poles))
+    free = free_parameters(step.parameters)
+    matrix = (matrix * np.outer(scale, scale))[np.ix_(free, free)]
+    return Normal(matrix=0.5 * (matrix + matrix.T), gradient=(scale * gradient)[free], free=free)
+
+
+def free_parameters(parameters: ModalParameters) -> np.ndarray:
+    """Which of [real, imaginary] parts of all sensitivities are parameters: none twice, none of no effect."""
+    n_poles, n_inputs = parameters.inputs.shape
+    n_records = parameters.states.shape[0]
+    moves = np.ones((1 + n_inputs + n_records, n_poles), dtype=np.bool_)
+    moves[1 + np.abs(parameters.inputs).argmax(axis=1), np.arange(n_poles)] = False
+    imaginary = moves & parameters.is_pair
+    return np.flatnonzero(np.concatenate([moves.ravel(), imaginary.ravel()]))
+
+
+def moved(step: Step, free: np.ndarray, change: FloatArray) -> ModalParameters:
+    """The parameters after a change, poles kept inside the unit circle and off the real axis."""
+    old, layout = step.parameters, step.layout
+    whole = np.zeros(2 * layout.n_sensitivities)
+    whole[free] = change
+    real, imaginary = whole.reshape(2, 1 + layout.n_inputs + layout.n_records, layout.n_poles)
+    decay = np.log(np.maximum(-np.log(np.abs(old.poles)), LEAST_DECAY)) + np.clip(real[0], -LARGEST_STEP, LARGEST_STEP)
+    angle = np.abs(np.angle(old.poles))
+    room = np.minimum(angle, np.pi - angle)
+    angle = angle + np.clip(imaginary[0], -LARGEST_STEP * room, LARGEST_STEP * room)
+    size = np.exp(-np.clip(np.exp(decay), LEAST_DECAY, MOST_DECAY))
+    poles = np.where(old.is_pair, size * np.exp(1j * angle), size * np.sign(old.poles.real))
+    others = real[1:] + 1j * imaginary[1:]
+    return ModalParameters(
+        poles=poles,
+        is_pair=old.is_pair,
+        inputs=old.inputs + others[: layout.n_inputs].T,
+        states=old.states + others[layout.n_inputs :],
+    )
+
+
+def _solve(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 0.0) + damping)
+    damped = (matrix + np.diag(damping)) * np.outer(scale, scale)
+    # LAPACK itself: where two poles nearly coincide `scipy.linalg.solve` warns of what the damping is there for
+    _, solution, info = scipy.linalg.lapack.dposv(damped, scale * right)
+    if info:
+        solution = np.linalg.lstsq(damped, scale * right, rcond=1e-12)[0]
+    result: FloatArray = scale * solution
+    return result

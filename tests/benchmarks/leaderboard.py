@@ -1,0 +1,139 @@
+"""The leaderboard: accuracy and cost of this repository and of its peers on the same problems, one command, one table.
+
+    python tests/benchmarks/leaderboard.py --work DIR [--systems 30] [--realisations 12] [--records FOLDER]
+        [--only ours,slicot] [--parts random,records,cost] [--again ours] [--write-table modal/docs/leaderboard.md]
+
+Every contender runs in a virtual environment of its own below DIR, made by pip at the first call; one that cannot be
+installed, or that fails on a problem, is a row that says so. Every model is kept in DIR as JSON, so a run that was
+interrupted goes on where it was; `--again ours` forgets what was kept of a contender. Run it with the Python in which
+this repository is installed. What is measured: `random_board.py` (random problems), `records_board.py` (measured
+records), `cost_board.py` (time); what each contender does: `contenders/`.
+"""
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent / "reference"), str(HERE.parents[1])]
+
+import random_board  # noqa: E402 - after the path is set
+from cost_board import costs  # noqa: E402
+from environments import CONTENDERS, contender, versions  # noqa: E402
+from tables import cost_table, document, random_table, records_table, settings_list  # noqa: E402
+
+PARTS = ("random", "records", "cost")
+FIRST_SEED = 5000
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, required=True, help="folder for environments, problems and results")
+    parser.add_argument("--systems", type=int, default=30)
+    parser.add_argument("--peer-systems", type=int, help="the peers on the first so many systems only: some are slow")
+    parser.add_argument("--realisations", type=int, default=12, help="of the noise, for each system")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--rounds", type=int, default=3, help="of each timing")
+    parser.add_argument("--records", type=Path, help="folder of measured records, each with its about.json")
+    parser.add_argument("--only", default=",".join(CONTENDERS), help="contenders, with commas between")
+    parser.add_argument("--parts", default=",".join(PARTS))
+    parser.add_argument("--again", default="", help="contenders whose kept results are forgotten first")
+    parser.add_argument("--write-table", type=Path, help="the Markdown file to write the table into")
+    options = parser.parse_args()
+    for given, known in ((options.only, CONTENDERS), (options.parts, PARTS), (options.again, CONTENDERS)):
+        unknown = set(filter(None, given.split(","))) - set(known)
+        if unknown:
+            parser.error(f"{', '.join(sorted(unknown))}: known are {', '.join(known)}")
+    return options
+
+
+def forget(name, work):
+    """What was kept of a contender; for ours also the bands, and so the peers' records, stay under their factor."""
+    for path in [*work.glob(f"runs/random/*/{name}, *"), *work.glob(f"runs/records/*/{name}*")]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    kept = work / "costs.json"
+    if kept.exists():
+        lines = json.loads(kept.read_text())
+        for line in lines.values():
+            for who in [who for who in line if who.split(",")[0] == name]:
+                del line[who]
+        kept.write_text(json.dumps(lines))
+
+
+def random_part(options, only):
+    seeds = range(options.first_seed, options.first_seed + options.systems)
+    cases = [random_board.prepare(seed, options.realisations, options.work) for seed in seeds]
+    n_peers = options.systems if options.peer_systems is None else min(options.systems, options.peer_systems)
+    rows = []
+    for name in only:
+        own = cases if name == "ours" else cases[:n_peers]
+        for setting in contender(name).SETTINGS:
+            scores = random_board.contend(own, name, setting, options.work)
+            rows.append((name, setting, random_board.figures(own, scores)))
+            if name == "ours" and n_peers < len(
+                cases
+            ):  # once more on the systems of the peers, to compare like with like
+                rows.append((name, setting, random_board.figures(cases[:n_peers], scores[:n_peers])))
+            tell(f"{name}, {setting}: done on {len(own)} systems")
+    (options.work / "random.json").write_text(json.dumps(rows, indent=1))
+    return random_table(rows, first_seed=options.first_seed, realisations=options.realisations)
+
+
+def records_part(options, only):
+    from measured_records import measured_problems
+    from records_board import SETTINGS, contend
+
+    problems, left_out = measured_problems(options.records)
+    rows = []
+    for problem in problems:
+        rows.append(contend(problem, [name for name in only if name in SETTINGS and name != "ours"], options.work))
+        tell(f"record {problem.name}: done")
+    (options.work / "records.json").write_text(json.dumps(rows, indent=1))
+    return records_table(rows, left_out)
+
+
+def tell(what):
+    sys.stderr.write(f"{what}\n")
+
+
+def main():
+    options = arguments()
+    options.work = options.work.resolve()
+    options.work.mkdir(parents=True, exist_ok=True)
+    for name in filter(None, options.again.split(",")):
+        forget(name, options.work)
+    only = [name for name in CONTENDERS if name in options.only.split(",")]
+    parts = options.parts.split(",")
+    sections = [settings_list({name: (contender(name), versions(name, options.work)) for name in only})]
+    if "random" in parts:
+        sections.append(random_part(options, only))
+    if "records" in parts and options.records:
+        sections.append(records_part(options, only))
+    if "cost" in parts:
+        sections.append(cost_table(costs(only, options.work, options.rounds)))
+    # the environments are made on the way, so the versions are known only now
+    sections[0] = settings_list({name: (contender(name), versions(name, options.work)) for name in only})
+    given = [f"--{key} {value}" for key, value in shown(options).items()]
+    text = document(sections, command=" ".join(["python tests/benchmarks/leaderboard.py --work DIR", *given]))
+    print(text)
+    if options.write_table:
+        options.write_table.write_text(text)
+
+
+def shown(options):
+    """The arguments that decide the figures, for the line under the table."""
+    return {
+        "systems": options.systems,
+        **({"peer-systems": options.peer_systems} if options.peer_systems is not None else {}),
+        "realisations": options.realisations,
+        "first-seed": options.first_seed,
+        **({"records": "FOLDER"} if options.records else {}),
+        **({"only": options.only} if options.only != ",".join(CONTENDERS) else {}),
+        **({"parts": options.parts} if options.parts != ",".join(PARTS) else {}),
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,226 @@
+"""The leaderboard in Markdown. Bold marks the best of a column, whoever it is."""
+
+import re
+
+import numpy as np
+from goals import cost_goals, random_goals, record_goals
+
+TITLE = "# Leaderboard"
+ABOUT = (
+    "Written by the command below, not by hand; bold marks the best of a column, whoever it is. CPU times are of one "
+    "BLAS thread; ratios decide, seconds are a guide."
+)
+ABOUT_RANDOM = (
+    "2 to 8 modes, the first two 2 to 8 % apart, the last one 2 to 10 times weaker, 1 to 3 coloured inputs, 1 to 6 "
+    "outputs, C B != 0, D != 0, unknown initial state, 1 to 10 % white noise, 3000 to 6000 rows "
+    "(`tests/reference/random_problems.py`). RMSE over the Cramer-Rao bound (`tests/reference/crb.py`): median over "
+    "systems of the median over modes, in brackets the ninth decile of all modes; a mode counts over the realisations "
+    "in which it was found. Within reach: three bounds of its frequency fit into the tolerance. A peer has no verdict: "
+    "each of its stable poles with less than 20 % damping is a claim. Damping wrong: off by more than 50 % and 0.004, "
+    "not marked as unresolved. Ceiling: the fit of the true system on the same held-out rows; a system counts when the "
+    "mean over its realisations is within 0.01 (a failure or a divergence loses it). CPU: median of one identification."
+)
+ABOUT_RECORDS = (
+    "Continued fit: one free run on rows that nobody was trained on (the last quarter; with several records the last "
+    "record), less the means of the training rows, initial state from earlier rows; the same rows, band and rule for "
+    "all. Orders of the peers are chosen on a held-out part of the training rows (`records_board.py`)."
+)
+ABOUT_COST = (
+    "Outputs x inputs / samples, or samples x channels; least of the rounds, each in its own process; what is timed "
+    "stands in `cost_board.py`."
+)
+
+
+def document(sections, *, command):
+    lines = [
+        TITLE,
+        "",
+        ABOUT,
+        "",
+        *(part for section in sections for part in (section, "")),
+        "Command:",
+        "",
+        "```",
+        command,
+        "```",
+    ]
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
+
+
+def settings_list(contenders):
+    lines = ["## Contenders", ""]
+    for name, (module, version) in contenders.items():
+        first = module.__doc__.strip().splitlines()[0]
+        lines.append(f"- **{name}**{f' ({version})' if version else ''}: {first}")
+        lines += [f"    - {setting}: {words}" for setting, words in module.SETTINGS.items()]
+    return "\n".join(lines)
+
+
+# --- random problems -------------------------------------------------------------------------------------------------
+
+
+def random_table(rows, *, first_seed, realisations):
+    n_systems = max(figures["systems"] for _, _, figures in rows)
+    seeds = f"seeds {first_seed} to {first_seed + n_systems - 1}"
+    columns = {
+        "contender": [f"{name}, {setting}" for name, setting, _ in rows],
+        "systems": [str(figures["systems"]) for _, _, figures in rows],
+        "found %": _column(rows, lambda f: 100 * f["found"], "{:.1f}", best=max),
+        "within reach, found %": _column(rows, lambda f: 100 * f["found_in_reach"], "{:.1f}", best=max),
+        "false": _column(rows, lambda f: f["false"] if f["failed"] < f["models"] else None, "{:d}"),
+        "frequency: RMSE / bound": _ratio_column(rows, "frequency"),
+        "damping": _ratio_column(rows, "damping_ratio"),
+        "damping wrong": _column(rows, lambda f: f["wrong_damping"] if f["failed"] < f["models"] else None, "{:d}"),
+        "systems within 0.01 of the ceiling": _column(rows, lambda f: f["near_ceiling"], "{:d}"),
+        "unstable / fit < 0": [f"{f['unstable']} / {f['diverged']}" for _, _, f in rows],
+        "failed": [f"{f['failed']} of {f['models']}" if f["failed"] else "0" for _, _, f in rows],
+        "CPU s": _column(rows, lambda f: f["cpu"], "{:.3g}"),
+    }
+    lines = [
+        "## Random problems",
+        "",
+        f"{n_systems} systems ({seeds}), {realisations} noise realisations each. {ABOUT_RANDOM}",
+        "",
+        _markdown(columns),
+    ]
+    lines += ["", *_goals(random_goals(rows)), *_interval_lines(rows), *_failure_lines(rows)]
+    return "\n".join(lines)
+
+
+def _column(rows, value, form, best=None):
+    values = [value(figures) for _, _, figures in rows]
+    known = [v for v in values if v is not None and np.isfinite(v)]
+    top = best(known) if best and known else None
+    return ["-" if v is None else _bold(form.format(v), marked=v == top) for v in values]
+
+
+def _ratio_column(rows, key):
+    ratios = [figures[key] for _, _, figures in rows]
+    top = min((r["median"] for r in ratios if r), default=None)
+    cells = []
+    for ratio in ratios:
+        text = "-" if ratio is None else _bold(f"{ratio['median']:.2f}", marked=ratio["median"] == top)
+        cells.append(text if ratio is None else f"{text} ({ratio['decile']:.1f})")
+    return cells
+
+
+def _interval_lines(rows):
+    lines = []
+    for name, setting, figures in rows:
+        if name != "ours":
+            continue
+        parts = []
+        for key, words in (("frequency", "frequency"), ("damping_ratio", "damping")):
+            own = figures["coverage"][key]
+            share = "no interval" if own["share"] is None else f"{100 * own['share']:.1f} % of {own['n']}"
+            parts.append(f"{words} {share}" + (f" ({own['none']} modes without one)" if own["none"] else ""))
+        who = f"ours, {setting}, {figures['systems']} systems"
+        certain = f"{100 * figures['certain']:.1f} % of the true modes were found and called system"
+        lines.append(f"95 % intervals of {who}, that hold the truth: {'; '.join(parts)}. There {certain}.")
+        lines.append("")
+    return lines
+
+
+def _failure_lines(rows):
+    failed = [(name, setting, figures) for name, setting, figures in rows if figures["failed"]]
+    return [f"- {name}, {setting}: {'; '.join(figures['why'])}" for name, setting, figures in failed]
+
+
+# --- measured records ------------------------------------------------------------------------------------------------
+
+
+def records_table(rows, left_out):
+    peers = [key for key in ("slicot", "sippy") if any(key in row for row in rows)]
+    columns = {
+        "record": [row["name"] for row in rows],
+        "training + scored rows, inputs, outputs": [
+            f"{' + '.join(map(str, row['n_samples']))}, {row['n_inputs']}, {row['n_outputs']}" for row in rows
+        ],
+        "decimated by": [str(row["factor"]) for row in rows],
+        "ours: fit (order)": [_record_cell(row, "ours", peers) for row in rows],
+        **{f"{peer}: fit (order)": [_record_cell(row, peer, peers) for row in rows] for peer in peers},
+        "ours less the best peer": [_difference(row, peers) for row in rows],
+        "ours: cross-validated": [_own(row, "own_fit", "{:.3f}") for row in rows],
+        "system modes": [str(len(row["ours"].get("system_modes", []))) for row in rows],
+        "warnings": [_own(row, "warnings", "{:d}") for row in rows],
+        "CPU s": [_own(row, "cpu", "{:.1f}") for row in rows],
+    }
+    lines = [
+        "## Measured records",
+        "",
+        ABOUT_RECORDS,
+        "",
+        _markdown(columns),
+        "",
+        *_goals(record_goals(rows, peers)),
+        *(
+            f"- {row['name']}, {who}: {row[who]['failure']}"
+            for row in rows
+            for who in ("ours", *peers)
+            if "failure" in row.get(who, {})
+        ),
+        *(f"- {name}: left out, {why}" for name, why in left_out.items()),
+    ]
+    return "\n".join(lines)
+
+
+def _record_cell(row, who, peers):
+    if "failure" in row.get(who, {"failure": ""}):
+        return "failed" if who in row else "not run"
+    own = row[who]
+    best = max((row[name]["fit"] for name in ("ours", *peers) if "fit" in row.get(name, {})), default=None)
+    text = f"{own['fit']:.3f}" if own["fit"] > -9.9 else "diverged"
+    return f"{_bold(text, marked=own['fit'] == best)} ({own['order']})"
+
+
+def _difference(row, peers):
+    fits = [row[name]["fit"] for name in peers if "fit" in row.get(name, {})]
+    if "fit" not in row["ours"] or not fits:
+        return "-"
+    return f"{row['ours']['fit'] - max(fits):+.3f}" if max(fits) > -9.9 else "peers diverged"
+
+
+def _own(row, key, form):
+    return form.format(row["ours"][key]) if key in row["ours"] else "-"
+
+
+# --- cost ------------------------------------------------------------------------------------------------------------
+
+
+def cost_table(lines):
+    rows = []
+    for line, seconds in lines.items():
+        least = {name: min(times) for name, times in seconds.items() if name != "failures" and times}
+        ours = least.get("ours")
+        for name, value in least.items():
+            ratio = f"{value / ours:.1f}" if ours and not name.startswith("ours") else ""
+            rows.append((line, name, f"{value:.3g}", ratio, str(len(seconds[name]))))
+        rows += [(line, name, f"failed: {why}", "", "") for name, why in seconds.get("failures", {}).items()]
+    heads = ("what", "contender", "CPU s", "times ours", "rounds")
+    columns = dict(zip(heads, map(list, zip(*rows, strict=True)), strict=False))
+    if not rows:
+        return "## Cost\n\nnot run"
+    return "\n".join(["## Cost", "", ABOUT_COST, "", _markdown(columns), "", *_goals(cost_goals(lines))])
+
+
+# --- Markdown --------------------------------------------------------------------------------------------------------
+
+
+def _goals(goals):
+    """Wanted of ours, as a table, with an empty line after it."""
+    if not goals:
+        return []
+    what, wanted, measured, met = map(list, zip(*goals, strict=True))
+    columns = {"wanted of ours": what, "limit": wanted, "measured": measured}
+    return [_markdown({**columns, "met": ["yes" if one else "**no**" for one in met]}), ""]
+
+
+def _bold(text, *, marked):
+    return f"**{text}**" if marked else text
+
+
+def _markdown(columns):
+    head = "| " + " | ".join(columns) + " |"
+    rule = "|" + "---|" * len(columns)
+    body = ["| " + " | ".join(cells) + " |" for cells in zip(*columns.values(), strict=True)]
+    return "\n".join([head, rule, *body])

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+from signals import random_inputs, with_noise
+from systems import markov, modal_system, random_chain, simulate
+
+import era
+from era.realisation import Realisation
+from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
+from modal.extraction import extract_modes
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.record import Record
+
+
+def two_modes(rng, n_inputs):
+    return modal_system(rng, frequencies=[6.0, 21.0], damping_ratios=[0.02, 0.015], n_inputs=n_inputs, n_outputs=2)
+
+
+def late(inputs, delays):
+    result = np.zeros_like(inputs)
+    for j, d in enumerate(delays):
+        result[d:, j] = inputs[: len(inputs) - d, j]
+    return result
+
+
+def record_of(rng, system, delays, *, n_samples=3000, noise=0.03, kind="white"):
+    inputs = random_inputs(rng, n_samples, system.n_inputs, kind=kind)
+    outputs = with_noise(rng, simulate(system, late(inputs, delays)), noise)
+    return Record(inputs, outputs, system.dt).detrended()
+
+
+@pytest.mark.parametrize("delays", [(3,), (20,), (80,), (200,), (5, 40), (0, 25), (0, 0)])
+def test_delays_are_found_each_by_itself(delays):
+    rng = np.random.default_rng(sum(delays) + 40)
+    assert choose_input_delay([record_of(rng, two_modes(rng, len(delays)), delays)]).samples == delays
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_structure_that_acts_at_once_has_none(seed):
+    """Displacements rise slowly from nothing: that is no delay, however noisy."""
+    rng = np.random.default_rng(seed)
+    system = random_chain(rng, sensor_kinds="displacement", highest_share=rng.uniform(0.1, 0.3), n_inputs=1)
+    record = record_of(rng, system, (0,), noise=[0.01, 0.3][seed % 2], kind=["white", "coloured", "steps"][seed % 3])
+    assert choose_input_delay([record]).samples == (0,)
+
+
+def test_an_input_that_drives_nothing_has_none():
+    rng = np.random.default_rng(3)
+    record = record_of(rng, two_modes(rng, 1), (7,))
+    idle = Record(np.column_stack([record.inputs, rng.standard_normal(3000)]), record.outputs, record.dt)
+    assert choose_input_delay([idle]).samples == (7, 0)
+
+
+def test_several_records_are_one():
+    rng = np.random.default_rng(4)
+    system = two_modes(rng, 1)
+    found = choose_input_delay([record_of(rng, system, (9,), n_samples=n) for n in (900, 700)])
+    assert found.samples == (9,)
+    assert found.choice.value == "input_0: 9 samples (0.09 s)"
+    assert "pulse response of a long observer is empty" in found.choice.reason
+
+
+def test_late_inputs_keep_rows_together():
+    rng = np.random.default_rng(5)
+    inputs, outputs = rng.standard_normal((60, 2)), rng.standard_normal((60, 1))
+    (shifted,) = late_inputs([Record(inputs, outputs, 0.1)], [4, 1])
+    np.testing.assert_array_equal(shifted.outputs, outputs[4:])
+    np.testing.assert_array_equal(shifted.inputs, late(inputs, [4, 1])[4:])
+    assert shifted.start_time == pytest.approx(0.4)
+
+
+def test_a_record_shorter_than_the_delay_is_refused():
+    record = Record(np.arange(20.0), np.arange(20.0), 0.1)
+    with pytest.raises(InsufficientDataError, match="delay of 20 samples leaves nothing of a record of 20"):
+        late_inputs([record], [20])
+
+
+@pytest.mark.parametrize("delays", [(0, 0), (1, 0), (3, 7)])
+def test_the_model_with_delays_is_the_late_system(delays):
+    rng = np.random.default_rng(6)
+    system = two_modes(rng, 2)
+    gain = 1e-3 * rng.standard_normal((system.order, 2))
+    model = with_input_delay(Realisation(system.A, system.B, system.C, system.D, system.dt, K=gain), delays)
+    inputs = random_inputs(rng, 200, 2)
+    truth = simulate(system, late(inputs, delays))
+    record = Record(inputs, truth, system.dt)
+    np.testing.assert_allclose(era.simulate(model, record).outputs, truth, atol=1e-10)
+    np.testing.assert_allclose(era.predict(model, record).outputs, truth, atol=1e-10)
+    assert model.order == system.order + sum(delays)
+    found = extract_modes(model)
+    np.testing.assert_allclose([mode.frequency for mode in found.modes], system.frequencies, rtol=1e-10)
+    np.testing.assert_allclose([mode.damping_ratio for mode in found.modes], system.damping_ratios, rtol=1e-8)
+
+
+def test_markov_parameters_of_the_late_model_start_later():
+    rng = np.random.default_rng(7)
+    system = two_modes(rng, 1)
+    model = with_input_delay(Realisation(system.A, system.B, system.C, system.D, system.dt), [5])
+    pulse = [model.D] + [model.C @ np.linalg.matrix_power(model.A, k) @ model.B for k in range(20)]
+    np.testing.assert_allclose(pulse[:5], 0.0, atol=0.0)
+    np.testing.assert_allclose(pulse[5:], markov(system, 15), atol=1e-12)
+
+
+def test_a_given_delay_is_checked_and_decimated():
+    record = Record(np.zeros((5, 2)), np.zeros((5, 1)), 0.1)
+    assert given_input_delay([6, 9], record, decimation=3).samples == (2, 3)
+    assert given_input_delay(4, record).samples == (4, 4)
+    with pytest.raises(InvalidDataError, match="each of the 2 inputs, but has 1"):
+        given_input_delay([3], record)
+    with pytest.raises(InvalidDataError, match="delay"):
+        given_input_delay(-1, record)
+    with pytest.raises(InvalidDataError, match="one delay for each of 0 inputs"):
+        with_input_delay(Realisation([[0.5]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.1), [1])

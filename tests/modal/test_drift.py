@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+from signals import random_inputs, with_noise
+from systems import initial_state, modal_system, simulate
+
+from modal.drift import CANDIDATES, choose_drift, slow_functions, without_drift
+from okid.record import Record
+
+N = 3000
+TIME = np.linspace(-1.0, 1.0, N)
+
+
+def drifting(seed, drift, *, size=1.0, noise=0.03, real_poles=()):
+    """Two modes in three outputs, of which the last does not drift."""
+    rng = np.random.default_rng(seed)
+    system = modal_system(rng, frequencies=[6.0, 21.0], damping_ratios=[0.02, 0.015], real_poles=real_poles)
+    inputs = random_inputs(rng, N, 2)
+    outputs = with_noise(rng, simulate(system, inputs, initial_state=initial_state(rng, system, inputs)), noise)
+    return Record(inputs, outputs + size * outputs.std(axis=0) * np.outer(drift, [1.0, -0.5, 0.0]), system.dt)
+
+
+@pytest.mark.parametrize("size", [0.1, 0.5, 3.0])
+def test_a_straight_line_is_found(size):
+    found = choose_drift([drifting(1, TIME, size=size)])
+    assert found.n_functions == 1
+    assert found.choice.value == "a straight line"
+
+
+def test_a_slow_wave_is_found():
+    found = choose_drift([drifting(2, np.sin(5.0 * TIME + 1.0))])
+    assert 3 <= found.n_functions <= max(CANDIDATES)
+    assert "half-waves" in found.choice.value
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_inputs_explain_is_no_drift(seed):
+    """Slow real poles and a free decay from the initial state are the system's own."""
+    record = drifting(seed, 0.0 * TIME, noise=[0.02, 0.2][seed % 2], real_poles=[-0.5, -2.0])
+    assert choose_drift([record]).n_functions == 0
+
+
+def test_each_record_has_its_own_drift():
+    lines = [drifting(5, TIME).samples(0, 1500), drifting(5, TIME).samples(1500)]
+    assert choose_drift(lines).n_functions == 1
+
+
+def test_without_inputs_nothing_is_taken_off_by_itself():
+    found = choose_drift([drifting(1, TIME).select(inputs=[])])
+    assert found.n_functions == 0
+    assert "without inputs" in found.choice.reason
+
+
+@pytest.mark.parametrize("n_functions", [0, 1, 2, 6])
+def test_slow_functions_go_and_the_relation_stays(n_functions):
+    """A static gain keeps its value exactly; a second pass changes nothing; gaps stay gaps."""
+    rng = np.random.default_rng(6)
+    force = rng.standard_normal(600)
+    drift = slow_functions(600, n_functions) @ rng.standard_normal(1 + n_functions)
+    position = 2.0 * force + 50.0 * drift
+    freed = without_drift(Record(force, position, 0.1), n_functions)
+    np.testing.assert_allclose(freed.outputs, 2.0 * freed.inputs, atol=1e-9)
+    np.testing.assert_allclose(without_drift(freed, n_functions).outputs, freed.outputs, atol=1e-9)
+    position[100:140] = np.nan
+    gaps = without_drift(Record(0.0 * force + TIME[:600], position, 0.1), n_functions)
+    assert np.isnan(gaps.outputs[:, 0]).sum() == 40
+
+
+def test_slow_functions_are_polynomials_first():
+    values = slow_functions(50, 2)
+    for degree in range(3):
+        power = np.arange(50.0) ** degree
+        rest = power - values[:, : degree + 1] @ np.linalg.lstsq(values[:, : degree + 1], power, rcond=None)[0]
+        assert np.abs(rest).max() < 1e-9 * max(1.0, power.max())
+
+
+def test_short_records_get_fewer_functions():
+    rng = np.random.default_rng(7)
+    values = rng.standard_normal(60)
+    short = without_drift(Record(values, values, 0.1), 12)
+    expected = without_drift(Record(values, values, 0.1), 1)
+    np.testing.assert_allclose(short.outputs, expected.outputs, atol=1e-12)

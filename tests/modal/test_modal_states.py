@@ -1,0 +1,183 @@
+"""Signals, Gram matrices and blocks against loops over samples; chunk edges, gaps, several records, real poles."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from textbook_output_error import (
+    differences,
+    loop_run,
+    loop_sensitivities,
+    loop_signals,
+    loop_states,
+    random_loop_model,
+)
+
+from modal import modal_states
+from modal.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, free_runs, whole_gram
+from okid.record import Record
+
+
+def parameters_of(model):
+    return ModalParameters(poles=model.poles, is_pair=model.is_pair, inputs=model.b, states=model.starts)
+
+
+def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0):
+    rng = np.random.default_rng(seed)
+    model = random_loop_model(
+        rng, n_pairs=n_pairs, n_real=n_real, n_inputs=n_inputs, n_outputs=n_outputs, n_records=len(lengths)
+    )
+    records = [Record(rng.standard_normal((n, n_inputs)), rng.standard_normal((n, n_outputs)), 0.1) for n in lengths]
+    rows = [rng.random(n) >= missing for n in lengths]
+    return model, records, rows
+
+
+def even_folds(records, n_folds):
+    """Every fourth run of rows of each record, from fold to fold."""
+    folds = [[[] for _ in records] for _ in range(n_folds)]
+    for r, record in enumerate(records):
+        edges = np.linspace(0, record.n_samples, 8).astype(int).tolist()
+        for i in range(1, 7):
+            folds[i % n_folds][r].append((edges[i], edges[i + 1]))
+    return folds
+
+
+CASES = {
+    "one record": {"lengths": (230,)},
+    "three records": {"lengths": (120, 60, 150), "n_inputs": 1},
+    "missing rows": {"lengths": (150, 90), "missing": 0.2},
+    "real poles only": {"lengths": (80,), "n_pairs": 0, "n_real": 2},
+    "pairs only, one channel each": {"lengths": (90,), "n_real": 0, "n_inputs": 1, "n_outputs": 1},
+    "three inputs": {"lengths": (70, 40), "n_inputs": 3, "n_outputs": 3},
+    "a record of one sample": {"lengths": (40, 1, 2), "n_inputs": 1, "n_outputs": 1},
+    "no inputs": {"lengths": (60, 50), "n_inputs": 0},
+}
+
+
+@pytest.mark.parametrize("chunk", [7, 8192])
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, chunk):
+    monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
+    model, records, rows = a_case(5, **case)
+    blocks = blocks_of(records, even_folds(records, 2))
+    layout, grams = block_grams(parameters_of(model), records, rows, blocks)
+    assert grams.shape == (len(blocks), layout.alone.size, layout.alone.size)
+    signals = [loop_signals(model, r, record.inputs, record.outputs) for r, record in enumerate(records)]
+    for i, block in enumerate(blocks):
+        expected = np.zeros((layout.size, layout.size))
+        for k in range(block.first, block.last):
+            if rows[block.record][k]:
+                expected += np.outer(signals[block.record][k], signals[block.record][k])
+        found = whole_gram(layout, grams, blocks, [i])
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
+    total = sum(one[there].T @ one[there] for one, there in zip(signals, rows, strict=True))
+    found = whole_gram(layout, grams, blocks, range(len(blocks)))
+    np.testing.assert_allclose(found, total, rtol=0, atol=1e-10 * np.abs(total).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_loop_sensitivities_are_slopes_of_the_loop_states(seed):
+    """The loop of the test above is itself held against differences of states."""
+    model, (first, second), _ = a_case(seed, lengths=(50, 30))
+    for r, record in enumerate((first, second)):
+        sensitivities = loop_sensitivities(model, r, record.inputs)
+        for i in range(model.poles.size):
+            ways = (1.0, 1j) if model.is_pair[i] else (1.0,)
+            log_pole = np.log(np.abs(model.poles[i]))
+            places = [(("poles", (i,), way), log_pole if way == 1.0 else 1j, 0) for way in ways]
+            places += [(("b", (i, j), way), way, 1 + j) for j in range(2) for way in ways]
+            places += [(("starts", (s, i), way), way, 3 + s) for s in range(2) for way in ways]
+            states = partial(states_of, i, r, record.inputs)
+            slopes = differences(states, model, [place for place, *_ in places], step=1e-4)
+            expected = [factor * sensitivities[:, where, i] for _, factor, where in places]
+            np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-8 * np.abs(sensitivities[:, :, i]).max())
+
+
+def states_of(i, r, inputs, model):
+    return loop_states(model, r, inputs)[:, i]
+
+
+@pytest.mark.parametrize("chunk", [9, 8192])
+def test_free_runs_are_the_loop(monkeypatch, chunk):
+    monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
+    model, records, _ = a_case(2, lengths=(100, 3, 60), n_outputs=3)
+    coefficients = np.vstack([model.c.real.T, -model.c.imag.T, model.D.T, model.levels])
+    runs = list(free_runs(parameters_of(model), coefficients, records))
+    for r, (run, record) in enumerate(zip(runs, records, strict=True)):
+        np.testing.assert_allclose(run, loop_run(model, r, record.inputs), rtol=0, atol=1e-11)
+
+
+def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
+    parameters = ModalParameters(
+        poles=np.array([1e-3 + 0j, 0.9 + 0j]),
+        is_pair=np.zeros(2, dtype=bool),
+        inputs=np.ones((2, 1), dtype=complex),
+        states=np.ones((1, 2), dtype=complex),
+    )
+    record = Record(np.zeros((400, 1)), np.zeros((400, 1)), 0.1)
+    rows = [np.arange(400) >= 50]
+    layout, grams = block_grams(parameters, [record], rows, blocks_of([record], []))
+    start = layout.real.start + 2 * 2
+    assert grams[0, start, start] == 0.0
+    np.testing.assert_allclose(grams[0, start + 1, start + 1], 0.9**100 / (1 - 0.81), rtol=1e-12)
+
+
+def test_a_hundred_thousand_samples_lose_no_digits():
+    """Free responses are followed over many chunks by powers of powers; the geometric series has a closed form."""
+    pole = np.exp(-1e-5 + 0.3j)
+    parameters = ModalParameters(
+        poles=np.array([pole]),
+        is_pair=np.ones(1, dtype=bool),
+        inputs=np.zeros((1, 1), dtype=complex),
+        states=np.ones((1, 1), dtype=complex),
+    )
+    n = 100_000
+    record = Record(np.zeros((n, 1)), np.zeros((n, 1)), 0.1)
+    _, grams = block_grams(parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []))
+    plain, conjugate = (1 - pole ** (2 * n)) / (1 - pole**2), (1 - abs(pole) ** (2 * n)) / (1 - abs(pole) ** 2)
+    expected = 0.5 * np.array([[conjugate + plain.real, plain.imag], [plain.imag, conjugate - plain.real]])
+    np.testing.assert_allclose(grams[0, :2, :2], expected, rtol=0, atol=1e-10 * conjugate)
+
+
+@st.composite
+def cut_records(draw):
+    lengths = draw(st.lists(st.integers(1, 30), min_size=1, max_size=3))
+    n_folds = draw(st.integers(0, 3))
+    labels = [draw(st.lists(st.integers(-1, n_folds - 1), min_size=n, max_size=n)) for n in lengths]
+    return lengths, n_folds, labels
+
+
+@settings(deadline=None)
+@given(cut_records())
+def test_blocks_hold_every_row_once_with_its_fold(cut):
+    lengths, n_folds, labels = cut
+    folds = []
+    for fold in range(n_folds):
+        runs = []
+        for own in labels:
+            inside = np.diff(np.r_[0, np.array(own) == fold, 0].astype(int))
+            runs.append(list(zip(np.flatnonzero(inside > 0), np.flatnonzero(inside < 0), strict=True)))
+        folds.append(runs)
+    records = [Record([], np.arange(float(n)), 1.0) for n in lengths]
+    found = [[] for _ in lengths]
+    for block in blocks_of(records, folds):
+        assert block.first == len(found[block.record])
+        assert block.last > block.first
+        found[block.record] += [block.label] * (block.last - block.first)
+    assert found == labels
+
+
+def test_every_signal_has_one_place_and_records_share_what_they_share():
+    layout = SignalLayout(n_poles=3, n_inputs=2, n_outputs=2, n_records=4)
+    slices = (layout.regressors, layout.real, layout.imaginary, layout.outputs)
+    assert [i for one in slices for i in range(one.start, one.stop)] == list(range(layout.size))
+    places = [layout.places(r) for r in range(4)]
+    for own in places:
+        assert np.unique(own).size == own.size
+    assert set().union(*map(set, places)) == set(range(layout.size))
+    shared = set.intersection(*map(set, places))
+    # of one record alone: its level, and real and imaginary part of its initial states
+    assert all(len(set(own) - shared) == 1 + 2 * 3 for own in places)
+    assert layout.owners.tolist() == [0, 1, 2] * (1 + 2 + 4)

@@ -1,0 +1,246 @@
+"""The refined model as a state-space model: same pulse responses as its last step, factors kept, units, weights."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems import initial_state, markov, modal_system, simulate
+
+from era.balanced import realise
+from era.realisation import Realisation
+from modal.extraction import extract_modes
+from modal.free_run import filled
+from modal.ground import scaled_record
+from modal.modal_realisation import scaled_model
+from modal.modal_states import blocks_of
+from modal.pipeline import identify
+from modal.refined_choice import MOST_STEPS
+from modal.refined_model import refined_model
+from modal.refinement import OutputError, refine
+from modal.starting import starting_parameters
+from okid.markov import MarkovParameters
+from okid.observer import fit_observer
+from okid.record import Record
+from okid.recovery import recover_markov
+from okid.scaling import channel_scaling
+
+
+def a_system(seed, *, real_poles=(), n_inputs=2, n_outputs=3):
+    rng = np.random.default_rng(seed)
+    system = modal_system(
+        rng,
+        frequencies=(6.0, 6.6, 21.0),
+        damping_ratios=(0.01, 0.015, 0.02),
+        real_poles=real_poles,
+        n_inputs=n_inputs,
+        n_outputs=n_outputs,
+    )
+    return rng, system
+
+
+def records_of(rng, truth, lengths, *, noise=0.05):
+    """Noise as a share of each output, one number or one an output."""
+    records = []
+    for n in lengths:
+        u = rng.standard_normal((n, truth.n_inputs))
+        y = simulate(truth, u, initial_state=initial_state(rng, truth, u))
+        records.append(Record(u, y + noise * y.std(axis=0) * rng.standard_normal(y.shape), truth.dt))
+    return records
+
+
+def from_era(records, order, *, observer_order=30):
+    observer = fit_observer(records, order=observer_order, ridge=1e-4)
+    return realise(recover_markov(observer, n_lags=120), order=order)
+
+
+def exact(truth):
+    return Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
+
+
+def pulses(model, n_lags=80):
+    """(n_lags + 1, n_outputs, n_inputs) of A, B, C, D, one power after the other."""
+    found, columns = [model.D], model.B
+    for _ in range(n_lags):
+        found.append(model.C @ columns)
+        columns = model.A @ columns
+    return np.array(found)
+
+
+def pulses_of_step(model, n_lags=80):
+    """The same of poles, participations and shapes of the last step, in the units of the records."""
+    step, scaling = model.step, model.scaling
+    n, m = step.layout.n_poles, step.layout.n_inputs
+    found = [step.linear.coefficients[2 * n : 2 * n + m].T]
+    c, b = step.linear.shapes, step.parameters.inputs
+    found += [((c * step.parameters.poles**k) @ b).real for k in range(n_lags)]
+    return np.array(found) * scaling.output_scale[:, np.newaxis] / scaling.input_scale
+
+
+@pytest.mark.parametrize("real_poles", [(), (-6.0,)])
+@pytest.mark.parametrize("factors", ["kept", "none"])
+def test_the_realisation_is_what_the_last_step_says(real_poles, factors):
+    rng, truth = a_system(1, real_poles=real_poles)
+    records = records_of(rng, truth, (900, 500))
+    start = from_era(records, truth.order) if factors == "kept" else exact(truth)
+    found = refined_model(records, start, MOST_STEPS)
+    assert found.realisation.order == start.order
+    assert (found.realisation.factors is None) == (factors == "none")
+    expected = pulses_of_step(found)
+    np.testing.assert_allclose(pulses(found.realisation), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_it_comes_nearer_to_the_truth_and_its_indicators_stay(seed):
+    rng, truth = a_system(seed)
+    records = records_of(rng, truth, (2500,), noise=0.1)
+    start = from_era(records, truth.order)
+    found = refined_model(records, start, MOST_STEPS).realisation
+    expected = markov(truth, 80)
+    left = [np.linalg.norm(pulses(model) - expected) for model in (start, found)]
+    assert left[1] < 0.9 * left[0]
+    modes = sorted(extract_modes(found).modes, key=lambda mode: mode.frequency)
+    np.testing.assert_allclose([mode.frequency for mode in modes], truth.frequencies, rtol=2e-3)
+    assert min(mode.emac for mode in modes) > 0.8
+    assert np.all(np.isfinite([mode.amplitude_coherence for mode in modes]))
+    # they compare the model with the data, and so are not 1 by construction
+    assert max(mode.emac for mode in modes) < 1 - 1e-6
+
+
+def test_indicators_stay_where_the_factors_have_another_scale():
+    """Factors of an impulse test, whose channels are scaled by their pulses, and records in quite other units."""
+    rng, truth = a_system(12)
+    out = np.array([1.0, 1e4, 1e-3])[:, np.newaxis]
+    start = realise(MarkovParameters(system=markov(truth, 120) * out, dt=truth.dt), order=truth.order)
+    records = [Record(r.inputs, r.outputs * out[:, 0], r.dt) for r in records_of(rng, truth, (1500,), noise=0.01)]
+    found = refined_model(records, start, MOST_STEPS)
+    assert np.ptp(np.log(found.scaling.output_scale / found.realisation.factors.output_scale)) > 0.1
+    assert min(mode.emac for mode in extract_modes(found.realisation).modes) > 0.98
+
+
+def test_a_wrong_model_has_low_indicators():
+    """Factors of the data beside a model of something else: EMAC must tell."""
+    rng, truth = a_system(3)
+    records = records_of(rng, truth, (1500,))
+    start = from_era(records, truth.order)
+    found = refined_model(records, start, MOST_STEPS).realisation
+    slower = replace(found, A=0.8 * found.A)
+    assert max(mode.emac for mode in extract_modes(slower).modes) < 0.2
+
+
+def test_each_output_is_weighted_by_its_noise_where_it_is_white():
+    rng, truth = a_system(4)
+    shares = np.array([0.05, 0.1, 0.15])
+    records = records_of(rng, truth, (2500,), noise=shares)
+    found = refined_model(records, exact(truth), MOST_STEPS)
+    assert found.leaves_white_noise
+    np.testing.assert_allclose(found.weights, (shares.max() / shares) ** 2, rtol=0.2)
+    early = refined_model(records, exact(truth), MOST_STEPS - 1)
+    np.testing.assert_array_equal(early.weights, 1.0)
+    drifting = [
+        replace(record, outputs=record.outputs + 0.1 * np.cumsum(rng.standard_normal(record.outputs.shape), axis=0))
+        for record in records
+    ]
+    found = refined_model(drifting, exact(truth), MOST_STEPS)
+    assert not found.leaves_white_noise
+    np.testing.assert_array_equal(found.weights, 1.0)
+
+
+def test_as_many_steps_as_were_chosen():
+    rng, truth = a_system(5)
+    records = records_of(rng, truth, (800,))
+    scaling = channel_scaling(records)
+    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+    rows = (np.ones(800, dtype=bool),)
+    data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, []))
+    start = from_era(records, truth.order, observer_order=12)
+    steps = refine(starting_parameters(scaled_model(start, scaling), data), data, n_steps=3)
+    for n_steps in (1, 2, 3):
+        found = refined_model(records, start, n_steps)
+        np.testing.assert_allclose(found.step.parameters.poles, steps[n_steps].parameters.poles, rtol=1e-7)
+    assert refined_model(records, start, 0) is None
+
+
+def test_blocks_cover_all_rows_and_are_about_even():
+    rng, truth = a_system(6)
+    for lengths in ((800,), (700, 120, 30), (60,) * 45):
+        records = records_of(rng, truth, lengths)
+        blocks = refined_model(records, exact(truth), 1).data.blocks
+        for r, n in enumerate(lengths):
+            own = [block for block in blocks if block.record == r]
+            assert [block.first for block in own] == [0, *(block.last for block in own[:-1])]
+            assert own[-1].last == n
+        sizes = np.array([block.last - block.first for block in blocks])
+        assert 0.9 * max(40, len(lengths)) <= len(blocks) <= max(42, len(lengths))
+        assert np.median(np.abs(sizes - np.median(sizes))) <= 0.2 * np.median(sizes)
+
+
+def test_units_and_offsets_do_not_matter():
+    rng, truth = a_system(7)
+    records = records_of(rng, truth, (900,))
+    first = refined_model(records, exact(truth), MOST_STEPS).realisation
+    out, into = np.array([1e-7, 1.0, 1e9]), np.array([1e5, 1e-4])
+    scaled = [Record(r.inputs * into + 3 * into, r.outputs * out + 50 * out, r.dt) for r in records]
+    start = Realisation(truth.A, truth.B / into, truth.C * out[:, None], truth.D * out[:, None] / into, truth.dt)
+    second = refined_model(scaled, start, MOST_STEPS).realisation
+    expected = pulses(first)
+    back = pulses(second) / out[:, np.newaxis] * into
+    np.testing.assert_allclose(back, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+def test_rows_with_a_gap_do_not_count():
+    rng, truth = a_system(8)
+    (record,) = records_of(rng, truth, (1200,))
+    outputs = record.outputs.copy()
+    outputs[200:260, 1] = np.nan
+    first = refined_model([replace(record, outputs=outputs)], exact(truth), MOST_STEPS)
+    outputs[200:260] = np.nan
+    second = refined_model([replace(record, outputs=outputs)], exact(truth), MOST_STEPS)
+    assert not first.data.rows[0][200:260].any()
+    poles = first.step.parameters.poles
+    np.testing.assert_allclose(np.sort(poles), np.sort(second.step.parameters.poles), rtol=1e-4)
+    nearest = np.abs(poles[:, np.newaxis] - truth.discrete_poles).argmin(axis=1)
+    np.testing.assert_allclose(poles, truth.discrete_poles[nearest], rtol=5e-3)
+
+
+def test_nothing_is_refined_where_nothing_is_left_or_nothing_runs():
+    rng, truth = a_system(9)
+    records = records_of(rng, truth, (400,), noise=0.0)
+    assert refined_model(records, exact(truth), MOST_STEPS) is None
+    noisy = records_of(rng, truth, (400,))
+    assert refined_model(noisy, replace(exact(truth), A=1.1 * truth.A), MOST_STEPS) is None
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("case", ["dead input", "input at rest in one record", "dead output", "tiny records", "spare"])
+def test_hostile_records_end_in_a_stable_model(case):
+    rng, truth = a_system(10)
+    records = records_of(rng, truth, (600, 400))
+    start = exact(truth)
+    if case == "dead input":
+        records = [replace(r, inputs=r.inputs * [1.0, 0.0]) for r in records]
+    elif case == "input at rest in one record":
+        records = [records[0], replace(records[1], inputs=0 * records[1].inputs)]
+    elif case == "dead output":
+        records = [replace(r, outputs=r.outputs * [1.0, 0.0, 1.0]) for r in records]
+    elif case == "tiny records":
+        records = [records[0], *(records[1].samples(10 * i, 10 * i + 3) for i in range(12))]
+    else:  # every pole twice, nearly
+        twice = np.kron(np.diag([1.0, 1 - 1e-7]), truth.A)
+        start = Realisation(twice, np.vstack([truth.B] * 2) / 2, np.hstack([truth.C] * 2), truth.D, truth.dt)
+    found = refined_model(records, start, MOST_STEPS)
+    assert np.all(np.abs(np.linalg.eigvals(found.realisation.A)) < 1)
+    assert np.all(np.isfinite(pulses(found.realisation)))
+    assert found.step.error <= np.inf
+
+
+def test_an_identification_has_refined_modes_and_a_gain():
+    rng, truth = a_system(11, n_inputs=1, n_outputs=2)
+    records = records_of(rng, truth, (1500,))
+    found = identify(records, observer_order=30, ridge=1e-4, order=6)
+    assert found.realisation.K is not None
+    assert found.realisation.factors is not None
+    assert found.uncertainty.method == "output error"
+    plain = identify(records, observer_order=30, ridge=1e-4, order=6, refinement="none")
+    assert plain.uncertainty.method == "propagation"
+    errors = [np.abs(one.modes.frequencies / truth.frequencies - 1).max() for one in (found, plain)]
+    assert errors[0] < errors[1]
