@@ -145,7 +145,11 @@ def _likeliest(
         reason = f"maximum likelihood over {n_rows} rows: ratio to a zero gain {ratio:.4g}, needed {needed:.4g}"
         if best is not likeliest:
             reason += "; a likelier gain hangs on starts that nobody can know and was not taken"
-    return _in_units(model, best, active, size, n_rows=n_rows, ratio=ratio, reason=reason)
+    found = _in_units(model, best, active, size, n_rows=n_rows, ratio=ratio, reason=reason)
+    if found.gain.any() and _radius(model.A) < 1.0 <= _radius(model.A - found.gain @ model.C):
+        # states so unequal in size that the predictor's stability is lost to rounding
+        return _none(model, rest, "the predictor of greatest likelihood is not stable to rounding")
+    return found
 
 
 def _moves(rest: FloatArray, records: Sequence[Record]) -> BoolArray:
@@ -204,3 +208,7 @@ def _closed(
         likelihood_ratio=float(ratio),
         reason=reason,
     )
+
+
+def _radius(A: FloatArray) -> float:
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))

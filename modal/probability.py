@@ -4,9 +4,9 @@ Found again: the repeatability r (`modal.verdict`). Driven: how much of the outp
 explains for the k numbers that the mode brings; with g its gain (`modal.gain`) on N measured values,
 F = (N / k) g / (1 - g), the ratio that analysis of variance would test.
 
-    p = 1 / (1 + exp(12.6 - 13.0 r - 1.12 log10 F)),   F clipped to [0.1, 1e6]
+    p = 1 / (1 + exp(11.5 - 14.1 r - 0.95 log10 F)),   F clipped to [0.1, 1e6]
 
-so that a tenfold F counts as much as 0.09 of r. Without inputs there is no F: p = 1 / (1 + exp(12.0 - 17.5 r)). The
+so that a tenfold F counts as much as 0.07 of r. Without inputs there is no F: p = 1 / (1 + exp(12.0 - 17.5 r)). The
 numbers are by maximum likelihood on simulated structures; `modal/docs/verdict.md` has the reliability table and the
 command.
 """
@@ -39,9 +39,9 @@ def probability(r: float, ratio: float = np.nan) -> float:
 
     Example:
         >>> [round(probability(0.8, ratio), 2) for ratio in (1.0, 100.0, 10000.0)]
-        [0.1, 0.51, 0.91]
+        [0.45, 0.84, 0.97]
     """
     if np.isnan(ratio):
         return float(1 / (1 + np.exp(12.0 - 17.5 * r)))
     evidence = np.log10(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
-    return float(1 / (1 + np.exp(12.6 - 13.0 * r - 1.12 * evidence)))
+    return float(1 / (1 + np.exp(11.5 - 14.1 * r - 0.95 * evidence)))

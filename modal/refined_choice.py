@@ -40,6 +40,8 @@ PATIENCE = 2
 """or the search ends after so many, once refinement has paid or the order chosen without it is passed."""
 MOST_WEAK_MODES = 4
 """Modes that are looked for in what the chosen model leaves."""
+ROUNDS_BETWEEN = 3
+"""Looks around the best order, more than one only while it is the smallest tried."""
 FEW = 8
 """Orders up to here are tried odd and even."""
 
@@ -83,9 +85,11 @@ def refined_search(ground: Ground, found: Search, *, progress: Callable[[float],
         best = min(best, error)
         if without_gain >= PATIENCE and (best < GAIN * found.trials[0].error or n >= found.chosen.model_order):
             break
-    if len(orders) > 1:
+    for _ in range(ROUNDS_BETWEEN if len(orders) > 1 else 0):
         for n in _between(sorted(n for *_, n in refined), _best_order(refined)):
             refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
+        if _best_order(refined) > min(n for *_, n in refined):
+            break
     progress(0.8)
     for observer in others:
         n = _best_order(refined)
@@ -172,18 +176,15 @@ def _trials(shop: _Workshop, candidate: tuple[int, float, int], *, hopeless: flo
 
     Where its error after a few steps is still above `hopeless` it gets no more.
     """
-    p, ridge, n = candidate
     trials: list[Trial] = []
     for n_steps in (SCOUT_STEPS, MOST_STEPS):
         errors = [_fold_errors(shop, candidate, fold, n_steps) for fold in range(len(shop.ground.folds))]
         if not all(errors):
             return []
-        trials = [
-            trial_of(
-                p, ridge, n, [fold[min(k, len(fold) - 1)] for fold in errors], shop.ground.power, refinement_steps=k
-            )
-            for k in range(n_steps + 1)
-        ]
+        trials = []
+        for k in range(n_steps + 1):
+            blocks = [fold[min(k, len(fold) - 1)] for fold in errors]
+            trials.append(trial_of(*candidate, blocks, shop.ground.power, refinement_steps=k))
         if _least_error(trials) > hopeless:
             break
     return trials
@@ -218,8 +219,8 @@ def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Ste
 def _chosen(trials: Sequence[Trial]) -> Trial:
     """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
 
-    A refinement that may run until it stands still without harm has no early stop to be explained, and its covariance
-    is that of the least-squares estimate.
+    A refinement that may run until it stands still without harm has no early stop to be
+    explained, and its covariance is that of the least-squares estimate.
     """
     good = [trial for trial in trials if as_good(trial, trials[0])]
     smallest = min(trial.model_order for trial in good)

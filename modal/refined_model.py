@@ -32,6 +32,8 @@ N_BLOCKS = 40
 WHITE = 1.3
 """Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
 WHITENESS_LAGS = 20
+WEIGHTINGS = 4
+"""Rounds in which outputs' weights and the model settle."""
 SMALLEST_NOISE = 1e-3
 """Of the noisiest output's: an output with less noise is not weighted more."""
 NOISE_FREE = 1e-7
@@ -98,11 +100,12 @@ def refined_model(
     for _ in range(weak_modes):
         larger = with_weak_mode(last, data)
         last = last if larger is None else refine(larger, data, n_steps=most)[-1]
-    ratio = whiteness(centred(errors_of(last, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio
-    variance = last.linear.squared_errors
-    if n_steps == MOST_STEPS and ratio <= WHITE and start.n_outputs > 1 and variance.max() > 0.0:
-        weights = variance.max() / np.maximum(variance, SMALLEST_NOISE**2 * variance.max())
-        last = refine(last, data, n_steps=UNTIL_STILL, weights=weights)[-1]
+    ratio = _whiteness_ratio(last, data)
+    if n_steps == MOST_STEPS and start.n_outputs > 1:
+        likeliest, own = _weighted(last, data)
+        own_ratio = _whiteness_ratio(likeliest, data)
+        if own_ratio <= WHITE:
+            last, weights, ratio = likeliest, own, own_ratio
     realisation = in_units(last, start if evidence is None else evidence, scaling)
     return RefinedModel(
         realisation=realisation, step=last, data=data, scaling=scaling, weights=weights, whiteness_ratio=ratio
@@ -118,3 +121,24 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
         edges = np.linspace(0, record.n_samples, count + 1).round().astype(int).tolist()
         fold.append(list(zip(edges[1:-1:2], edges[2::2], strict=False)))
     return [fold]
+
+
+def _weighted(step: Step, data: OutputError) -> tuple[Step, FloatArray]:
+    """Refined with each output weighted by the inverse of its own noise, and the weights, settled in a few rounds.
+
+    An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
+    the weights come before the test for whiteness.
+    """
+    weights = np.ones(step.layout.n_outputs)
+    for _ in range(WEIGHTINGS):
+        variance = step.linear.squared_errors
+        largest = variance.max()
+        if largest == 0.0:
+            break
+        weights = largest / np.maximum(variance, SMALLEST_NOISE**2 * largest)
+        step = refine(step, data, n_steps=UNTIL_STILL, weights=weights)[-1]
+    return step, weights
+
+
+def _whiteness_ratio(step: Step, data: OutputError) -> float:
+    return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from okid.arrays import BoolArray
-from okid.folds import interleaved_folds
+from okid.folds import interleaved_folds, whole_record_folds
 from okid.record import Record
 
 __all__ = ["Stretch", "folds_of", "is_long", "stretches_of"]
@@ -23,6 +23,10 @@ LONGEST_SCORED = 30_000
 STRETCH = 10_000
 """Samples of one stretch."""
 BLOCKS = 10
+MANY_RECORDS = 4
+"""Records from which on whole ones are held out,"""
+ALIKE = 0.5
+"""if the shortest is at least this share of the longest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -54,8 +58,15 @@ def is_long(records: Sequence[Record]) -> bool:
 
 
 def folds_of(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
-    """[fold][record] held-out rows: ten blocks a record, or ten blocks a stretch where the records are long."""
-    longest = max(record.n_samples for record in records)
+    """[fold][record] held-out rows.
+
+    Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
+    one); else ten blocks a record, or ten blocks a stretch where the records are long.
+    """
+    lengths = [record.n_samples for record in records]
+    longest = max(lengths)
+    if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
+        return whole_record_folds(records)
     if not is_long(records) or longest <= STRETCH:
         return interleaved_folds(records)
     n_stretches = -(-longest // STRETCH)

@@ -13,7 +13,37 @@ from okid.arrays import BoolArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["interleaved_folds"]
+__all__ = ["interleaved_folds", "whole_record_folds"]
+
+
+def whole_record_folds(
+    records: Sequence[Record], *, n_folds: int = 3, lead: float = 0.1
+) -> tuple[tuple[BoolArray, ...], ...]:
+    """Masks of the held-out rows where the records can stand for each other: each fold holds out whole records.
+
+    The first share `lead` of every record trains, so that its initial state is known when it is held out.
+
+    Args:
+        records: of one system, at least `n_folds` of them.
+        n_folds: records go to the folds in turn.
+        lead: share of each record.
+
+    Example:
+        >>> record = Record([], np.arange(40.0), 0.1)
+        >>> folds = whole_record_folds([record, record, record])
+        >>> [[int(rows.sum()) for rows in fold] for fold in folds]
+        [[36, 0, 0], [0, 36, 0], [0, 0, 36]]
+    """
+    folds = []
+    for i in range(n_folds):
+        fold = []
+        for r, record in enumerate(records):
+            rows = np.zeros(record.n_samples, dtype=np.bool_)
+            if r % n_folds == i:
+                rows[max(1, round(lead * record.n_samples)) :] = True
+            fold.append(rows)
+        folds.append(tuple(fold))
+    return tuple(folds)
 
 
 def interleaved_folds(

@@ -137,7 +137,7 @@ def whiteness(errors: CentredErrors, *, n_lags: int, n_fitted: int) -> Whiteness
     limit = float(1.96 / np.sqrt(n_rows))
     with np.errstate(invalid="ignore", divide="ignore"):
         autocorrelation = np.diagonal(covariances, axis1=1, axis2=2) / variance
-    if not (np.sqrt(variance) > ROUND_OFF).all():
+    if not np.isfinite(covariances).all() or not (np.sqrt(variance) > ROUND_OFF).all():
         return Whiteness(
             autocorrelation=_closed(np.nan_to_num(autocorrelation)),
             ratio=np.nan,
@@ -185,7 +185,8 @@ def input_correlation(
         * float(np.sum((inverse_root @ _lagged(errors.records, given.records, lag) @ root.T / errors.n_rows) ** 2))
         for lag in lags
     )
-    return statistic / (inverse_root.shape[0] * root.shape[0] * len(lags))
+    freedom = inverse_root.shape[0] * root.shape[0] * len(lags)
+    return statistic / freedom if freedom else float("nan")
 
 
 def _lagged(ahead: Sequence[FloatArray], behind: Sequence[FloatArray], lag: int) -> FloatArray:

@@ -197,8 +197,9 @@ def test_of_equal_trials_the_smallest_order_and_the_longest_refinement():
     lost = a_trial(4, MOST_STEPS, 0.0102)
     assert choose(a_trial(4, 2, 0.01), lost).refinement_steps == 2
     # as good as the best of all, yet worse in every block than an earlier stop of the same order
-    wavy = a_trial(8, 3, 0.01 * (1 + 0.05 * np.sin(np.arange(10))))
+    wavy = a_trial(8, 3, 0.01 * (1 + 0.05 * np.cos(np.pi * np.arange(10))))
     earlier, later = a_trial(4, 2, 0.01003), a_trial(4, MOST_STEPS, 0.01005)
+    assert wavy.error < earlier.error
     assert choose(wavy, later) is later
     assert choose(wavy, earlier, later) is earlier
     # worse by more than 2 %: neither order nor steps
