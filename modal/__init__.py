@@ -14,6 +14,7 @@ from modal.pipeline import identify
 from modal.recording import log_identification, save_recording
 from modal.report import write_report
 from modal.storage import load
+from modal.uncertainty import Uncertainty
 
 __all__ = [
     "Choice",
@@ -23,6 +24,7 @@ __all__ = [
     "Mode",
     "OrderEvidence",
     "StabilisationPoint",
+    "Uncertainty",
     "extract_modes",
     "identify",
     "load",

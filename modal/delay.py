@@ -6,7 +6,7 @@ are poles with a frequency and a damping ratio that no structure has. So the inp
 shift comes back as states that only pass on their input: their poles are zero, deadbeat, and no modes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +106,7 @@ def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation:
         >>> given_input_delay(5, Record([0.0, 1.0], [0.0, 1.0], 0.1), decimation=2).samples
         (2,)
     """
-    values = [delay] * record.n_inputs if isinstance(delay, int) else list(delay)
+    values = list(delay) if isinstance(delay, Iterable) else [delay] * record.n_inputs
     if len(values) != record.n_inputs:
         raise InvalidDataError(
             f"input_delay needs one number of samples for each of the {record.n_inputs} inputs, but has {len(values)}."

@@ -240,7 +240,9 @@ def _remainder(model: Realisation, record: Record, n_functions: int) -> FloatArr
 
 def held_out_squares(left: Sequence[FloatArray], n_functions: int) -> FloatArray:
     """Squared errors of groups of held-out block means, predicted by slow functions fitted to the other blocks."""
-    n_rows = max(1, sum(len(one) for one in left) // SLOW_SAMPLES)
+    lengths = [len(one) for one in left]
+    # of many short records the longest still has to hold two groups
+    n_rows = max(1, min(sum(lengths) // SLOW_SAMPLES, max(lengths) // (2 * HELD_OUT)))
     groups = []
     for one in left:
         blocks = _block_means(one, n_rows)

@@ -45,17 +45,18 @@ def order_evidence(
         reruns: the same identified again, for the repeatability of each pole; None leaves it nan.
     """
     chosen = found.chosen
-    same = sorted(
-        (t for t in found.trials if (t.observer_order, t.ridge) == (chosen.observer_order, chosen.ridge)),
-        key=lambda t: t.model_order,
-    )
+    best: dict[int, float] = {}  # of each order, whatever the number of refinement steps
+    for trial in found.trials:
+        if (trial.observer_order, trial.ridge) == (chosen.observer_order, chosen.ridge):
+            best[trial.model_order] = min(best.get(trial.model_order, np.inf), trial.error)
+    tried = sorted(best)
     highest = realise_from(decomposition, min(decomposition.rank, decomposition.max_order))
     return OrderEvidence(
         singular_values=decomposition.singular_values,
         order=order,
         gap_order=order_choice(decomposition).order,
-        candidate_orders=np.array([t.model_order for t in same], dtype=np.float64),
-        candidate_fits=np.array([1.0 - t.error for t in same]),
+        candidate_orders=np.array(tried, dtype=np.float64),
+        candidate_fits=np.array([1.0 - best[n] for n in tried]),
         stabilisation=stabilisation(highest, reruns=reruns),
     )
 
@@ -89,7 +90,8 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
     if len(limits.model_orders) == 1:
         reason = "given as an argument"
     elif wanted is not chosen:
-        reason = f"{measure}; the first choice ({wanted.model_order} states) is unstable when fitted to all rows"
+        first = f"the first choice ({wanted.model_order} states)"
+        reason = f"{measure}; {first} is unstable, or worse than on its folds, when fitted to all rows"
     elif chosen.error == best.error:
         reason = f"{measure}, the best of {len(found.trials)} models tried"
     else:

@@ -95,6 +95,7 @@ def prepare(
     first = records[0]
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
+    _check_words(missing, input_delay)
     centred, gaps = _centred_parts(records)
     filling = _filling(centred, missing)
     integrating = choose_integrators(filling.records) if given is None else given
@@ -176,6 +177,13 @@ def _filling(records: Sequence[Record], missing: Literal["fill", "leave"]) -> Fi
         return fill_where_needed(records)
     measured = tuple(~np.isnan(record.outputs) for record in records)
     return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
+
+
+def _check_words(missing: str, input_delay: int | Sequence[int] | str) -> None:
+    if missing not in ("fill", "leave"):
+        raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
+    if isinstance(input_delay, str) and input_delay != "auto":
+        raise InvalidDataError(f'input_delay must be "auto" or one number of samples or more, but is {input_delay!r}.')
 
 
 def _slow_functions_given(drift: int | Literal["auto", "none", "linear"]) -> int | None:

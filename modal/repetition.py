@@ -6,7 +6,7 @@ and one SVD.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,22 +78,22 @@ def repeat(
     dt = records[0].dt
     runs = []
     second_half = tuple(~rows for rows in first_half)
-    again = _Refiner(records, scaling, (first_half, second_half), min(refinement_steps, STEPS_AGAIN))
+    again = _refinement(records, scaling, (first_half, second_half), min(refinement_steps, STEPS_AGAIN))
     for half, (label, gram, unseen) in enumerate(
         (("first half", one, second_half), ("second half", whole - one, first_half))
     ):
         model = _model(_carried(gram, model_order), ridge, scaling, dt, model_order)
         if model is not None:
-            model = again.refined(model, held_out=1 - half)
+            model = _refined(model, again, held_out=1 - half)
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, model_order)
     if model is not None:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        runs.append(Rerun(label=label, change="observer", modes=extract_modes(again.refined(model))))
+        runs.append(Rerun(label=label, change="observer", modes=extract_modes(_refined(model, again))))
     for n in _other_orders(model_order, min(decomposition.rank, decomposition.max_order)):
-        modes = extract_modes(again.refined(realise_from(decomposition, n)))
+        modes = extract_modes(_refined(realise_from(decomposition, n), again))
         runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
     return Reruns(
         runs=tuple(runs),
@@ -103,34 +103,36 @@ def repeat(
     )
 
 
-class _Refiner:
-    """Refines reruns on all rows or on one half of them; hands them back as they are where no steps are asked for."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Refinement:
+    """What reruns are refined on: the scaled rows of both halves; no steps where the model was not refined."""
 
-    def __init__(
-        self,
-        records: Sequence[Record],
-        scaling: ChannelScaling,
-        halves: Sequence[Sequence[BoolArray]],
-        n_steps: int,
-    ) -> None:
-        self._scaling, self._n_steps = scaling, n_steps if records[0].n_inputs else 0
-        if self._n_steps:
-            scaled = tuple(scaled_record(record, scaling) for record in filled(records))
-            self._data = OutputError(
-                records=scaled,
-                rows=tuple(record.complete_rows() for record in records),
-                blocks=blocks_of(scaled, [[runs_of(rows) for rows in half] for half in halves]),
-            )
+    scaling: ChannelScaling
+    data: OutputError
+    n_steps: int
 
-    def refined(self, model: Realisation, *, held_out: int = NONE) -> Realisation:
-        """The model after a few steps on the rows that are not held out."""
-        if not self._n_steps:
-            return model
-        start = starting_parameters(scaled_model(model, self._scaling), self._data, held_out=held_out)
-        if start is None:
-            return model
-        last = refine(start, self._data, held_out=held_out, n_steps=self._n_steps)[-1]
-        return in_units(last, model, self._scaling)
+
+def _refinement(
+    records: Sequence[Record], scaling: ChannelScaling, halves: Sequence[Sequence[BoolArray]], n_steps: int
+) -> _Refinement:
+    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+    data = OutputError(
+        records=scaled,
+        rows=tuple(record.complete_rows() for record in records),
+        blocks=blocks_of(scaled, [[runs_of(rows) for rows in half] for half in halves]),
+    )
+    return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
+
+
+def _refined(model: Realisation, again: _Refinement, *, held_out: int = NONE) -> Realisation:
+    """The model after a few steps on the rows that are not held out; as it is without steps or a stable start."""
+    if not again.n_steps:
+        return model
+    start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
+    if start is None:
+        return model
+    last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps)[-1]
+    return in_units(last, model, again.scaling)
 
 
 def _gain(

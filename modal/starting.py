@@ -14,7 +14,10 @@ LEAST_POLE = 1e-8
 
 
 def starting_parameters(realisation: Realisation, data: OutputError, *, held_out: int = NONE) -> Step | None:
-    """Modal form of a stable model with initial states fitted to the training rows; None where it is unstable."""
+    """Modal form of a stable model with initial states fitted to the training rows.
+
+    None where it is unstable, or where all its poles are zero: a pulse response that ends is left to the observer.
+    """
     if realisation.order == 0:
         return None
     poles, vectors = np.linalg.eig(realisation.A)
@@ -23,6 +26,8 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
         return None
     left = np.linalg.pinv(vectors)
     kept = (poles.imag >= 0.0) & (size > LEAST_POLE)
+    if not kept.any():
+        return None
     is_pair = poles[kept].imag > 0.0
     inputs = left[kept] @ realisation.B
     shapes = np.where(is_pair, 2.0, 1.0) * (realisation.C @ vectors[:, kept])

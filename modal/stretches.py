@@ -26,7 +26,9 @@ BLOCKS = 10
 MANY_RECORDS = 4
 """Records from which on whole ones are held out,"""
 ALIKE = 0.5
-"""if the shortest is at least this share of the longest."""
+"""if the shortest is at least this share of the longest,"""
+LEAST_TRAINED = 0.01
+"""and if each input keeps this share of its power when the whole records of a fold are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -61,16 +63,29 @@ def folds_of(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
     """[fold][record] held-out rows.
 
     Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
-    one); else ten blocks a record, or ten blocks a stretch where the records are long.
+    one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, or ten
+    blocks a stretch where the records are long.
     """
     lengths = [record.n_samples for record in records]
     longest = max(lengths)
     if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
-        return whole_record_folds(records)
+        folds = whole_record_folds(records)
+        if _every_input_trains(records, folds):
+            return folds
     if not is_long(records) or longest <= STRETCH:
         return interleaved_folds(records)
     n_stretches = -(-longest // STRETCH)
     return interleaved_folds(records, n_blocks=BLOCKS * n_stretches, min_block=STRETCH // BLOCKS)
+
+
+def _every_input_trains(records: Sequence[Record], folds: Sequence[Sequence[BoolArray]]) -> bool:
+    """Whether each input moves in the whole records that each fold leaves: not where one drives one record alone."""
+    moved = [np.square(record.inputs - record.inputs.mean(axis=0)).sum(axis=0) for record in records]
+    least = LEAST_TRAINED * np.sum(moved, axis=0)
+    return all(
+        bool((np.sum([m for m, rows in zip(moved, fold, strict=True) if not rows.any()], axis=0) > least).all())
+        for fold in folds
+    )
 
 
 def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:

@@ -97,8 +97,8 @@ def interleaved_folds(
         total = sum(record.n_samples for record in records)
         raise InsufficientDataError(
             f"{n_folds} folds need at least {(n_folds + 1) * min_block} samples in one record; there are {total} in "
-            f"{len(records)} record{'s' * (len(records) != 1)}. Give the observer order and the ridge instead of "
-            "choosing them."
+            f"{len(records)} record{'s' * (len(records) != 1)}. Use a longer record, a smaller delay or less "
+            "decimation; okid.fit_observer takes an order and a ridge without folds."
         )
     for fold in masks:
         for mask in fold:

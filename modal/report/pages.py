@@ -101,6 +101,7 @@ def _context(result: Identification, provenance: Provenance) -> dict[str, object
         "caution": words.caution_sentence(result),
         "assurance": shape_assurance(modes).tolist() if modes.system else [],
         "frequencies": modes.frequencies.tolist(),
+        "has_intervals": bool(np.isfinite([mode.frequency_std for mode in modes.system]).any()),
         "folds": [float(fold) for fold in np.atleast_1d(result.fit.folds)],
         "provenance": provenance,
         "version": installed_version(),
@@ -128,9 +129,8 @@ def _snippet(result: Identification, provenance: Provenance) -> str:
             f"    outputs={list(record.output_names)!a},\n"
             f"{step}    input_hold={record.input_hold!a},\n)"
         )
-    chosen = (
-        f"observer_order={result.observer.order}, ridge={result.observer.ridge:g}, order={result.realisation.order}"
-    )
+    order = (result.fitted_model or result.realisation).order
+    chosen = f"observer_order={result.observer.order}, ridge={result.observer.ridge:g}, order={order}"
     return (
         "import modal\nimport okid\n\n"
         f"records = {reading}\n"

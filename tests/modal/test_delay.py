@@ -103,7 +103,8 @@ def test_markov_parameters_of_the_late_model_start_later():
 def test_a_given_delay_is_checked_and_decimated():
     record = Record(np.zeros((5, 2)), np.zeros((5, 1)), 0.1)
     assert given_input_delay([6, 9], record, decimation=3).samples == (2, 3)
-    assert given_input_delay(4, record).samples == (4, 4)
+    for four in (4, 4.0, np.int64(4), np.array([4, 4])):
+        assert given_input_delay(four, record).samples == (4, 4)
     with pytest.raises(InvalidDataError, match="each of the 2 inputs, but has 1"):
         given_input_delay([3], record)
     with pytest.raises(InvalidDataError, match="delay"):

@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.drift import CANDIDATES, choose_drift, slow_functions, without_drift
+from modal.drift import CANDIDATES, choose_drift, held_out_squares, slow_functions, without_drift
 from okid.record import Record
 
 N = 3000
@@ -79,3 +79,12 @@ def test_short_records_get_fewer_functions():
     short = without_drift(Record(values, values, 0.1), 12)
     expected = without_drift(Record(values, values, 0.1), 1)
     np.testing.assert_allclose(short.outputs, expected.outputs, atol=1e-12)
+
+
+@pytest.mark.parametrize("lengths", [[50] * 700, [300] + [40] * 1000])
+def test_hundreds_of_short_records_leave_groups_to_compare(lengths):
+    """Two at least: a standard error needs as many."""
+    rng = np.random.default_rng(8)
+    left = [rng.standard_normal((length, 2)) for length in lengths]
+    assert held_out_squares(left, 1).size >= 2
+    assert held_out_squares(left, 0).sum() > 0.0

@@ -232,6 +232,21 @@ def test_arguments_are_kept():
         prepare([record], drift="quadratic")
 
 
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ({"missing": "interpolate"}, 'missing must be "fill" or "leave", but is \'interpolate\''),
+        ({"input_delay": "none"}, "input_delay must be \"auto\" or .* but is 'none'"),
+        ({"input_delay": None}, "an input delay must be a whole number of at least 0, but is None"),
+        ({"input_delay": 2.5}, "an input delay must be a whole number of at least 0, but is 2.5"),
+    ],
+)
+def test_a_word_or_a_number_that_means_nothing_is_refused(argument, words):
+    _, record = a_system(np.random.default_rng(7), 100)
+    with pytest.raises(InvalidDataError, match=words):
+        prepare([record], decimation=1, integrators=0, drift="none", **argument)
+
+
 def test_a_jump_is_said():
     _, record = a_system(np.random.default_rng(6))
     jump = np.where(np.arange(3000) > 1700, 2.0, -2.0)[:, np.newaxis] * record.outputs.std(axis=0)

@@ -51,6 +51,13 @@ def test_the_true_model_starts_without_error(seed):
             np.testing.assert_allclose(found, residue, rtol=0, atol=1e-6 * np.abs(residue).max())
 
 
+def test_poles_at_zero_only_cannot_start():
+    """y(k) = u(k-1) has a mode that no refinement can move: there would be nothing to solve for."""
+    u = np.random.default_rng(0).standard_normal((100, 1))
+    data = data_of([Record(u, np.vstack([np.zeros((1, 1)), u[:-1]]), 0.01)])
+    assert starting_parameters(Realisation([[0.0]], [[1.0]], [[1.0]], [[0.0]], 0.01), data) is None
+
+
 @pytest.mark.parametrize("ridge", [REGULARISATION, 0.01])
 @pytest.mark.parametrize("n_real", [0, 1])
 def test_initial_states_are_ridge_least_squares_on_what_the_inputs_leave(monkeypatch, n_real, ridge):

@@ -7,7 +7,7 @@ from systems import random_system, simulate
 
 from modal.pipeline import identify
 from modal.stretches import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
-from okid.folds import interleaved_folds
+from okid.folds import interleaved_folds, whole_record_folds
 from okid.record import Record
 
 
@@ -23,6 +23,21 @@ def test_short_records_are_scored_whole():
         (1, 0, LONGEST_SCORED - 400, 0),
     ]
     for mine, theirs in zip(folds_of(records), interleaved_folds(records), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("driven", "expected"),
+    [
+        ([(1, 1), (1, 1), (1, 1), (1, 1)], whole_record_folds),
+        ([(1, 0), (0, 1), (1, 0), (1, 0)], interleaved_folds),  # no other record shows what the second input does
+        ([(1, 0), (0, 1), (1, 0), (1, 0), (1, 0), (0, 1)], whole_record_folds),
+    ],
+)
+def test_whole_records_are_held_out_only_where_others_show_every_input(driven, expected):
+    rng = np.random.default_rng(0)
+    records = [Record(rng.standard_normal((100, 2)) * on, rng.standard_normal((100, 1)), 0.01) for on in driven]
+    for mine, theirs in zip(folds_of(records), expected(records), strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
 
 

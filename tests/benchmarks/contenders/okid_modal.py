@@ -3,7 +3,6 @@
 REQUIREMENTS = ()
 SETTINGS = {
     "defaults": "modal.identify(record), no option: order, band and everything else chosen by itself",
-    "order told": "modal.identify(record, order=the true order); the rest chosen by itself",
 }
 
 
@@ -12,7 +11,7 @@ def identify(records, dt, *, setting, order):
     import okid
 
     made = [okid.Record(inputs, outputs, dt) for inputs, outputs in records]
-    found = modal.identify(made, order=order) if setting == "order told" else modal.identify(made)
+    found = modal.identify(made)
     model = found.realisation
     return {
         "A": model.A,
