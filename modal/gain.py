@@ -8,6 +8,7 @@ without it. For a mode that the input drives it gets worse.
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal.basis import discrete_poles
 from modal.mode import ModalModel, Mode
@@ -36,8 +37,10 @@ def driven_gain(
 
         gain_i = 1 - |e|^2 / |e + y_i|^2
 
-    with e what the model's free run leaves, initial states fitted, and y_i the mode's answer to the inputs from rest. A
-    line that the inputs do not drive is taken up by its initial state, and its answer to them is chance.
+    with e what the model's free run leaves, initial states fitted, and y_i the mode's answer to the inputs from rest;
+    what the mode could do by itself, from any state in each output, and a constant are projected out of both. A line
+    that the inputs do not drive is all free motion, and its answer to them is chance; left in, the fitted state would
+    make up for that answer, and the answer seem to matter.
 
     Args:
         model: modes of the model that ran.
@@ -57,22 +60,35 @@ def driven_gain(
     poles, is_pair = discrete_poles(modes, model.dt)
     weight = np.where(is_pair, 2.0, 1.0)
     driven = [i for i in range(len(modes)) if modes[i].kind != "unstable"]
-    without, error = np.zeros(len(modes)), 0.0
     counted = [np.ones(record.n_samples, dtype=np.bool_) for record in records] if rows is None else rows
+    with_it, without = np.zeros(len(modes)), np.zeros(len(modes))
     n_rows = 0
     for record, errors, there in zip(records, left, counted, strict=True):
         inputs = np.nan_to_num(record.inputs)
         kept: BoolArray = np.isfinite(errors).all(axis=1) & there
+        if not kept.any():
+            continue
         n_rows += int(kept.sum())
         rest = errors[kept] / output_scale
-        error += float((rest**2).sum())
         for i in driven:
             part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, kept)
-            part = part / output_scale
-            without[i] += float(((rest + part - part.mean(axis=0)) ** 2).sum()) if kept.any() else 0.0
+            free = _free_motion(complex(poles[i]), np.flatnonzero(kept))
+            for total, values in ((with_it, rest), (without, rest + part / output_scale)):
+                total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
-        gains[driven] = 1 - error / np.maximum(without[driven], np.finfo(float).tiny)
+        gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], np.finfo(float).tiny)
     return gains
+
+
+def _free_motion(pole: complex, times: NDArray[np.intp]) -> FloatArray:
+    """(n_times, 1 to 3) orthonormal: a constant, and what the mode does by itself from any state."""
+    with np.errstate(under="ignore"):
+        motion = np.exp(np.log(pole) * (times - times[0]))
+    columns = [np.ones(times.size), motion.real, *([motion.imag] if pole.imag else [])]
+    basis, corner = np.linalg.qr(np.column_stack(columns))
+    size = np.abs(np.diag(corner))
+    kept: FloatArray = basis[:, size > 1e-9 * size.max()]
+    return kept
 
 
 def _response(drive: ComplexArray, pole: complex, shape: ComplexArray, kept: BoolArray) -> FloatArray:

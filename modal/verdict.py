@@ -44,8 +44,8 @@ Change = Literal["data", "observer", "lower order", "higher order"]
 SYSTEM_FROM = 0.8
 """Probability from which a mode is called one of the system."""
 NOISE_BELOW = 0.05
-DOUBTED = 0.62
-"""Largest probability of a pole with a doubt about what drives it: the share of such poles that were true modes."""
+DOUBTED = 0.55
+"""Largest probability of a pole with a doubt about what drives it: about the share of such poles that were true."""
 LEAST_PART = 0.42
 """Overlap that every kind of change must leave of a mode of the system."""
 HARDLY_DRIVEN = 5.0

@@ -37,19 +37,40 @@ def gain_of(realisation, model, record, rows, scale=np.ones(3)):  # noqa: B008  
 
 
 def naive(realisation, model, record, rows, scale):
-    """One sample after the other, one mode's answer to the inputs left out at a time."""
+    """One sample after the other, one mode's answer to the inputs left out at a time, free motion by least squares."""
     left = rests(realisation, record) / scale
     gains = []
     for mode in model:
-        part = np.zeros_like(record.outputs)
+        part, free = np.zeros_like(record.outputs), np.ones((len(left), 3))
         state, pole = 0j, np.exp(mode.pole * model.dt)
         for k, u in enumerate(record.inputs):
             part[k] = (mode.shape * state).real * (2 if mode.kind == "oscillatory" else 1)
+            free[k, 1:] = (pole**k).real, (pole**k).imag
             state = pole * state + mode.participation @ u
-        without = (part / scale)[rows]
-        without = left[rows] + without - without.mean(axis=0)
-        gains.append(1 - (left[rows] ** 2).sum() / (without**2).sum())
+        sizes = []
+        for values in (left[rows], (left + part / scale)[rows]):
+            mine = free[rows] / np.maximum(np.abs(free[rows]).max(axis=0), 1e-300)
+            sizes.append(((values - mine @ np.linalg.lstsq(mine, values, rcond=1e-10)[0]) ** 2).sum())
+        gains.append(1 - sizes[0] / sizes[1])
     return np.array(gains)
+
+
+def test_a_line_that_a_fitted_state_explains_is_not_driven():
+    """Hum as an undamped mode: its fitted state makes up for a driven part of chance, which explains nothing."""
+    rng = np.random.default_rng(5)
+    pole = 0.99999 * np.exp(0.5j)
+    A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    realisation = Realisation(A, np.array([[0.02], [0.0]]), np.eye(2), np.zeros((2, 1)), 0.01)
+    u = rng.standard_normal((2000, 1))
+    driven, k = rests(realisation, Record(u, np.zeros((2000, 2)), 0.01)), np.arange(2000)[:, None]
+    wave = np.hstack([np.cos(0.5 * k), np.sin(0.5 * k)])
+    hum = Record(u, 5.0 * wave + 0.1 * rng.standard_normal((2000, 2)), 0.01)
+    # the run of a model whose state was fitted to the hum beside its driven part
+    start = np.hstack([(pole**k).real, (pole**k).imag])
+    run = -driven + start @ np.linalg.lstsq(start, hum.outputs + driven, rcond=None)[0]
+    model = extract_modes(realisation)
+    gain = driven_gain(model, [hum], [hum.outputs - run], output_scale=np.ones(2))
+    assert gain[0] < 0.05
 
 
 def test_it_is_the_loss_when_a_modes_answer_is_left_out(case):
