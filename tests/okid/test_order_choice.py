@@ -113,7 +113,7 @@ def test_an_unstable_observer_scores_infinity():
 
 
 def test_too_few_samples_to_choose():
-    with pytest.raises(InsufficientDataError, match="Give the observer order and the ridge instead"):
+    with pytest.raises(InsufficientDataError, match="takes an order and a ridge without folds"):
         choose_observer([make(8, 30)], channel_scaling([make(8, 30)]))
     short = make(9, 45)
     with pytest.raises(InsufficientDataError, match="but 45 samples are too few even for order 16"):
