@@ -1,0 +1,77 @@
+"""Weak modes in what a refined model leaves, on systems of tests/reference."""
+
+import numpy as np
+import pytest
+from systems import modal_system, simulate
+
+from era.realisation import Realisation
+from modal.growth import errors_of, with_weak_mode
+from modal.modal_states import blocks_of
+from modal.refinement import OutputError, refine
+from modal.starting import starting_parameters
+from okid.record import Record
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Two strong modes and a weak one, 5 % noise, and the refined model of the strong ones alone."""
+    rng = np.random.default_rng(12)
+    both = {"frequencies": (6.0, 14.0, 31.0), "damping_ratios": (0.02, 0.015, 0.01)}
+    system = modal_system(rng, **both, n_inputs=1, n_outputs=2, mode_sizes=(1.0, 1.0, 0.05))
+    inputs = rng.standard_normal((4000, 1))
+    outputs = simulate(system, inputs)
+    outputs = outputs + 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    record = Record(inputs, outputs / outputs.std(axis=0), system.dt)
+    held_out = [[[(1000, 2000)]]]  # [fold][record] runs
+    data = OutputError(records=(record,), rows=(np.ones(4000, dtype=bool),), blocks=blocks_of((record,), held_out))
+    scale = outputs.std(axis=0)[:, np.newaxis]
+    strong = Realisation(system.A[:4, :4], system.B[:4], system.C[:, :4] / scale, system.D / scale, system.dt)
+    if not np.allclose(system.A[:4, 4:], 0.0):
+        pytest.fail("the reference system is no longer block diagonal")
+    step = refine(starting_parameters(strong, data), data, n_steps=10)[-1]
+    return system, data, step
+
+
+def test_the_weak_mode_is_found_in_the_error(case):
+    system, data, step = case
+    grown = refine(with_weak_mode(step, data), data, n_steps=15)[-1]
+    assert grown.parameters.poles.size == step.parameters.poles.size + 1
+    added = grown.parameters.poles[-1]
+    weak = np.exp(system.poles[-1] * system.dt)
+    assert abs(np.log(added) - np.log(weak)) < 0.005 * abs(np.log(weak))
+    assert grown.error < 0.95 * step.error
+
+
+def test_it_starts_beside_the_others_without_moving_them(case):
+    _, data, step = case
+    larger = with_weak_mode(step, data)
+    np.testing.assert_array_equal(larger.parameters.poles[:-1], step.parameters.poles)
+    assert larger.error <= step.error  # one more regressor for the same rows
+
+
+def test_held_out_rows_are_not_looked_at(case):
+    _, data, step = case
+    record = data.records[0]
+    spoilt = record.outputs.copy()
+    spoilt[1000:2000] = 1e3
+    other = OutputError(records=(Record(record.inputs, spoilt, record.dt),), rows=data.rows, blocks=data.blocks)
+    here, there = (with_weak_mode(step, which, held_out=0) for which in (data, other))
+    np.testing.assert_allclose(here.parameters.poles, there.parameters.poles, atol=1e-12)
+
+
+def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
+    _, data, step = case
+    (error,) = errors_of(step, data, held_out=0)
+    assert np.isnan(error[1000:2000]).all()
+    np.testing.assert_allclose(
+        (error[~np.isnan(error).any(axis=1)] ** 2).sum(axis=0),
+        step.block_errors([i for i, block in enumerate(data.blocks) if block.label != 0]).sum(axis=0),
+        rtol=1e-8,
+    )
+
+
+def test_nothing_is_added_where_nothing_can_be_fitted(case):
+    _, data, step = case
+    few = np.zeros(4000, dtype=bool)
+    few[::50] = True  # no two rows in a run
+    assert with_weak_mode(step, OutputError(records=data.records, rows=(few,), blocks=data.blocks)) is None
