@@ -20,9 +20,9 @@ from era.balanced import realise_from
 from era.decomposition import decompose
 from era.realisation import Realisation
 from modal.extraction import extract_modes
+from modal.ground import hankel_limits, markov_lags
 from modal.mode import Mode
 from modal.overlap import overlap_matrix, pair_greatest_first, pulses
-from modal.trials import hankel_limits, markov_lags
 from modal.uncertainty import Uncertainty
 from okid.arrays import ComplexArray, FloatArray
 from okid.block_grams import FEWEST_BLOCKS, block_grams

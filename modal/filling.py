@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
+from modal.ground import scaled_record
 from modal.identification import Choice
 from modal.quick_model import best_model, free_runs, observer_markov
-from modal.trials import scaled_record
 from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -15,10 +15,11 @@ from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
 from modal.fits import fit_of, model_runs
 from modal.free_run import modal_form, one_step_predictor
+from modal.ground import hankel_limits, markov_lags
 from modal.refined_model import RefinedModel, refined_model
 from modal.repetition import ORDER_SHARES
 from modal.search import Search
-from modal.trials import Trial, hankel_limits, markov_lags
+from modal.trials import Trial
 from okid.errors import IdentificationWarning, NumericalError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit, fit_observer

@@ -36,7 +36,6 @@ __all__ = [
     "scaled_record",
     "training_decomposition",
     "training_gram",
-    "training_grams",
 ]
 
 LARGEST_PULSE = 1e4
@@ -120,11 +119,6 @@ def training_gram(ground: Ground, observer_order: int, fold: int) -> LagGram:
         rows = [~held_out for held_out in ground.folds[fold]]
         ground.grams[observer_order, fold] = lag_gram(ground.records, observer_order, scaling=ground.scaling, rows=rows)
     return ground.grams[observer_order, fold]
-
-
-def training_grams(ground: Ground, observer_order: int) -> tuple[LagGram, ...]:
-    """`training_gram` of every fold."""
-    return tuple(training_gram(ground, observer_order, fold) for fold in range(len(ground.folds)))
 
 
 def training_decomposition(

@@ -12,7 +12,7 @@ from era.balanced import decompose, realise_from
 from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate_array
-from modal.trials import LARGEST_PULSE, hankel_limits, markov_lags
+from modal.ground import LARGEST_PULSE, hankel_limits, markov_lags
 from okid.arrays import FloatArray
 from okid.gram import lag_gram
 from okid.markov import MarkovParameters

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal.ground import Ground, hankel_shape, prepare_ground
 from modal.search_grid import SearchLimits, search_limits, untried_neighbours
-from modal.trials import Ground, Trial, hankel_shape, make_trials, prepare_ground
+from modal.trials import Trial, make_trials
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record

@@ -11,36 +11,10 @@ import numpy as np
 
 from era.balanced import HankelDecomposition
 from modal.free_run import free_run, modal_form, one_step_predictor
-from modal.ground import (
-    LARGEST_PULSE,
-    Ground,
-    corner,
-    decompose_coefficients,
-    hankel_limits,
-    hankel_shape,
-    markov_lags,
-    prepare_ground,
-    scaled_record,
-    training_decomposition,
-    training_grams,
-)
+from modal.ground import Ground, corner, training_decomposition
 from okid.arrays import FloatArray
 
-__all__ = [
-    "LARGEST_PULSE",
-    "Ground",
-    "Trial",
-    "corner",
-    "decompose_coefficients",
-    "hankel_limits",
-    "hankel_shape",
-    "make_trials",
-    "markov_lags",
-    "prepare_ground",
-    "scaled_record",
-    "training_grams",
-    "trial_of",
-]
+__all__ = ["Trial", "make_trials", "trial_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -7,8 +7,8 @@ from systems import initial_state, modal_system, simulate
 
 from era.balanced import decompose, realise
 from modal.extraction import extract_modes
+from modal.ground import markov_lags
 from modal.repetition import _carried, _every_second_block, _other_orders, repeat
-from modal.trials import markov_lags
 from okid.gram import lag_gram
 from okid.observer import fit_observer
 from okid.record import Record

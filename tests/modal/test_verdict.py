@@ -354,6 +354,29 @@ def test_a_model_larger_than_the_excitation_is_at_most_doubtful(persistency, nee
     assert ("excite order 1 only, too few for a model of 2 states" in mode.reason) == (verdict == "doubtful")
 
 
+@pytest.mark.parametrize(
+    ("bands", "verdict"),
+    [
+        ((((0.0, 4.0),), ((4.5, 50.0),)), "system"),  # the second input moves at 5 Hz
+        ((((0.0, 4.0),), ((6.0, 50.0),)), "doubtful"),
+        (((), ()), "system"),  # nothing is known of where the inputs move
+    ],
+)
+def test_a_mode_where_no_input_moves_is_not_certain(bands, verdict):
+    excitation = Excitation(
+        needed_order=10,
+        persistency_order=10,
+        condition=1.0,
+        excited_share=np.ones(2),
+        excited_bands=bands,
+        messages=(),
+    )
+    mode = judged(vibration(5.0), found_with(), excitation=excitation)
+    assert mode.verdict == verdict
+    assert ("no input moves at 5 Hz" in mode.reason) == (verdict == "doubtful")
+    assert (mode.probability <= 0.55) == (verdict == "doubtful")
+
+
 @pytest.mark.parametrize(("other", "resolved"), [(0.0295, True), (0.0305, False)])
 def test_halves_that_differ_by_half_of_the_damping_do_not_resolve_it(other, resolved):
     halves = [("data", model_of(vibration())), ("data", model_of(vibration(damping=other)))]
