@@ -1,30 +1,29 @@
 """The command `modal-report`: from measured files to modes, a report and a recording.
 
-Exit status: 0 done; 1 done, but the data do not carry the result (cross-validated fit below 0.5, or no mode of the
-system); 2 wrong use or unreadable input, one sentence on stderr, nothing written; 3 a fault of ours; 130 stopped.
+Exit status: 0 done; 1 done, but the data do not carry the result (cross-validated fit below 0.5, no mode of the system,
+or a gap that no effect is proved to explain); 2 wrong use or unreadable input, one sentence on stderr, nothing written;
+3 a fault of ours; 130 stopped.
 """
 
 import contextlib
-import re
 import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modal.command_options import name_list, number_or_auto, plain_name, spread_files, whole_or_auto
 from modal.job import FileSource, Job, carry_out, read_demo
 from modal.report.provenance import Provenance
-from okid.errors import IdentificationError, InvalidDataError
+from okid.errors import IdentificationError, InsufficientDataError
 from okid.record import InputHold
 
 if TYPE_CHECKING:
     from modal.identification import Identification
 
 __all__ = ["main"]
-
-Auto = Literal["auto"]
 
 app = typer.Typer(
     add_completion=True,
@@ -43,6 +42,8 @@ def main() -> None:
 
 def _status(arguments: list[str]) -> int:
     """Exit status for the arguments; whatever goes wrong is one sentence on stderr."""
+    if arguments[:1] == ["gap"]:
+        arguments = ["gap", *spread_files(arguments[1:], ("--fit", "--held-out"))]
     try:
         status = app(arguments, prog_name="modal-report", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
@@ -133,14 +134,14 @@ def run(
         from modal.terminal import show_files
 
         job = Job(
-            folder=folder or Path(f"modal-report-{_safe(files[0].stem)}"),
+            folder=folder or Path(f"modal-report-{plain_name(files[0].stem)}"),
             existing="replace" if overwrite else "refuse",
-            observer_order=_whole(observer_order, "observer order"),
-            ridge=_ridge(ridge),
-            order=_whole(order, "model order"),
+            observer_order=whole_or_auto(observer_order, "observer order"),
+            ridge=number_or_auto(ridge, "ridge"),
+            order=whole_or_auto(order, "model order"),
         )
         source = FileSource(
-            files=files, inputs=_names(inputs, "inputs"), outputs=_names(outputs, "outputs"), dt=dt, hold=hold
+            files=files, inputs=name_list(inputs, "inputs"), outputs=name_list(outputs, "outputs"), dt=dt, hold=hold
         )
         result, written, console = carry_out(job, source.read, provenance=source.provenance(job))
         show_files(console, written)
@@ -172,6 +173,70 @@ def demo(
         raise typer.Exit(_exit_status(result))
 
 
+@app.command(
+    epilog="Examples:  [bold]modal-report gap frame.toml --fit low.csv high.csv --held-out middle.csv -o gap[/bold]   "
+    "·   [bold]modal-report gap motor.json --fit a.npz --held-out b.npz --inputs voltage --outputs speed[/bold]"
+)
+def gap(
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL", help="The simulation: TOML, JSON or NPZ; or a .py file with `model`.")
+    ],
+    *,
+    fit: Annotated[list[Path], typer.Option(metavar="FILE...", help="Records to fit, of several levels if possible.")],
+    held_out: Annotated[
+        list[Path], typer.Option(metavar="FILE...", help="Records for the proof: another excitation, another level.")
+    ],
+    inputs: Annotated[
+        list[str] | None, typer.Option(metavar="NAMES", help="Input columns in the model's order; its own names else.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option(metavar="NAMES", help="Output columns in the model's order; its own names else.")
+    ] = None,
+    dt: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time step in seconds, where the files have no time.")
+    ] = None,
+    hold: Annotated[
+        InputHold,
+        typer.Option(
+            help="Input between samples: measured behind an anti-alias filter (band_limited), or held by a converter; "
+            "a wrong one looks like a delay."
+        ),
+    ] = "band_limited",
+    catalogue: Annotated[
+        list[str] | None, typer.Option(metavar="KEYS", help="Effects to try, with commas between; all unless given.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Folder; modal-report-gap-NAME unless given.")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", metavar="", help="Replace a report that is there already.")
+    ] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", metavar="", help="Show where a fault of this program arose.")
+    ] = False,
+) -> None:
+    """Find where MODEL and measurement disagree, name the missing effect, add it and show the gap shrink."""
+    with _faults(show=traceback, poor_data=1):
+        from modal.gap_job import GapJob, carry_out_gap
+        from modal.terminal_discrepancy import show_diagnosis_files
+
+        job = GapJob(
+            model=model,
+            fit=tuple(fit),
+            held_out=tuple(held_out),
+            inputs=name_list(inputs, "inputs"),
+            outputs=name_list(outputs, "outputs"),
+            dt=dt,
+            hold=hold,
+            catalogue=name_list(catalogue, "effects"),
+            folder=folder or Path(f"modal-report-gap-{plain_name(model.stem)}"),
+            existing="replace" if overwrite else "refuse",
+        )
+        found, written, console = carry_out_gap(job)
+        show_diagnosis_files(console, written)
+        raise typer.Exit(1 if found.status == "unresolved" else 0)
+
+
 def _exit_status(result: "Identification") -> int:
     from modal.report.words import judge
 
@@ -179,10 +244,13 @@ def _exit_status(result: "Identification") -> int:
 
 
 @contextlib.contextmanager
-def _faults(*, show: bool) -> Iterator[None]:
-    """Turn an error into one sentence and an exit status."""
+def _faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
+    """Turn an error into one sentence and an exit status; `poor_data` where the data are not enough."""
     try:
         yield
+    except InsufficientDataError as error:
+        _complain(str(error))
+        raise typer.Exit(poor_data) from error
     except IdentificationError as error:
         _complain(str(error))
         raise typer.Exit(2) from error
@@ -200,39 +268,3 @@ def _complain(sentence: str) -> None:
     from modal.names import visible
 
     typer.echo(f"modal-report: {visible(sentence)}", err=True)
-
-
-def _names(given: list[str] | None, what: str) -> list[str] | None:
-    if given is None:
-        return None
-    names = [name.strip() for text in given for name in text.split(",") if name.strip()]
-    if not names:
-        raise InvalidDataError(
-            f"the {what} are given as {', '.join(given)!r}, which names no channel; name at least one, or leave the "
-            "option out."
-        )
-    return names
-
-
-def _whole(text: str, what: str) -> int | Auto:
-    if text == "auto":
-        return "auto"
-    if not re.fullmatch(r"[0-9]{1,6}", text) or int(text) < 1:
-        raise InvalidDataError(f"the {what} must be a whole number of at least 1 or auto, but is {text!r}.")
-    return int(text)
-
-
-def _ridge(text: str) -> float | Auto:
-    if text == "auto":
-        return "auto"
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < float("inf"):
-        raise InvalidDataError(f"the ridge must be a number of at least 0 or auto, but is {text!r}.")
-    return value
-
-
-def _safe(stem: str) -> str:
-    return re.sub(r"[^\w.-]+", "_", stem)[:80].strip("._") or "result"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modal.identification import Identification
     from modal.report import ReportFiles
 
-__all__ = ["FileSource", "Job", "carry_out", "read_demo"]
+__all__ = ["FileSource", "Job", "Reading", "carry_out", "own_warnings", "progress_bar", "read_demo"]
 
 Auto = Literal["auto"]
 Progress = Callable[[str, float], None]
@@ -94,7 +94,7 @@ def carry_out(
     from modal.terminal import show_result
 
     refuse_existing(job.folder, job.existing)
-    with _progress() as tell, _heard() as heard:
+    with progress_bar() as tell, own_warnings() as heard:
         tell("reading", 0.0)
         records, remarks = read()
         result = identify(
@@ -114,7 +114,7 @@ def carry_out(
 
 
 @contextlib.contextmanager
-def _progress() -> Iterator[Progress]:
+def progress_bar() -> Iterator[Progress]:
     """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -126,7 +126,7 @@ def _progress() -> Iterator[Progress]:
 
 
 @contextlib.contextmanager
-def _heard() -> Iterator[list[str]]:
+def own_warnings() -> Iterator[list[str]]:
     """Our own warnings as sentences for the report; those of libraries are not for the user."""
     texts: list[str] = []
     with warnings.catch_warnings():

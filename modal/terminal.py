@@ -19,7 +19,7 @@ from modal.numbering import numbered
 from modal.report.words import damping_text, data_sentences, frequency_text, headline, hertz, judge
 from modal.report.writing import ReportFiles
 
-__all__ = ["plain", "show_comparison", "show_files", "show_result"]
+__all__ = ["listing", "plain", "show_comparison", "show_files", "show_result"]
 
 MOST_NOISE = 5
 """Noise poles shown in the terminal; the report has all."""
@@ -45,8 +45,8 @@ def show_result(console: Console, result: Identification, *, remarks: Sequence[s
         console.print(plain(f"and {hidden} more noise {poles}, all in the report", "bright_black"))
     console.print()
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
-    _list(console, "Warnings", result.warnings, "yellow")
-    _list(console, "Data", (*data_sentences(result), *remarks), "")
+    listing(console, "Warnings", result.warnings, "yellow")
+    listing(console, "Data", (*data_sentences(result), *remarks), "")
 
 
 def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> None:
@@ -105,7 +105,8 @@ def _mode_table(modes: Sequence[Mode]) -> Table:
     return table
 
 
-def _list(console: Console, heading: str, sentences: Sequence[str], style: str) -> None:
+def listing(console: Console, heading: str, sentences: Sequence[str], style: str) -> None:
+    """A heading and its sentences, nothing where there is none."""
     if not sentences:
         return
     console.print()

@@ -1,4 +1,4 @@
-"""Shared by all tests: one BLAS thread, the reference systems on the path, the folder with measured records."""
+"""Shared by all tests: one BLAS thread, reference systems and hidden effects on the path, the measured records."""
 
 import os
 
@@ -15,6 +15,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY / "tests" / "reference"))  # `from systems import random_system`
+sys.path.insert(0, str(REPOSITORY / "tests" / "hidden_effects"))  # `from hidden_cases import cases`
 
 
 @pytest.fixture(scope="session")

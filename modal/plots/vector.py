@@ -8,6 +8,7 @@ from dataclasses import asdict
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from modal.names import visible
 from modal.plots.style import LIGHT
 
 __all__ = ["svg_text"]
@@ -42,7 +43,7 @@ def svg_text(figure: Figure, *, name: str, description: str) -> str:
     text = re.sub(r"(?<= d=\")[^\"]*", lambda path: _LONG_NUMBER.sub(r"\1", path.group()), text)
     text = _FONT.sub(_size_only, text)
     text = _COLOUR.sub(_variable, text)
-    return re.sub(r"<svg ", f'<svg role="img" aria-label="{_attribute(description)}" ', text, count=1)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{_attribute(visible(description))}" ', 1)
 
 
 def _variable(match: re.Match[str]) -> str:

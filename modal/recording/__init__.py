@@ -3,6 +3,6 @@
 Rerun lives behind this package alone, and is imported only when a recording is made.
 """
 
-from modal.recording.stream import log_identification, save_recording
+from modal.recording.stream import log_diagnosis, log_identification, save_recording
 
-__all__ = ["log_identification", "save_recording"]
+__all__ = ["log_diagnosis", "log_identification", "save_recording"]

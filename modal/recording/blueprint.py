@@ -1,4 +1,6 @@
-"""How a recording opens: pages, views and panels. All blueprint code is here: Rerun calls its blueprint types unstable.
+"""How a recording opens: pages, views and panels.
+
+All blueprint code is here and in `modal.recording.discrepancy_blueprint`: Rerun calls its blueprint types unstable.
 
 A page is a container with a name. A further page (the record, validation, a discrepancy) is one function more in
 `_pages`.
@@ -17,7 +19,7 @@ from modal.recording.modes_page import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TA
 from modal.recording.names import label, with_unit
 from modal.recording.order_page import ORDER_FIT, SINGULAR_VALUES, STABILISATION
 from modal.recording.palette import BACKGROUND
-from modal.recording.plan import SHOWN_INPUTS, Plan
+from modal.recording.plan import SHOWN_INPUTS, Plan, Span
 from modal.recording.series import TIMELINE
 from modal.recording.shapes import HALF_LENGTH, PERIODS, SPACING, deflection, shape_path
 from modal.report.words import damping_text, fit_text, hertz
@@ -25,7 +27,7 @@ from modal.report.words import damping_text, fit_text, hertz
 if TYPE_CHECKING:
     import rerun.blueprint
 
-__all__ = ["blueprint"]
+__all__ = ["blueprint", "document_view", "plot_view", "series_view", "show_whole_record"]
 
 LINES: Final = ("$origin/measured", "$origin/predicted", "$origin/simulated")
 
@@ -73,13 +75,13 @@ def _fit_page(identification: Identification, plan: Plan) -> Any:
     if len(plan.shown_outputs) > 1:
         left += [_one_output(identification, plan, i) for i in plan.shown_outputs]
     series = rrb.Tabs(*left, active_tab=0, name="Outputs") if len(left) > 1 else left[0]
-    words = [_document(FIT_TEXT, "Fit")]
+    words = [document_view(FIT_TEXT, "Fit")]
     if identification.markov.n_inputs or identification.markov.gain is not None:
-        words.append(_plot(MARKOV, "Markov parameters"))
-    words.append(_plot(WHITENESS, "Whiteness"))
+        words.append(plot_view(MARKOV, "Markov parameters"))
+    words.append(plot_view(WHITENESS, "Whiteness"))
     right = rrb.Vertical(*words, row_shares=[1.6, 1.05, 0.85][: len(words)], name="Fit in words")
     page = rrb.Horizontal(series, right, column_shares=[2.15, 1.0], name="Observer fit")
-    _show_whole_record(page, plan)
+    show_whole_record(page, plan)
     return page
 
 
@@ -111,7 +113,7 @@ def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
         *_inputs(plan),
         _whole(identification, plan, output),
         _window(identification, plan, output),
-        _series(f"{plan.output_paths[output]}/residual", "Residual", ["$origin/**"]),
+        series_view(f"{plan.output_paths[output]}/residual", "Residual", ["$origin/**"]),
     ]
     shares = [0.7, 1.2, 1.5, 0.8][-len(rows) :]
     return rrb.Vertical(*rows, row_shares=shares, name=label(_name(identification, output), 18))
@@ -124,7 +126,7 @@ def _inputs(plan: Plan) -> list[Any]:
     name = "Input" if n_inputs == 1 else "Inputs"
     if n_inputs > SHOWN_INPUTS:
         name = f"Inputs, the first {SHOWN_INPUTS} of {n_inputs}"
-    return [_series("fit/input", name, list(plan.input_paths[:SHOWN_INPUTS]))]
+    return [series_view("fit/input", name, list(plan.input_paths[:SHOWN_INPUTS]))]
 
 
 def _name(identification: Identification, output: int) -> str:
@@ -136,7 +138,7 @@ def _whole(identification: Identification, plan: Plan, output: int, *, legend: b
     first = identification.records[0]
     name = with_unit(first.output_names[output], first.output_units[output])
     title = f"{name}: fit {fit_text(fit)}" if np.isfinite(fit) else name
-    return _series(plan.output_paths[output], title, LINES, legend=legend)
+    return series_view(plan.output_paths[output], title, LINES, legend=legend)
 
 
 def _window(identification: Identification, plan: Plan, output: int) -> Any:
@@ -144,14 +146,15 @@ def _window(identification: Identification, plan: Plan, output: int) -> Any:
 
     at = rrb.TimeRangeBoundary
     ends = (at.cursor_relative(seconds=-0.15 * plan.window), at.cursor_relative(seconds=0.85 * plan.window))
-    view = _series(
+    view = series_view(
         plan.output_paths[output], f"{label(_name(identification, output))}: at the cursor", LINES, legend=False
     )
     view.properties["TimeAxis"] = rrb.TimeAxis(link="Independent", view_range=rrb.TimeRange(start=ends[0], end=ends[1]))
     return view
 
 
-def _series(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
+def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
+    """The view of series over time, linked with all others."""
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(
@@ -163,7 +166,7 @@ def _series(origin: str, name: str, contents: Sequence[str], *, legend: bool = T
     )
 
 
-def _show_whole_record(page: Any, plan: Plan) -> None:
+def show_whole_record(page: Any, plan: Span) -> None:
     """Let all linked views open on the whole timeline: their common range is kept with one view of a fixed identity."""
     import rerun.blueprint as rrb
 
@@ -180,18 +183,18 @@ def _show_whole_record(page: Any, plan: Plan) -> None:
 def _order_page(identification: Identification) -> Any:
     import rerun.blueprint as rrb
 
-    left = [_plot(SINGULAR_VALUES, "Hankel singular values")]
+    left = [plot_view(SINGULAR_VALUES, "Hankel singular values")]
     if identification.order_evidence.candidate_orders.size:
-        left.append(_plot(ORDER_FIT, "Fit against order"))
+        left.append(plot_view(ORDER_FIT, "Fit against order"))
     shares = [1.15, 1.0][: len(left)]
     column = rrb.Vertical(*left, row_shares=shares, name="How many states")
-    return rrb.Horizontal(column, _plot(STABILISATION, "Stabilisation"), column_shares=[1.0, 1.75], name="Order")
+    return rrb.Horizontal(column, plot_view(STABILISATION, "Stabilisation"), column_shares=[1.0, 1.75], name="Order")
 
 
 def _modes_page(identification: Identification, plan: Plan) -> Any:
     import rerun.blueprint as rrb
 
-    words = [_document(MODES_TEXT, "Mode table"), _document(CHOICES_TEXT, "Choices and warnings")]
+    words = [document_view(MODES_TEXT, "Mode table"), document_view(CHOICES_TEXT, "Choices and warnings")]
     if plan.modes:
         columns = ["mode", *(f"/{MODES_TABLE}:{name}" for name in FIELDS)]
         query = rrb.archetypes.DataframeQuery(timeline="mode", select=columns)
@@ -256,7 +259,8 @@ def _assurance(n_modes: int) -> Any:
     )
 
 
-def _plot(pane: Pane, name: str) -> Any:
+def plot_view(pane: Pane, name: str) -> Any:
+    """The view of a drawn plot, in the shape of its pane."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial2DView(
@@ -267,7 +271,8 @@ def _plot(pane: Pane, name: str) -> Any:
     )
 
 
-def _document(path: str, name: str) -> Any:
+def document_view(path: str, name: str) -> Any:
+    """The view of words."""
     import rerun.blueprint as rrb
 
     return rrb.TextDocumentView(origin=path, name=name)

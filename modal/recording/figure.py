@@ -152,6 +152,23 @@ class Figure:
             strict=True,
         )
 
+    def bars(
+        self, name: str, ends: Sequence[Sequence[Sequence[float]]], colour: Colour, *, width: float, order: float = 5.0
+    ) -> None:
+        """Straight strokes between pairs of values [[x, y], [x, y]], cut at the frame; those with nan are left out."""
+        strips = []
+        for pair in ends:
+            points = self.place([x for x, _ in pair], [y for _, y in pair])
+            if np.isfinite(points).all():
+                low, high = [LEFT, TOP], [LEFT + self.width, TOP + self.height]
+                strips.append(np.clip(points, low, high))
+        self._strips(name, strips, colour, width, order=order)
+
+    def text_from(self, name: str, x: float, y: float, text: str, colour: Colour = GREY) -> None:
+        """One text that begins at a value."""
+        ((left, middle),) = self.place([x], [y]).tolist()
+        self._texts(f"5_text/{name}", [[left + LETTER * len(text) / 2 + 6.0, middle]], [text], colour)
+
     def legend(self, entries: Sequence[tuple[str, Colour]]) -> None:
         """Texts in the colours of what they name, in one row above the frame, to the right."""
         right = self.pane.width - RIGHT

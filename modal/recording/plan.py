@@ -7,8 +7,9 @@ ended (parts of one long measurement do); otherwise it is moved to follow the on
 stays empty in every plot. The entity `fit/records` says where each one stands.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from modal.recording.levels import bucket_length, series_budget
 from modal.recording.names import path_parts
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
+from okid.record import Record
 
-__all__ = ["SERIES_PER_OUTPUT", "Plan", "planned"]
+__all__ = ["SERIES_PER_OUTPUT", "Plan", "Span", "Tracks", "laid_out", "planned"]
 
 SHOWN_INPUTS: Final = 6
 SHOWN_OUTPUTS: Final = 12
@@ -31,6 +33,30 @@ LATEST: Final = 9.2e9
 """Rerun counts time in nanoseconds, with 63 bits [s]."""
 
 SERIES_PER_OUTPUT: Final = 5  # measured, predicted, simulated, residuals of both
+
+
+class Tracks(Protocol):
+    """Where each record stands on the timeline, and how finely it is stored; see `Plan`."""
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """When each record begins on the timeline [s]."""
+
+    @property
+    def buckets(self) -> tuple[int, ...]:
+        """Samples a stored bucket of each record."""
+
+
+class Span(Protocol):
+    """Where the timeline begins and ends; see `Plan`."""
+
+    @property
+    def start(self) -> float:
+        """Where it begins [s]."""
+
+    @property
+    def stop(self) -> float:
+        """Where it ends [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,13 +115,7 @@ def planned(identification: Identification) -> Plan:
     """
     records = identification.records
     first = records[0]
-    starts, stops = _laid_out(np.array([[r.start_time, r.start_time + (r.n_samples - 1) * r.dt] for r in records]))
-    furthest = max(abs(starts[0]), abs(stops[-1]))
-    if not furthest <= LATEST:
-        raise InvalidDataError(
-            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count "
-            "time in a larger unit, so that dt is smaller."
-        )
+    starts, stops = laid_out(records)
     n_samples = sum(record.n_samples for record in records)
     budget = series_budget(first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
     bucket = bucket_length(n_samples, budget)
@@ -114,7 +134,23 @@ def planned(identification: Identification) -> Plan:
     )
 
 
-def _laid_out(spans: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def laid_out(records: Sequence[Record]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """When each record begins and ends on the common timeline [s].
+
+    Raises:
+        InvalidDataError: the records reach further than the time axis of a recording does.
+    """
+    starts, stops = _in_turn(np.array([[r.start_time, r.start_time + (r.n_samples - 1) * r.dt] for r in records]))
+    furthest = max(abs(starts[0]), abs(stops[-1]))
+    if not furthest <= LATEST:
+        raise InvalidDataError(
+            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count "
+            "time in a larger unit, so that dt is smaller."
+        )
+    return starts, stops
+
+
+def _in_turn(spans: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
     lengths = spans[:, 1] - spans[:, 0]
     pause = 0.02 * float(lengths.sum())
     starts = [float(spans[0, 0])]

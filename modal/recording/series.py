@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.recording.levels import positions, reduced
 from modal.recording.palette import Colour
-from modal.recording.plan import Plan
+from modal.recording.plan import Tracks
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -21,7 +21,7 @@ TIMELINE: Final = "time"
 Interpolation = Literal["Linear", "StepAfter"]
 
 
-def time_axis(records: Sequence[Record], plan: Plan) -> FloatArray:
+def time_axis(records: Sequence[Record], plan: Tracks) -> FloatArray:
     """(n_stored,) times of the stored samples of all records on the timeline [s], one between records for the gap."""
     parts = []
     for record, start, bucket in zip(records, plan.starts, plan.buckets, strict=True):
@@ -36,7 +36,7 @@ def log_series(
     times: FloatArray,
     channels: Sequence[FloatArray],
     *,
-    plan: Plan,
+    plan: Tracks,
     name: str,
     colour: Colour,
     width: float = 1.2,

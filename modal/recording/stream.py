@@ -1,22 +1,24 @@
-"""One identification into one stream, and one stream into one file."""
+"""One result into one stream, and one stream into one file."""
 
 import hashlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from modal.discrepancy.diagnosis import Diagnosis
 from modal.identification import Identification
 from modal.recording.names import label
 from okid.arguments import require
 from okid.errors import InvalidDataError
+from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["log_identification", "save_recording"]
+__all__ = ["log_diagnosis", "log_identification", "save_recording"]
 
 APPLICATION: Final = "modal-report"
 
@@ -60,8 +62,44 @@ def log_identification(
             recording.send_blueprint(blueprint(identification, plan))
 
 
+def log_diagnosis(
+    diagnosis: Diagnosis, recording: "rerun.RecordingStream", *, layout: Literal["send", "leave"] = "send"
+) -> None:
+    """Log a whole diagnosis into a Rerun stream: "Discrepancy", "Step by step", "Laws", "Outputs" and "Numbers".
+
+    Everything drawn is also stored as numbers: series of the held-out records on the timeline "time", the gap shrinking
+    on the timeline "step" (and on "time", spread over the records), tables on "parameter", "finding", "hypothesis",
+    "gap", "part", "linear_parameter" and "limit".
+
+    Args:
+        diagnosis: from `modal.discrepancy.diagnose`.
+        recording: any stream of the caller: to a file, to a viewer, in memory.
+        layout: "send" the blueprint as well, or "leave" the layout of the stream as it is.
+
+    Raises:
+        InvalidDataError: `layout` is neither of the two.
+    """
+    from modal.recording.discrepancy_blueprint import diagnosis_blueprint
+    from modal.recording.discrepancy_page import log_discrepancy_page
+    from modal.recording.discrepancy_plan import planned_diagnosis
+    from modal.recording.discrepancy_steps import log_steps_page
+
+    require(diagnosis, Diagnosis, where="log_diagnosis", made_by="modal.discrepancy.diagnose")
+    if layout not in {"send", "leave"}:
+        raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
+    with _strict():
+        plan = planned_diagnosis(diagnosis)
+        log_discrepancy_page(diagnosis, recording, plan)
+        log_steps_page(diagnosis, recording, plan)
+        if layout == "send":
+            recording.send_blueprint(diagnosis_blueprint(diagnosis, plan))
+
+
 def save_recording(
-    result: Identification, path: str | os.PathLike[str], *, existing: Literal["refuse", "replace"] = "refuse"
+    result: Identification | Diagnosis,
+    path: str | os.PathLike[str],
+    *,
+    existing: Literal["refuse", "replace"] = "refuse",
 ) -> Path:
     """Write a Rerun recording of a result, to be opened with `rerun FILE`.
 
@@ -69,7 +107,7 @@ def save_recording(
     follows from its content and no clock is stored.
 
     Args:
-        result: from `modal.identify`.
+        result: from `modal.identify`, or from `modal.discrepancy.diagnose`.
         path: of the file; the usual ending is `.rrd`.
         existing: "refuse" to touch a file that is there, or "replace" it.
 
@@ -81,7 +119,8 @@ def save_recording(
     """
     import rerun as rr
 
-    require(result, Identification, where="save_recording", made_by="modal.identify")
+    if not isinstance(result, Diagnosis):
+        require(result, Identification, where="save_recording", made_by="modal.identify")
     target = Path(path)
     if existing not in {"refuse", "replace"}:
         raise InvalidDataError(f"existing must be 'refuse' or 'replace', but is {existing!r}.")
@@ -90,11 +129,15 @@ def save_recording(
     _check_free(target, existing)
     part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        recording = rr.RecordingStream(APPLICATION, recording_id=content_id(result))
+        identity, name = _identity(result)
+        recording = rr.RecordingStream(APPLICATION, recording_id=identity)
         recording.set_log_time_enabled(False)
         recording.save(part)
-        recording.send_recording_name(label(result.records[0].name or target.stem, 60))
-        log_identification(result, recording)
+        recording.send_recording_name(label(name or target.stem, 60))
+        if isinstance(result, Diagnosis):
+            log_diagnosis(result, recording)
+        else:
+            log_identification(result, recording)
         recording.flush(timeout_sec=600)
         recording.disconnect()
         _check_free(target, existing)
@@ -104,20 +147,42 @@ def save_recording(
     return target
 
 
+def _identity(result: Identification | Diagnosis) -> tuple[str, str]:
+    """The identity of the recording, and the name of its first record."""
+    if isinstance(result, Diagnosis):
+        return diagnosis_id(result), result.held_out[0].name
+    return content_id(result), result.records[0].name
+
+
 def content_id(identification: Identification) -> str:
     """A name for the recording that follows from what is in it: the model, the channels and a sample of the data."""
     digest = hashlib.blake2b(digest_size=12)
     model = identification.realisation
     for matrix in (model.A, model.B, model.C, model.D, identification.fit.cross_validated):
         digest.update(matrix.tobytes())
-    for record in identification.records:
+    _digest_records(digest, identification.records)
+    return digest.hexdigest()
+
+
+def diagnosis_id(diagnosis: Diagnosis) -> str:
+    """The same of a diagnosis: the levels of all steps, what was found, and a sample of all records."""
+    digest = hashlib.blake2b(digest_size=12)
+    levels = [(step.name, step.fit_level, step.held_out_level) for step in diagnosis.steps]
+    values = [(one.effect, one.where, [p.value for p in one.parameters]) for one in diagnosis.findings]
+    digest.update(repr((diagnosis.status, levels, values)).encode("utf-8", "backslashreplace"))
+    _digest_records(digest, (*diagnosis.fit, *diagnosis.held_out))
+    return digest.hexdigest()
+
+
+def _digest_records(digest: "hashlib.blake2b", records: Sequence[Record]) -> None:
+    """Names, times and a sample of the values of every record."""
+    for record in records:
         names = (record.name, *record.input_names, *record.output_names, *record.input_units, *record.output_units)
         digest.update(repr((names, record.dt, record.start_time, record.n_samples)).encode("utf-8", "backslashreplace"))
         # every sample went into the model; a thousand rows tell records of the same model apart
         step = max(1, record.n_samples // 1000)
         digest.update(record.inputs[::step].tobytes())
         digest.update(record.outputs[::step].tobytes())
-    return digest.hexdigest()
 
 
 def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:

@@ -11,7 +11,7 @@ from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
 from modal.report.words import damping_text, data_sentences, headline
 
-__all__ = ["choices_text", "fit_text", "modes_text"]
+__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_text", "modes_text", "table"]
 
 LISTED_OUTPUTS: Final = 40
 UNKNOWN: Final = "–"
@@ -40,11 +40,11 @@ def fit_text(identification: Identification, plan: Plan) -> str:
         ]
         for i in listed
     ]
-    parts.append(_table(["output", "unit", "cross-validated", "all rows", "one step"], rows))
+    parts.append(table(["output", "unit", "cross-validated", "all rows", "one step"], rows))
     if first.n_outputs > SHOWN_OUTPUTS:
         parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
     parts.append(_observer_line(identification))
-    parts += _bullets(data_sentences(identification), identification.residuals.messages)
+    parts += bullets(data_sentences(identification), identification.residuals.messages)
     if len(identification.records) > 1:
         parts.append(_records_table(identification, plan))
     if max(plan.buckets) > 1:
@@ -59,8 +59,8 @@ def modes_text(identification: Identification, plan: Plan) -> str:
     """The table of all modes, noise included, with every indicator, the verdict and its reason."""
     head = ["", "f [Hz]", "±", "ζ [%]", "± ", "verdict", "γ", "EMAC", "MPC", "CMI", "MSV", "MPD [°]", "repeats", "P"]
     rows = [_mode_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
-    parts = [_table(*_with_content([*head, "kind", "why"], rows)) if rows else "The model has no mode."]
-    parts += _bullets(
+    parts = [table(*_with_content([*head, "kind", "why"], rows)) if rows else "The model has no mode."]
+    parts += bullets(
         [
             f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {mode.reason}"
             for number, mode in enumerate(plan.modes, start=1)
@@ -87,8 +87,8 @@ def modes_text(identification: Identification, plan: Plan) -> str:
 def choices_text(identification: Identification) -> str:
     """Every automatic choice with its reason, and the warnings."""
     rows = [[cell(c.what), f"**{cell(c.value, 80)}**", cell(c.reason)] for c in identification.choices]
-    parts = ["### Choices", _table(["what", "chosen", "why"], rows) if rows else "No choice was left open."]
-    parts += ["### Warnings", *_bullets(identification.warnings or ("None.",))]
+    parts = ["### Choices", table(["what", "chosen", "why"], rows) if rows else "No choice was left open."]
+    parts += ["### Warnings", *bullets(identification.warnings or ("None.",))]
     return "\n\n".join(parts)
 
 
@@ -112,7 +112,7 @@ def _records_table(identification: Identification, plan: Plan) -> str:
         [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else UNKNOWN]
         for record, start, stop, shift in zip(identification.records, plan.starts, plan.stops, plan.shifts, strict=True)
     ]
-    return _table(["record", "shown from", "to", "moved by"], rows)
+    return table(["record", "shown from", "to", "moved by"], rows)
 
 
 def _mode_row(number: int, mode: Mode) -> list[str]:
@@ -147,12 +147,14 @@ def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[l
     return [head[k] for k in said], [[row[k] for k in said] for row in rows]
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of cells that are harmless already."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _bullets(*groups: Sequence[str]) -> list[str]:
+def bullets(*groups: Sequence[str]) -> list[str]:
+    """The sentences as one Markdown list, made harmless; nothing where there is no sentence."""
     lines = [f"- {cell(message)}" for group in groups for message in group]
     return ["\n".join(lines)] if lines else []
 

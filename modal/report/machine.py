@@ -17,7 +17,7 @@ from modal.report.provenance import Provenance, installed_version
 from modal.report.words import judge
 from okid.record import Record
 
-__all__ = ["SCHEMA", "csv_text", "json_text"]
+__all__ = ["SCHEMA", "csv_text", "json_text", "number_cell", "plain", "record_document"]
 
 SCHEMA = "modal-report/1"
 """Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
@@ -41,7 +41,7 @@ def json_text(result: Identification, provenance: Provenance) -> str:
         "trust": judgement.trust,
         "words": judgement.reasons,
         "warnings": result.warnings,
-        "records": [_record(record) for record in result.records],
+        "records": [record_document(record) for record in result.records],
         "choices": result.choices,
         "excitation": result.excitation,
         "fit": {"mean": result.fit.mean, **_members(result.fit)},
@@ -56,7 +56,7 @@ def json_text(result: Identification, provenance: Provenance) -> str:
         "markov": result.markov,
         "realisation": _members(result.realisation, leave_out=("factors",)),
     }
-    return json.dumps(_plain(document), allow_nan=False, indent=1) + "\n"
+    return json.dumps(plain(document), allow_nan=False, indent=1) + "\n"
 
 
 def csv_text(result: Identification) -> str:
@@ -71,11 +71,11 @@ def csv_text(result: Identification) -> str:
     writer.writerow(header)
     for number, mode in numbered(result.modes):
         row: list[object] = [number, mode.verdict, mode.kind]
-        row += [_cell(getattr(mode, name)) for name in _MODE_NUMBERS]
-        row += [_cell(mode.pole.real), _cell(mode.pole.imag), csv_cell(mode.reason)]
+        row += [number_cell(getattr(mode, name)) for name in _MODE_NUMBERS]
+        row += [number_cell(mode.pole.real), number_cell(mode.pole.imag), csv_cell(mode.reason)]
         for component in (*mode.shape, *mode.participation):
-            row += [_cell(component.real), _cell(component.imag)]
-        row += [""] * len(outputs) if mode.shape_std is None else [_cell(value) for value in mode.shape_std]
+            row += [number_cell(component.real), number_cell(component.imag)]
+        row += [""] * len(outputs) if mode.shape_std is None else [number_cell(value) for value in mode.shape_std]
         writer.writerow(row)
     return file.getvalue()
 
@@ -86,14 +86,16 @@ def _mode_table(result: Identification) -> list[dict[str, object]]:
     return [{"number": numbers[id(mode)], **_members(mode)} for mode in result.modes]
 
 
-def _cell(value: object) -> object:
+def number_cell(value: object) -> object:
+    """A number as a cell of a table: every digit of it, empty where it is not finite, yes or no for a truth value."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     number = float(value)  # type: ignore[arg-type]  # every other number of a mode is a float
     return repr(number) if math.isfinite(number) else ""
 
 
-def _record(record: Record) -> dict[str, object]:
+def record_document(record: Record) -> dict[str, object]:
+    """What a record is, without its samples."""
     return {
         "name": record.name,
         "n_samples": record.n_samples,
@@ -111,16 +113,16 @@ def _members(value: object, *, leave_out: tuple[str, ...] = ()) -> dict[str, obj
     return {name: getattr(value, name) for name in names if name not in leave_out and not name.startswith("_")}
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """Any value of a result as what JSON knows."""
     if isinstance(value, np.ndarray):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if is_dataclass(value):
-        return _plain(_members(value))
+        return plain(_members(value))
     return _scalar(value)
 
 

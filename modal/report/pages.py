@@ -13,11 +13,12 @@ from modal.report import words
 from modal.report.columns import INDICATORS, shown
 from modal.report.pictures import Picture, shape_assurance
 from modal.report.provenance import Provenance, installed_version
+from okid.record import InputHold
 
 if TYPE_CHECKING:
     import jinja2
 
-__all__ = ["html_text", "markdown_text"]
+__all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]
 
 VERDICTS = (
     ("system", "Modes of the system", "Found again in other data, with other observers and at other orders."),
@@ -28,12 +29,13 @@ VERDICTS = (
 
 def html_text(result: Identification, provenance: Provenance, pictures: Mapping[str, Picture]) -> str:
     """One page that needs nothing but itself."""
-    inline = {name: _inline(picture) for name, picture in pictures.items()}
-    template = _environment(html=True).get_template("report.html.j2")
-    return template.render(**_context(result, provenance), pictures=inline) + "\n"
+    drawn = {name: inline(picture) for name, picture in pictures.items()}
+    template = environment(html=True).get_template("report.html.j2")
+    return template.render(**_context(result, provenance), pictures=drawn) + "\n"
 
 
-def _inline(picture: Picture) -> dict[str, str]:
+def inline(picture: Picture) -> dict[str, str]:
+    """A picture for a template."""
     from markupsafe import Markup
 
     return {"svg": Markup(picture.svg), "caption": picture.caption}  # noqa: S704 - svg_text escapes its text
@@ -41,13 +43,14 @@ def _inline(picture: Picture) -> dict[str, str]:
 
 def markdown_text(result: Identification, provenance: Provenance) -> str:
     """The same words and tables as Markdown."""
-    return _environment(html=False).get_template("report.md.j2").render(**_context(result, provenance)) + "\n"
+    return environment(html=False).get_template("report.md.j2").render(**_context(result, provenance)) + "\n"
 
 
-def _environment(*, html: bool) -> "jinja2.Environment":
+def environment(*, html: bool) -> "jinja2.Environment":
+    """Where templates are found, and how the text of names is made harmless in HTML or in Markdown."""
     import jinja2
 
-    environment = jinja2.Environment(
+    made = jinja2.Environment(
         loader=jinja2.PackageLoader("modal.report", "templates"),
         autoescape=html,  # noqa: S701 - Markdown has its own escape, _finalize_markdown
         finalize=_finalize_html if html else _finalize_markdown,
@@ -55,14 +58,15 @@ def _environment(*, html: bool) -> "jinja2.Environment":
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["num"] = shown
-    environment.filters["literal"] = _literal
-    environment.filters["frequency"] = words.frequency_text
-    environment.filters["damping"] = words.damping_text
-    environment.filters["hertz"] = words.hertz
-    environment.filters["percent"] = words.percent
-    environment.filters["fit"] = words.fit_text
-    return environment
+    made.filters["num"] = shown
+    made.filters["literal"] = _literal
+    made.filters["lines"] = _lines
+    made.filters["frequency"] = words.frequency_text
+    made.filters["damping"] = words.damping_text
+    made.filters["hertz"] = words.hertz
+    made.filters["percent"] = words.percent
+    made.filters["fit"] = words.fit_text
+    return made
 
 
 def _finalize_html(value: object) -> object:
@@ -87,11 +91,7 @@ def _context(result: Identification, provenance: Provenance) -> dict[str, object
         "n_samples": sum(each.n_samples for each in result.records),
         "n_missing": sum(int(each.n_samples - each.complete_rows().sum()) for each in result.records),
         "duration": sum(each.duration for each in result.records),
-        "hold": {
-            "zero_order": "held between samples",
-            "linear": "straight lines between samples",
-            "band_limited": "band-limited, as behind an anti-alias filter",
-        }[record.input_hold],
+        "hold": hold_text(record.input_hold),
         "groups": [
             (verdict, heading, meaning, [row for row in numbered(modes) if row[1].verdict == verdict])
             for verdict, heading, meaning in VERDICTS
@@ -109,6 +109,15 @@ def _context(result: Identification, provenance: Provenance) -> dict[str, object
         "numpy_version": np.__version__,
         "snippet": _snippet(result, provenance),
     }
+
+
+def hold_text(hold: InputHold) -> str:
+    """What the input did between samples, in words."""
+    return {
+        "zero_order": "held between samples",
+        "linear": "straight lines between samples",
+        "band_limited": "band-limited, as behind an anti-alias filter",
+    }[hold]
 
 
 def _title(result: Identification) -> str:
@@ -144,3 +153,10 @@ def _literal(text: str) -> object:
     from markupsafe import Markup
 
     return Markup("\n    ").join(Markup(visible(line)) for line in text.split("\n"))  # noqa: S704 - Markdown, not HTML
+
+
+def _lines(text: str) -> object:
+    """Lines of a block that keeps them, each made harmless: a page would run them together otherwise."""
+    from markupsafe import Markup, escape
+
+    return Markup("\n").join(escape(visible(line)) for line in text.split("\n"))

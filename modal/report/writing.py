@@ -1,34 +1,27 @@
-"""All files of a report or none: they are made in a folder of their own beside the target and moved when complete."""
+"""The files of a report: where they are, and writing all of them or none."""
 
-import contextlib
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import overload
 
+from modal.discrepancy.diagnosis import Diagnosis
 from modal.identification import Identification
-from modal.names import shorten
+from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
+from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import draw_pictures
 from modal.report.provenance import Provenance
 from okid.arguments import require
-from okid.errors import InvalidDataError
 
-__all__ = ["ReportFiles", "refuse_existing", "write_report"]
-
-LONGEST_PATH = 200
-"""Letters of a path in a sentence."""
-
-Existing = Literal["refuse", "replace"]
+__all__ = ["DiagnosisFiles", "ReportFiles", "refuse_existing", "write_report"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReportFiles:
-    """Where the files of a report are.
+    """Where the files of a report on an identification are.
 
     Attributes:
         html: self-contained page.
@@ -59,19 +52,40 @@ class ReportFiles:
         )
 
 
+@overload
 def write_report(
     result: Identification,
     folder: str | os.PathLike[str],
     *,
     existing: Existing = "refuse",
     provenance: Provenance | None = None,
-) -> ReportFiles:
+) -> ReportFiles: ...
+
+
+@overload
+def write_report(
+    result: Diagnosis,
+    folder: str | os.PathLike[str],
+    *,
+    existing: Existing = "refuse",
+    provenance: Provenance | None = None,
+) -> DiagnosisFiles: ...
+
+
+def write_report(
+    result: Identification | Diagnosis,
+    folder: str | os.PathLike[str],
+    *,
+    existing: Existing = "refuse",
+    provenance: Provenance | None = None,
+) -> ReportFiles | DiagnosisFiles:
     """Write HTML, Markdown, JSON, CSV and the Rerun recording of a result into a folder, all of them or none.
 
-    Nothing in the files depends on when or where they were written: the same result gives the same bytes.
+    Of a diagnosis the updated model is written too, so that one can go on with it. Nothing in the files depends on when
+    or where they were written: the same result gives the same bytes.
 
     Args:
-        result: of `modal.identify`.
+        result: of `modal.identify`, or of `modal.discrepancy.diagnose`.
         folder: made if it does not exist.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
         provenance: command and sources, for the part on how to make the result again.
@@ -82,58 +96,22 @@ def write_report(
     Raises:
         InvalidDataError: a file of the report exists already, or the folder cannot be written.
     """
+    if isinstance(result, Diagnosis):
+        return write_diagnosis(result, folder, existing=existing, provenance=provenance)
     require(result, Identification, where="write_report", made_by="modal.identify")
-    target = Path(folder)
-    refuse_existing(target, existing)
-    provenance = provenance or Provenance()
-    made = _make_parents(target)
-    temporary: Path | None = None
-    try:
-        temporary = Path(tempfile.mkdtemp(prefix=".modal-report-", dir=target.parent))
-        _write_all(result, ReportFiles.in_folder(temporary), provenance)
-        _move(temporary, target)
-    except BaseException as error:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
-        for parent in made:
-            with contextlib.suppress(OSError):
-                parent.rmdir()
-        if isinstance(error, OSError):
-            raise _cannot_write(target, error) from error
-        raise
+    target, source = Path(folder), provenance or Provenance()
+    names = [path.name for path in ReportFiles.in_folder(target)]
+    write_folder(target, names, lambda made: _write_all(result, ReportFiles.in_folder(made), source), existing=existing)
     return ReportFiles.in_folder(target)
 
 
 def refuse_existing(folder: Path, existing: Existing) -> None:
-    """Raise before any work is done when the report could not be written.
+    """Raise before any work is done when the report of an identification could not be written.
 
     Raises:
         InvalidDataError: as in `write_report`.
     """
-    try:
-        nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-        there = [path.name for path in ReportFiles.in_folder(folder) if path.exists()]
-    except OSError as error:  # a name that is too long, a folder that may not be looked into
-        raise _cannot_write(folder, error) from error
-    if not nearest.is_dir():
-        raise InvalidDataError(
-            f"{_named(folder)} cannot be a folder, because {str(nearest)!r} is a file; choose another folder for the "
-            "report."
-        )
-    if there and existing == "refuse":
-        raise InvalidDataError(
-            f"{_named(folder)} already holds {', '.join(there)}; choose another folder, or replace them (--overwrite, "
-            'in Python existing="replace").'
-        )
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InvalidDataError(
-            f"{_named(folder)} cannot be written (no right to write in {str(nearest)!r}); choose another folder for "
-            "the report."
-        )
-
-
-def _named(folder: Path) -> str:
-    return repr(shorten(str(folder), LONGEST_PATH))
+    refuse_names(folder, [path.name for path in ReportFiles.in_folder(folder)], existing)
 
 
 def _write_all(result: Identification, files: ReportFiles, provenance: Provenance) -> None:
@@ -148,32 +126,3 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
     save_recording(result, files.recording)
-
-
-def _make_parents(target: Path) -> list[Path]:
-    """Make the folders above the target; return those made, the innermost first."""
-    missing = [parent for parent in target.absolute().parents if not parent.exists()]
-    try:
-        target.absolute().parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _cannot_write(target, error) from error
-    return missing
-
-
-def _move(temporary: Path, target: Path) -> None:
-    """One rename for a new folder; file by file, each at once, into one that exists."""
-    if not target.exists():
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        temporary.rename(target)
-        return
-    for path in sorted(temporary.iterdir()):
-        path.replace(target / path.name)
-    temporary.rmdir()
-
-
-def _cannot_write(target: Path, error: OSError) -> InvalidDataError:
-    return InvalidDataError(
-        f"{_named(target)} cannot be written ({error.strerror or error}); choose another folder for the report."
-    )

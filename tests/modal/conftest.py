@@ -1,9 +1,11 @@
 """A hand-made result of a three-storey frame on a shake table: nothing here comes from the code under test."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnosis_by_hand import make_diagnosis
 
 from era.realisation import Realisation
 from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
@@ -25,6 +27,24 @@ SHAPES = np.array([[0.45, -1.0, 0.80], [0.80, -0.35, -1.0], [1.0, 0.85, 0.45]])
 @pytest.fixture
 def identification():
     return make_identification()
+
+
+@pytest.fixture(scope="session")
+def diagnosis():
+    """Two effects found and proved."""
+    return make_diagnosis()
+
+
+@pytest.fixture(scope="session")
+def diagnosis_of():
+    """A function of status and number of effects -> Diagnosis, each made once."""
+    return functools.cache(lambda status, n_effects: make_diagnosis(status=status, n_effects=n_effects))
+
+
+@pytest.fixture(scope="session")
+def make_gap():
+    """`make_diagnosis` itself, for names and changed fields."""
+    return make_diagnosis
 
 
 @pytest.fixture

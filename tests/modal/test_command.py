@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 import modal.pipeline
 import modal.recording
-from modal.command import _safe, _status, app
+from modal.command import _status, app
+from modal.command_options import plain_name
 
 COMMAND = [sys.executable, "-c", "from modal.command import main; main()"]
 HERE = Path(modal.pipeline.__file__).parents[1]
@@ -313,14 +314,14 @@ def test_help_is_quick_and_loads_nothing_heavy(tmp_path):
     subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, cwd=tmp_path, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["demo"], ["gap"]])
 def test_help_shows_an_example(command):
     result = CliRunner().invoke(app, [*command, "--help"])
     assert result.exit_code == 0
     assert "modal-report" in result.stdout or "Usage" in result.stdout
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["demo"], ["gap"]])
 def test_help_asks_for_no_value_of_a_switch(command):
     lines = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "200"}).stdout.splitlines()
     ours = [line for line in lines if re.search(r"--(version|overwrite|traceback)\b", line)]
@@ -333,4 +334,4 @@ def test_help_asks_for_no_value_of_a_switch(command):
     [("test 1", "test_1"), ("../../etc", "etc"), ("...", "result"), ("a\x1bb", "a_b"), ("x" * 300, "x" * 80)],
 )
 def test_default_folder_is_a_plain_name(stem, safe):
-    assert _safe(stem) == safe
+    assert plain_name(stem) == safe

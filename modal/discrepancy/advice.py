@@ -1,0 +1,94 @@
+"""What cannot be told apart in these data, and the experiment that would tell."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
+from modal.discrepancy.checks import SAME_LEVEL
+from modal.discrepancy.decision import Decision
+from modal.discrepancy.plant import Plant
+from modal.discrepancy.search import Node
+from okid.record import Record
+
+__all__ = ["advise", "circumstances_of"]
+
+SMALL_SHARE = 0.3
+
+
+def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
+    """What holds of the plant and its records, for the table of ambiguities.
+
+    Args:
+        plant: The plant.
+        fits: Records to fit.
+        root: The calibrated model along them.
+
+    Returns:
+        The circumstances.
+    """
+    found: set[Circumstance] = {"always"}
+    if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
+        found.add("one_dof")
+    if plant.n_outputs == 1:
+        found.add("one_output")
+    sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]
+    if min(sizes) <= 0.0 or max(sizes) / min(sizes) < SAME_LEVEL:
+        found.add("one_level")
+    n = plant.n_states
+    states = root.coarse.trajectory.states[:, :n]
+    drive = root.coarse.trajectory.drive
+    speeds = [
+        states @ port.velocity[:n] + drive.sample @ port.velocity[n:]
+        for port in plant.ports
+        if port.velocity is not None
+    ]
+    if speeds and all(min(-speed.min(), speed.max()) < 0.01 * np.abs(speed).max() for speed in speeds):
+        found.add("one_way")
+    return frozenset(found)
+
+
+def advise(
+    decision: Decision, plant: Plant, fits: Sequence[Record], circumstances: frozenset[Circumstance]
+) -> tuple[str, ...]:
+    """What to measure next.
+
+    Args:
+        decision: What was decided.
+        plant: The plant.
+        fits: Records to fit.
+        circumstances: From `circumstances_of`.
+
+    Returns:
+        Sentences, the most useful first.
+    """
+    words: list[str] = []
+    for (effect, where), runner, margin in zip(decision.node.effects, decision.runners, decision.margins, strict=True):
+        for row in ambiguous_with(effect, circumstances=circumstances):
+            words.append(f"To tell {effect} at {where} from {', '.join(row.others(effect))}: {row.separates}.")
+        if runner is not None and margin < np.inf and decision.status == "unresolved":
+            others = {key for key, _ in runner.effects} - {key for key, _ in decision.node.effects}
+            words += [
+                f"To tell {effect} at {where} from {key}: {row.separates}."
+                for key in sorted(others)
+                for row in ambiguous_with(effect, circumstances=_ALL)
+                if key in row.others(effect)
+            ]
+    if "one_level" in circumstances:
+        words.append("Measure at a second level, two or three times as strong: most effects are told apart by level.")
+    if decision.status == "unresolved" and not decision.node.effects:
+        words.append(
+            "Nothing in the catalogue explains the gap: measure at more places, look at the time windows and bands in which "
+            "it is greatest, or register an effect of your own."
+        )
+    if decision.status == "none":
+        highest = max(fits, key=lambda record: float(np.nanvar(record.inputs)) if record.n_inputs else 0.0)
+        words.append(
+            f"A stronger level than that of {highest.name or 'the loudest record'} would show effects that these data hide."
+        )
+    return tuple(dict.fromkeys(words))
+
+
+_ALL: frozenset[Circumstance] = frozenset(
+    {"always", "one_dof", "one_output", "one_level", "one_way", "small_motion", "large_motion"}
+)

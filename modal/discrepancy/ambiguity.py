@@ -1,0 +1,144 @@
+"""Which effects cannot be told from which, when, and what would tell them apart: a fixed table.
+
+Two kinds. By structure: no data of that kind of plant or record can separate the members (one number stands for both).
+By experiment: these data hardly separate them, others would.
+A change of linear stiffness or damping is in no class: it is a wrong parameter, never an effect.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["AMBIGUOUS", "AmbiguityClass", "Circumstance", "ambiguous_with"]
+
+Circumstance = Literal["always", "one_dof", "one_output", "one_level", "one_way", "small_motion", "large_motion"]
+"""What may hold of a plant and its records: one degree of freedom; one measured output; records of about one level; a
+velocity at the place that never reverses; motion small, or large, against the length that shapes the law."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmbiguityClass:
+    """Effects, and other causes, that may be taken for each other.
+
+    Attributes:
+        effects: Their keys in the catalogue.
+        besides: What else looks the same and is no effect of the catalogue, in words.
+        circumstance: When it applies.
+        when: The same in words.
+        separates: What would tell them apart.
+    """
+
+    effects: tuple[str, ...]
+    besides: tuple[str, ...] = ()
+    circumstance: Circumstance
+    when: str
+    separates: str
+
+    def others(self, effect: str) -> tuple[str, ...]:
+        """All that `effect` may be taken for, keys first."""
+        return (*(key for key in self.effects if key != effect), *self.besides)
+
+
+AMBIGUOUS: tuple[AmbiguityClass, ...] = (
+    AmbiguityClass(
+        effects=("input_gain", "sensor_gain"),
+        besides=("scale of mass, damping and stiffness together", "torque constant against inertia of a motor"),
+        circumstance="one_dof",
+        when="one input drives one degree of freedom: all of these are one number",
+        separates="a second output (a sensor's gain changes one channel, an input's gain changes all), or a known mass "
+        "added to the structure",
+    ),
+    AmbiguityClass(
+        effects=("coulomb_friction", "constant_force"),
+        circumstance="one_way",
+        when="the velocity at the place never reverses, so that the friction never changes its sign",
+        separates="a run in the other direction",
+    ),
+    AmbiguityClass(
+        effects=("sensor_bias", "constant_force"),
+        besides=("position of the rest point",),
+        circumstance="one_output",
+        when="one displacement is measured: its offset is the static deflection of a constant force",
+        separates="a second output (a force moves all in the proportions of the flexibility), or an accelerometer",
+    ),
+    AmbiguityClass(
+        effects=("input_delay",),
+        besides=("an input that was declared to be held but was linear between samples (half a sample)",),
+        circumstance="always",
+        when="the delay is about half a sample",
+        separates="the data sheet of the output stage, or the drive measured along with the outputs",
+    ),
+    AmbiguityClass(
+        effects=("coulomb_friction", "quadratic_drag"),
+        besides=("viscous damping",),
+        circumstance="one_level",
+        when="records of one level: both add damping (2 ln L margin 55 at one weak level, 5749 at three)",
+        separates="a level at least three times lower: the relative gap of friction grows as the level falls, that of "
+        "drag shrinks",
+    ),
+    AmbiguityClass(
+        effects=("gap_spring", "cubic_stiffness"),
+        circumstance="one_level",
+        when="records of one level: stops and cubic stiffness both harden (2 ln L margin 133 at one weak level, 9437 "
+        "at three)",
+        separates="one level that stays within the gap and one beyond contact",
+    ),
+    AmbiguityClass(
+        effects=("bilinear_stiffness", "quadratic_stiffness"),
+        circumstance="one_level",
+        when="records of one level: both give even harmonics (2 ln L margin 245 at one weak level, above 1658 at "
+        "three)",
+        separates="a second level: the relative gap of bilinear stiffness stays, that of quadratic stiffness grows",
+    ),
+    AmbiguityClass(
+        effects=("input_saturation", "input_gain"),
+        circumstance="one_level",
+        when="records of one level: a drive that is often clipped is a weaker drive",
+        separates="one level below the limit and one far above it",
+    ),
+    AmbiguityClass(
+        effects=("missing_mode", "periodic_disturbance"),
+        circumstance="one_level",
+        when="records of one level: both leave a narrow band (2 ln L margin 8 at one weak level, 191 at three)",
+        separates="a second level, or a record without drive: a mode scales with the drive, a disturbance does not",
+    ),
+    AmbiguityClass(
+        effects=("power_law_flow", "overflow"),
+        circumstance="one_level",
+        when="the level stays in a narrow range: both let out more at its top",
+        separates="records from nearly empty to overflowing",
+    ),
+    AmbiguityClass(
+        effects=("sine_softening", "cubic_stiffness"),
+        circumstance="small_motion",
+        when="the motion stays below the length scale: the sine is a negative cubic, k3 = -k / (6 length_scale^2)",
+        separates="a level at which the motion exceeds the length scale",
+    ),
+    AmbiguityClass(
+        effects=("bouc_wen_hysteresis", "coulomb_friction", "slack_in_hysteresis"),
+        circumstance="large_motion",
+        when="the motion is far beyond yield displacement and slack: what is left of each loop is a rectangle",
+        separates="a level at which the motion about equals the yield displacement",
+    ),
+)
+"""The table of DISCREPANCY 6; margins are those of its prototypes."""
+
+
+def ambiguous_with(effect: str, *, circumstances: Collection[Circumstance] = ()) -> tuple[AmbiguityClass, ...]:
+    """The classes in which an effect stands under the circumstances of a plant and its records.
+
+    Args:
+        effect: Key in the catalogue.
+        circumstances: What holds ("always" need not be given).
+
+    Returns:
+        The classes in the order of the table; empty where the effect cannot be taken for another.
+
+    Example:
+        >>> [found.others("input_gain") for found in ambiguous_with("input_gain", circumstances=["one_level"])]
+        [('input_saturation',)]
+        >>> ambiguous_with("input_gain")
+        ()
+    """
+    holds = {"always", *circumstances}
+    return tuple(found for found in AMBIGUOUS if effect in found.effects and found.circumstance in holds)

@@ -1,0 +1,262 @@
+"""A plant with effects at its places, and the layout of everything in it that is unknown.
+
+Unknowns come in two kinds. Common to all records: the linear parameters, the effects' parameters and, where the
+direction of a force is not known, its components. Of each record: its initial state and what an effect has of its own
+in each record (the phase of a disturbance).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, SensorEffect
+from modal.discrepancy.plant import Plant, Port
+from okid.arrays import FloatArray
+
+__all__ = ["Assembly", "Placement", "Unknowns", "assemble", "initial_unknowns", "place"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Placement:
+    """An effect at a place.
+
+    Attributes:
+        effect: The effect.
+        where: Name of the place: a port, an input or an output.
+        port: The port of a force, None for an input or an output.
+        channel: Index of the input or output, -1 for a force.
+        displacement_scale: Standard deviation of the port's displacement over the records to fit.
+        velocity_scale: Likewise of its velocity.
+        held: Indices of parameters that stay at their neutral value, because the linear parameters stand for them.
+    """
+
+    effect: Effect
+    where: str
+    port: Port | None = None
+    channel: int = -1
+    displacement_scale: float = 1.0
+    velocity_scale: float = 1.0
+    held: tuple[int, ...] = ()
+
+    @property
+    def common(self) -> tuple[int, ...]:
+        """Indices of the effect's parameters that all records share."""
+        return tuple(j for j, kind in enumerate(self.effect.parameters) if not kind.local)
+
+    @property
+    def local(self) -> tuple[int, ...]:
+        """Indices of the effect's parameters that each record has for itself."""
+        return tuple(j for j, kind in enumerate(self.effect.parameters) if kind.local)
+
+    @property
+    def n_memory(self) -> int:
+        """Number of states of the effect itself."""
+        return self.effect.n_memory if isinstance(self.effect, ForceEffect) else 0
+
+    @property
+    def force_and_port(self) -> tuple[ForceEffect, Port]:
+        """The effect and its port, for a placement that `Assembly.forces` lists."""
+        return cast("ForceEffect", self.effect), cast("Port", self.port)
+
+    @property
+    def input_effect(self) -> InputEffect:
+        """The effect, for a placement that `Assembly.inputs` lists."""
+        return cast("InputEffect", self.effect)
+
+    @property
+    def sensor_effect(self) -> SensorEffect:
+        """The effect, for a placement that `Assembly.sensors` lists."""
+        return cast("SensorEffect", self.effect)
+
+    @property
+    def n_own(self) -> int:
+        """Number of unknowns that each record has for itself: the initial memory and the local parameters."""
+        return self.n_memory + len(self.local)
+
+    @property
+    def n_directions(self) -> int:
+        """Number of free components of the force's direction."""
+        return 0 if self.port is None else len(self.port.columns) - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Assembly:
+    """A plant with effects.
+
+    Attributes:
+        plant: The plant.
+        placements: The effects at their places.
+    """
+
+    plant: Plant
+    placements: tuple[Placement, ...]
+
+    @property
+    def forces(self) -> tuple[int, ...]:
+        """Indices of the placements that are forces."""
+        return tuple(i for i, item in enumerate(self.placements) if isinstance(item.effect, ForceEffect))
+
+    @property
+    def inputs(self) -> tuple[int, ...]:
+        """Indices of the placements that change an input: gain, then limit, then delay, whatever their order."""
+        return tuple(i for i, item in enumerate(self.placements) if isinstance(item.effect, InputEffect))
+
+    @property
+    def sensors(self) -> tuple[int, ...]:
+        """Indices of the placements that change an output."""
+        return tuple(i for i, item in enumerate(self.placements) if isinstance(item.effect, SensorEffect))
+
+    @property
+    def n_memory(self) -> int:
+        """Number of states of the effects themselves."""
+        return sum(item.n_memory for item in self.placements)
+
+    @property
+    def n_linear(self) -> int:
+        """Number of linear parameters."""
+        return len(self.plant.parameters)
+
+    def stiffness_parameter(self, placement: int) -> int | None:
+        """Index of the linear parameter that is the stiffness at a force's place, None where there is none."""
+        names = [parameter.name for parameter in self.plant.parameters]
+        wanted = f"stiffness of {self.placements[placement].where}"
+        return names.index(wanted) if wanted in names else None
+
+    def common_of(self, placement: int) -> slice:
+        """Where the common unknowns of a placement stand: its parameters, then its directions."""
+        first = self.n_linear + sum(len(item.common) + item.n_directions for item in self.placements[:placement])
+        item = self.placements[placement]
+        return slice(first, first + len(item.common) + item.n_directions)
+
+    def own_of(self, placement: int) -> slice:
+        """Where a record's own unknowns of a placement stand: its initial memory, then its local parameters."""
+        first = self.plant.n_states + sum(item.n_own for item in self.placements[:placement])
+        return slice(first, first + self.placements[placement].n_own)
+
+    def local_of(self, placement: int) -> slice:
+        """Where the local parameters of a placement stand among a record's own unknowns."""
+        own = self.own_of(placement)
+        return slice(own.start + self.placements[placement].n_memory, own.stop)
+
+    @property
+    def initial(self) -> tuple[int, ...]:
+        """Where the initial value of each state, of the plant and of the effects, stands among a record's unknowns."""
+        found = list(range(self.plant.n_states))
+        for i in self.forces:
+            first = self.own_of(i).start
+            found += range(first, first + self.placements[i].n_memory)
+        return tuple(found)
+
+    @property
+    def n_common(self) -> int:
+        """Number of common unknowns."""
+        return self.n_linear + sum(len(item.common) + item.n_directions for item in self.placements)
+
+    @property
+    def n_local(self) -> int:
+        """Number of unknowns of each record."""
+        return self.plant.n_states + sum(item.n_own for item in self.placements)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Hard bounds (n_common,) of the common unknowns."""
+        lower = [parameter.lower for parameter in self.plant.parameters]
+        upper = [parameter.upper for parameter in self.plant.parameters]
+        for item in self.placements:
+            lower += [_bound(item, j, item.effect.parameters[j].lower) for j in item.common]
+            upper += [_bound(item, j, item.effect.parameters[j].upper) for j in item.common]
+            lower += [-np.inf] * item.n_directions
+            upper += [np.inf] * item.n_directions
+        return np.array(lower), np.array(upper)
+
+    def prior(self) -> tuple[FloatArray, FloatArray]:
+        """Centre and standard deviation (n_common,) of the weak priors; infinite where there is none."""
+        centre = np.zeros(self.n_common)
+        deviation = np.full(self.n_common, np.inf)
+        centre[: self.n_linear] = self.plant.nominal
+        deviation[: self.n_linear] = [parameter.deviation for parameter in self.plant.parameters]
+        return centre, deviation
+
+    def local_deviation(self) -> FloatArray:
+        """Standard deviation (n_local,) of the weak priors about zero: an effect's initial memory has the motion's."""
+        deviation = np.full(self.n_local, np.inf)
+        for i, item in enumerate(self.placements):
+            first = self.own_of(i).start
+            scales = (item.displacement_scale, *[item.velocity_scale] * max(item.n_memory - 1, 0))
+            deviation[first : first + item.n_memory] = scales[: item.n_memory]
+        return deviation
+
+
+def _bound(item: Placement, j: int, bound: float) -> float:
+    return item.effect.neutral[j] if j in item.held else bound
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Unknowns:
+    """Values of all that is unknown.
+
+    Attributes:
+        common: (n_common,) linear parameters, then each placement's parameters and directions.
+        local: (n_records, n_local) initial state, then each placement's initial memory and values of the record.
+    """
+
+    common: FloatArray
+    local: FloatArray
+
+    def values(self, assembly: Assembly, placement: int) -> list[FloatArray]:
+        """Values of a placement's parameters: one number each, or one a record where the parameter is local."""
+        item = assembly.placements[placement]
+        common = self.common[assembly.common_of(placement)]
+        local = self.local[:, assembly.local_of(placement)]
+        found: list[FloatArray] = [np.empty(0)] * len(item.effect.parameters)
+        for position, j in enumerate(item.common):
+            found[j] = common[position]
+        for position, j in enumerate(item.local):
+            found[j] = local[:, position]
+        return found
+
+    def directions(self, assembly: Assembly, placement: int) -> FloatArray:
+        """Components (1 + n_directions,) of a force over the columns of its port."""
+        item = assembly.placements[placement]
+        free = self.common[assembly.common_of(placement)][len(item.common) :]
+        return np.concatenate([[1.0], free])
+
+
+def place(
+    plant: Plant, effect: Effect, where: str, *, displacement_scale: float = 1.0, velocity_scale: float = 1.0
+) -> Placement:
+    """Put an effect at a place of the plant.
+
+    Raises:
+        KeyError: If the plant has no such place for this kind of effect.
+    """
+    if isinstance(effect, InputEffect):
+        return Placement(effect=effect, where=where, channel=_index(plant.input_names, where))
+    if isinstance(effect, SensorEffect):
+        return Placement(effect=effect, where=where, channel=_index(plant.output_names, where))
+    return Placement(
+        effect=effect,
+        where=where,
+        port=plant.port(where),
+        displacement_scale=displacement_scale,
+        velocity_scale=velocity_scale,
+    )
+
+
+def _index(names: tuple[str, ...], where: str) -> int:
+    if where not in names:
+        raise KeyError(where)
+    return names.index(where)
+
+
+def assemble(plant: Plant, placements: Sequence[Placement] = ()) -> Assembly:
+    """A plant with effects."""
+    return Assembly(plant=plant, placements=tuple(placements))
+
+
+def initial_unknowns(assembly: Assembly, n_records: int) -> Unknowns:
+    """The plant's nominal parameters, records that start at rest, effects at zero."""
+    common = np.zeros(assembly.n_common)
+    common[: assembly.n_linear] = assembly.plant.nominal
+    return Unknowns(common=common, local=np.zeros((n_records, assembly.n_local)))

@@ -1,0 +1,145 @@
+"""Model and records that belong together, or one sentence that says why they do not."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from modal.discrepancy.plant import Plant, plant_matrices
+from okid.arrays import FloatArray
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.record import Record
+
+__all__ = ["check_plant", "check_records"]
+
+SAME_LEVEL = 1.25
+"""Records whose inputs differ by less than this factor are of one level."""
+
+RADIUS = 1e-6
+FEWEST_PER_UNKNOWN = 5
+
+
+def check_records(
+    fit: Record | Sequence[Record], held_out: Record | Sequence[Record]
+) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
+    """The records as tuples, and what the reader must know of them.
+
+    Args:
+        fit: Records to fit.
+        held_out: Held-out records.
+
+    Returns:
+        Records to fit, held-out records, notes.
+
+    Raises:
+        InvalidDataError: If there is none of either, or they do not share channels and time step.
+    """
+    fits = (fit,) if isinstance(fit, Record) else tuple(fit)
+    helds = (held_out,) if isinstance(held_out, Record) else tuple(held_out)
+    if not fits:
+        raise InvalidDataError("there is no record to fit; pass at least one")
+    if not helds:
+        raise InvalidDataError(
+            "there is no held-out record, so nothing could be proved; keep one record, best of another level, out of the fit"
+        )
+    _check_alike([*fits, *helds])
+    for record in (*fits, *helds):
+        if np.isnan(record.outputs).all(axis=0).any():
+            raise InvalidDataError(
+                f"an output of record {record.name or 'without a name'} is missing throughout; leave the channel out"
+            )
+    for held in helds:
+        if any(held is record or _same(held, record) for record in fits):
+            raise InvalidDataError(
+                f"held-out record {held.name or 'without a name'} is also among the records to fit, so it proves nothing; "
+                "hold out another one"
+            )
+    return fits, helds, _level_notes(fits, helds)
+
+
+def _same(one: Record, other: Record) -> bool:
+    return one.outputs.shape == other.outputs.shape and np.array_equal(one.outputs, other.outputs, equal_nan=True)
+
+
+def _check_alike(records: Sequence[Record]) -> None:
+    first = records[0]
+    for record in records[1:]:
+        if (record.n_inputs, record.n_outputs) != (first.n_inputs, first.n_outputs):
+            raise InvalidDataError(
+                f"records differ in channels: {first.n_inputs} inputs and {first.n_outputs} outputs against "
+                f"{record.n_inputs} and {record.n_outputs}; pass the same channels of each"
+            )
+        if abs(record.dt / first.dt - 1.0) > RADIUS:
+            raise InvalidDataError(
+                f"records differ in time step: {first.dt:g} s against {record.dt:g} s; resample one of them"
+            )
+        if record.input_hold != first.input_hold:
+            raise InvalidDataError(
+                f"records differ in what inputs do between samples: {first.input_hold} against {record.input_hold}; "
+                "declare the same hold for all"
+            )
+        for kind in ("input", "output"):
+            ours, theirs = getattr(first, f"{kind}_units"), getattr(record, f"{kind}_units")
+            if any(a and b and a != b for a, b in zip(ours, theirs, strict=False)):
+                raise InvalidDataError(
+                    f"records differ in the units of their {kind}s: {', '.join(ours)} against {', '.join(theirs)}; "
+                    "convert one of them"
+                )
+
+
+def _level_notes(fits: Sequence[Record], helds: Sequence[Record]) -> tuple[str, ...]:
+    sizes = [_level(record) for record in (*fits, *helds)]
+    if min(sizes) > 0.0 and max(sizes) / min(sizes) >= SAME_LEVEL:
+        return ()
+    return (
+        "all records are of one level: friction and drag, stops and cubic stiffness, saturation and a gain, a missing mode "
+        "and a disturbance can hardly be told apart; measure at a second level, two or three times as strong",
+    )
+
+
+def _level(record: Record) -> float:
+    signals = record.inputs if record.n_inputs else record.outputs
+    return float(np.sqrt(np.nansum(np.nanvar(signals, axis=0))))
+
+
+def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> None:
+    """Whether a plant fits records.
+
+    Args:
+        plant: The plant.
+        linear: Values of its linear parameters.
+        records: Records to compare it with.
+
+    Raises:
+        InvalidDataError: Other numbers of inputs or outputs, other units, an unstable plant.
+        InsufficientDataError: Records too short for the plant.
+    """
+    first = records[0]
+    if (plant.n_inputs, plant.n_outputs) != (first.n_inputs, first.n_outputs):
+        raise InvalidDataError(
+            f"the model has {plant.n_inputs} inputs and {plant.n_outputs} outputs, the records have {first.n_inputs} and "
+            f"{first.n_outputs}; choose the channels that the model knows"
+        )
+    for kind in ("input", "output"):
+        ours, theirs = getattr(plant, f"{kind}_units"), getattr(first, f"{kind}_units")
+        different = [(a, b) for a, b in zip(ours, theirs, strict=False) if a and b and _plain(a) != _plain(b)]
+        if different:
+            raise InvalidDataError(
+                f"the model's {kind} is in {different[0][0]} and the record's in {different[0][1]}; convert one of them"
+            )
+    if plant.n_states:
+        growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
+        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), 1e-300) + 1e-9 / first.dt:
+            raise InvalidDataError(
+                f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its signs"
+            )
+    unknowns = len(plant.parameters) + plant.n_states * len(records)
+    values = sum(int(np.count_nonzero(~np.isnan(record.outputs))) for record in records)
+    if values < FEWEST_PER_UNKNOWN * unknowns:
+        raise InsufficientDataError(
+            f"{values} measured values are too few for {unknowns} linear parameters and initial states; pass at least "
+            f"{FEWEST_PER_UNKNOWN * unknowns}"
+        )
+
+
+def _plain(unit: str) -> str:
+    return unit.replace(" ", "").replace("^", "").replace("**", "").replace("²", "2").replace("*", "")

@@ -1,0 +1,133 @@
+"""Decide what is missing: named, unresolved or none, from the models that the search has fitted.
+
+`named` needs three things: within 1.5 of the noise floor on held-out data; every effect of the model earns its place
+(without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
+another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
+from modal.discrepancy.search import Node, Task, counts, log_likelihood_gain, without
+
+__all__ = ["Decision", "decide_nodes"]
+
+NEAR_FLOOR = 1.5
+"""Held-out mean square, in units of the noise floor, up to which a model explains the data."""
+
+SAME = 1.05
+"""Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
+
+CLOSE_COMPANY = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Decision:
+    """What was decided.
+
+    Attributes:
+        status: "named", "unresolved" or "none".
+        node: The model chosen (the calibrated linear model for "none").
+        runners: For each effect of it, the best other model without that effect at that place, None if there is none.
+        margins: 2 ln L by which the chosen model leads each runner-up.
+        reasons: Why it is not firm, in words; empty for "named" and "none".
+    """
+
+    status: Literal["named", "unresolved", "none"]
+    node: Node
+    runners: tuple[Node | None, ...]
+    margins: tuple[float, ...]
+    reasons: tuple[str, ...]
+
+
+def decide_nodes(
+    nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset({"always"})
+) -> Decision:
+    """Choose among the models that the search has fitted, the first being the linear one.
+
+    Args:
+        nodes: From `search`; the first is the calibrated model as it was given.
+        task: Records and catalogue.
+        circumstances: What holds of plant and records, for the table of ambiguities.
+
+    Returns:
+        The decision.
+    """
+    root = nodes[0]
+    earned = [node for node in nodes if node is root or counts(root, node, task)]
+    best = _best(earned, root, task)
+    if best is root:
+        if root.held_out_level <= NEAR_FLOOR:
+            return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+        return Decision(
+            status="unresolved",
+            node=root,
+            runners=(),
+            margins=(),
+            reasons=("no effect of the catalogue brings the held-out error down by a tenth",),
+        )
+    best = _pruned(best, root, task)
+    if best is root:
+        return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+    runners, margins, reasons = [], [], []
+    for effect in best.effects:
+        rivals = [
+            node
+            for node in nodes
+            if effect not in node.effects and node is not root and np.isfinite(node.held_out_level)
+        ]
+        runner = _strongest(rivals, root, task)
+        margin = np.inf if runner is None else log_likelihood_gain(runner, best, task)
+        runners.append(runner)
+        margins.append(float(margin))
+        if runner is not None and margin < CLOSE_COMPANY and not _ambiguous(effect, runner, circumstances):
+            named = " and ".join(f"{key} at {where}" for key, where in runner.effects)
+            reasons.append(f"{named} explains the data nearly as well (2 ln L lower by {margin:.0f} only)")
+    if best.held_out_level > NEAR_FLOOR:
+        reasons.append(
+            f"the held-out mean square is still {best.held_out_level:.2f} times the noise floor (limit {NEAR_FLOOR:g})"
+        )
+    return Decision(
+        status="unresolved" if reasons else "named",
+        node=best,
+        runners=tuple(runners),
+        margins=tuple(margins),
+        reasons=tuple(reasons),
+    )
+
+
+def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
+    """The model with the fewest effects that explains the data; among its equals the most likely one."""
+    lowest = min(node.held_out_level for node in nodes)
+    if not np.isfinite(lowest):
+        return root
+    enough = max(SAME * lowest, 1.0)
+    good = [node for node in nodes if node.held_out_level <= enough]
+    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
+    fewest = min(len(node.effects) for node in (within or good))
+    equals = [node for node in (within or good) if len(node.effects) == fewest]
+    return max(equals, key=lambda node: log_likelihood_gain(root, node, task))
+
+
+def _strongest(nodes: Sequence[Node], root: Node, task: Task) -> Node | None:
+    return max(nodes, key=lambda node: log_likelihood_gain(root, node, task), default=None)
+
+
+def _pruned(best: Node, root: Node, task: Task) -> Node:
+    """The model without effects that it does not need."""
+    while len(best.effects) > 1:
+        smaller = [without(best, i, task) for i in range(len(best.effects))]
+        needless = [node for node in smaller if not counts(node, best, task)]
+        if not needless:
+            return best
+        best = min(needless, key=lambda node: node.held_out_level)
+    return best if best is root or counts(root, best, task) else root
+
+
+def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:
+    others = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.others(effect[0])}
+    return any(key in others for key, _ in runner.effects)

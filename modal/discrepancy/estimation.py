@@ -1,0 +1,296 @@
+"""Fit everything unknown in a model to records: Levenberg-Marquardt on exact sensitivities, within hard bounds.
+
+The cost is sum((y - yhat)^2 / floor) over the measured values, each record and output in units of its own noise floor,
+so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
+one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import scipy
+
+from modal.discrepancy.assembly import Assembly, Unknowns
+from modal.discrepancy.drive import Drive
+from modal.discrepancy.scheme import Scheme, scheme_and_slopes
+from modal.discrepancy.sensitivity import Sensitivity, sensitivity
+from modal.discrepancy.trajectory import SHARP, Trajectory, resting_states, simulate_states
+from okid.arrays import BoolArray, FloatArray
+
+__all__ = ["Estimate", "Problem", "covariance", "estimate", "normal_equations", "simulate_at", "weighted_residual"]
+
+FIRST_DAMPING = 1e-3
+TRIALS = 7
+"""Trial steps of an iteration, each ten times more damped than the one before."""
+STANDSTILL = 1e-4
+"""An iteration that lowers the cost by less than this share of it ends the fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Problem:
+    """Records to fit.
+
+    Attributes:
+        drive: The records.
+        floor: (n_records, n_outputs) noise variance.
+        free_common: Whether the common unknowns are fitted; False on held-out records, where only each record's own
+            initial state and phases are.
+    """
+
+    drive: Drive
+    floor: FloatArray
+    free_common: bool = True
+
+    @property
+    def weights(self) -> FloatArray:
+        """(n_rows, n_outputs) 1 / deviation, zero where a value is missing."""
+        spread = np.repeat(self.floor, np.diff(self.drive.row_firsts), axis=0)
+        return np.where(self.drive.present, 1.0 / np.sqrt(spread), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Estimate:
+    """A fitted model.
+
+    Attributes:
+        assembly: The plant and its effects.
+        unknowns: The estimate.
+        trajectory: Its simulation.
+        scheme: Matrices of one step.
+        slopes: Their derivatives.
+        cost: Sum of the weighted squares, priors included.
+        squares: Sum of the weighted squares of the residual alone.
+        mean_square: (n_records, n_outputs) mean square of the residual in units of the floor.
+        at_bounds: (n_common,) whether an unknown sits on a hard bound.
+        iterations: Number of iterations.
+        gain: Observer gain, None for a free run.
+        smoothing: Smoothing of sharp laws.
+    """
+
+    assembly: Assembly
+    unknowns: Unknowns
+    trajectory: Trajectory
+    scheme: Scheme
+    slopes: tuple[Scheme, ...]
+    cost: float
+    squares: float
+    mean_square: FloatArray
+    at_bounds: BoolArray
+    iterations: int
+    gain: FloatArray | None
+    smoothing: float
+
+    @property
+    def level(self) -> float:
+        """Mean square of the residual in units of the floor, over all records and outputs alike."""
+        return float(np.nanmean(self.mean_square))
+
+
+def weighted_residual(problem: Problem, trajectory: Trajectory) -> FloatArray:
+    """(n_rows, n_outputs) residual in units of the noise's deviation, zero where a value is missing."""
+    return np.asarray((problem.drive.outputs - trajectory.outputs) * problem.weights)
+
+
+def simulate_at(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    problem: Problem,
+    *,
+    states: FloatArray | None = None,
+    gain: FloatArray | None = None,
+    smoothing: float = SHARP,
+    start: Literal["far", "near"] = "far",
+) -> Estimate | None:
+    """The model at given values, as an estimate that was not fitted; None where it cannot be simulated."""
+    scheme, slopes = scheme_and_slopes(assembly.plant, unknowns.common[: assembly.n_linear], problem.drive.dt)
+    begun = resting_states(assembly, problem.drive) if states is None else states
+    trajectory = simulate_states(
+        assembly, unknowns, problem.drive, scheme, begun, smoothing=smoothing, gain=gain, start=start
+    )
+    if trajectory is None:
+        return None
+    residual = weighted_residual(problem, trajectory)
+    return Estimate(
+        assembly=assembly,
+        unknowns=unknowns,
+        trajectory=trajectory,
+        scheme=scheme,
+        slopes=slopes,
+        cost=float(np.sum(residual**2)) + _prior_cost(assembly, unknowns),
+        squares=float(np.sum(residual**2)),
+        mean_square=_mean_square(problem, residual),
+        at_bounds=_at_bounds(assembly, unknowns),
+        iterations=0,
+        gain=gain,
+        smoothing=smoothing,
+    )
+
+
+def estimate(
+    start: Estimate,
+    problem: Problem,
+    *,
+    iterations: int,
+    standstill: float = STANDSTILL,
+) -> Estimate:
+    """Fit from a simulated start.
+
+    Args:
+        start: The model to start from (`simulate_at`).
+        problem: Records to fit.
+        iterations: Largest number of iterations.
+        standstill: Relative fall of the cost below which the fit ends.
+
+    Returns:
+        The best model found; the start where nothing is better.
+    """
+    current, damping = start, FIRST_DAMPING
+    for iteration in range(iterations):
+        slopes = _sensitivity(current, problem)
+        gram, score = normal_equations(current, problem, slopes)
+        better = None
+        for _ in range(TRIALS):
+            step = _bounded_step(current, gram, score, damping, free_common=problem.free_common)
+            better = _trial(current, problem, slopes, step)
+            damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
+            if better is not None:
+                break
+        if better is None:
+            return current
+        fall = current.cost - better.cost
+        current = replace(better, iterations=start.iterations + iteration + 1)
+        if fall <= standstill * max(current.cost, 1.0):
+            return current
+    return current
+
+
+def _sensitivity(current: Estimate, problem: Problem) -> Sensitivity:
+    slopes = current.slopes if problem.free_common else ()
+    return sensitivity(
+        current.assembly,
+        current.unknowns,
+        problem.drive,
+        current.trajectory,
+        current.scheme,
+        slopes,
+        gain=current.gain,
+        common=problem.free_common,
+    )
+
+
+def normal_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -> tuple[FloatArray, FloatArray]:
+    """Gram matrix and score of all unknowns: the common ones first, then record by record, priors included."""
+    drive, weights = problem.drive, problem.weights
+    n_common, n_local = len(slopes.common), len(slopes.local)
+    size = n_common + drive.n_records * n_local
+    gram, score = np.zeros((size, size)), np.zeros(size)
+    residual = weighted_residual(problem, current.trajectory)
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        columns = np.concatenate([slopes.common[:, rows], slopes.local[:, rows]])
+        weighted = (columns * weights[rows]).reshape(len(columns), weights[rows].size)
+        part = weighted @ weighted.T
+        seen = weighted @ residual[rows].ravel()
+        at = np.concatenate([np.arange(n_common), n_common + record * n_local + np.arange(n_local)]).astype(int)
+        gram[np.ix_(at, at)] += part
+        score[at] += seen
+    if n_common:
+        centre, deviation = current.assembly.prior()
+        gram[np.arange(n_common), np.arange(n_common)] += deviation**-2
+        score[:n_common] += (centre - current.unknowns.common) * deviation**-2
+    precision = current.assembly.local_deviation() ** -2
+    own = n_common + np.arange(drive.n_records * n_local)
+    gram[own, own] += np.tile(precision, drive.n_records)
+    score[own] -= (current.unknowns.local * precision).ravel()
+    return gram, score
+
+
+def _bounded_step(
+    current: Estimate, gram: FloatArray, score: FloatArray, damping: float, *, free_common: bool
+) -> FloatArray:
+    """Damped Gauss-Newton step, unknowns at a bound that it would cross held there."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] = 1.0 + damping
+    lower, upper, at = np.full(len(score), -np.inf), np.full(len(score), np.inf), np.zeros(len(score))
+    if free_common:
+        n = current.assembly.n_common
+        lower[:n], upper[:n] = current.assembly.bounds()
+        at[:n] = current.unknowns.common
+    free = scale > 1e-140
+    step = np.zeros(len(score))
+    for _ in range(len(score)):
+        index = np.flatnonzero(free)
+        step[:] = 0.0
+        matrix = scaled[np.ix_(index, index)]
+        step[index] = _solve(matrix, score[index] / scale[index]) / scale[index]
+        crossing = free & ((at + step < lower) | (at + step > upper))
+        if not crossing.any():
+            return step
+        held = np.clip(at, lower, upper) - at
+        stuck = crossing & (((at <= lower) & (step < 0.0)) | ((at >= upper) & (step > 0.0)))
+        if not stuck.any():
+            bound = np.clip(at + step, lower, upper) - at
+            return np.where(crossing, bound, step)
+        free &= ~stuck
+        step[stuck] = held[stuck]
+    return step
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))
+    except scipy.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
+
+
+def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: FloatArray) -> Estimate | None:
+    n_common, n_local = len(slopes.common), len(slopes.local)
+    n_records = problem.drive.n_records
+    moved = step[n_common:].reshape(n_records, n_local)
+    common = current.unknowns.common.copy()
+    common[:n_common] += step[:n_common]
+    unknowns = Unknowns(common=common, local=current.unknowns.local + moved)
+    states = current.trajectory.states + np.tensordot(step[:n_common], slopes.common_states, axes=(0, 0))
+    for record in range(n_records):
+        times = problem.drive.times_of(record)
+        states[times] += np.tensordot(moved[record], slopes.local_states[:, times], axes=(0, 0))
+    found = simulate_at(
+        current.assembly, unknowns, problem, states=states, gain=current.gain, smoothing=current.smoothing, start="near"
+    )
+    return found if found is not None and found.cost < current.cost else None
+
+
+def covariance(current: Estimate, problem: Problem) -> FloatArray:
+    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor."""
+    gram, _ = normal_equations(current, problem, _sensitivity(current, problem))
+    lower, upper = current.assembly.bounds()
+    held = np.flatnonzero(lower == upper)
+    gram[held, :] = 0.0
+    gram[:, held] = 0.0
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray(inverse * max(1.0, current.level))
+
+
+def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:
+    centre, deviation = assembly.prior()
+    own = unknowns.local / assembly.local_deviation()
+    return float(np.sum(((unknowns.common - centre) / deviation) ** 2) + np.sum(own**2))
+
+
+def _mean_square(problem: Problem, residual: FloatArray) -> FloatArray:
+    drive = problem.drive
+    found = np.full(problem.floor.shape, np.nan)
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        count = drive.present[rows].sum(axis=0)
+        total = np.sum(residual[rows] ** 2, axis=0)
+        found[record] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return found
+
+
+def _at_bounds(assembly: Assembly, unknowns: Unknowns) -> BoolArray:
+    lower, upper = assembly.bounds()
+    return np.asarray((unknowns.common <= lower) | (unknowns.common >= upper))

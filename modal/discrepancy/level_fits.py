@@ -1,0 +1,176 @@
+"""The best linear model of each level, followed from one level to the next.
+
+One model order serves all levels: that of the level which a linear model fits best, the smallest whose free run comes
+within a quarter of the nearest. That level's model is refined by output error; from there the neighbouring levels are
+refined one after the other, each from the model of the level before it, so that a mode is followed and not found anew.
+
+Deviations. The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves
+with the motion, and the linear model follows the size that the motion happens to have: over 12 realisations of a
+three-storey chain the frequency of its first mode scattered up to 12 times (cubic spring), its damping ratio up to 7
+times (drag) as far as that says. So every level is also refined on its quarters, from its own model, and the larger
+of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3 times for damping ratios.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.assurance import assurance
+from modal.discrepancy.level_starts import NEGLIGIBLE, Start, left_over, refined
+from modal.extraction import extract_modes
+from modal.mode import Mode
+from modal.overlap import IndexArray, pair_greatest_first
+from modal.refinement_covariance import output_error_uncertainty
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["LevelFit", "follow_levels", "partners"]
+
+EXPLAINS_NOTHING = 0.9
+"""Error relative to the outputs from which on they do not follow the inputs."""
+FREQUENCY_WIDTH = 0.3
+"""Of the logarithm of a frequency ratio, within which two modes may be one; a damping ratio adds to it."""
+LEAST_PAIRING = 0.4
+"""Product of assurance and nearness in frequency below which two modes are not one."""
+N_PARTS = 4
+FEWEST_PARTS = 3
+SHORTEST_PART = 100
+"""Samples of a part of a record that is refined by itself."""
+LEAST_DAMPING = 1e-6
+"""Damping ratio of an oscillatory pole below which the refinement has run into its bound."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LevelFit:
+    """The linear model of one level.
+
+    Attributes:
+        model: refined on the records of the level.
+        modes: oscillatory and real ones, by rising frequency.
+        frequency_stds: (n_modes,) [Hz].
+        damping_ratio_stds: (n_modes,).
+        left_over: (n_outputs,) mean square of what its free run leaves, over the variance of the output.
+    """
+
+    model: Realisation
+    modes: tuple[Mode, ...]
+    frequency_stds: FloatArray
+    damping_ratio_stds: FloatArray
+    left_over: FloatArray
+
+
+def follow_levels(
+    levels: Sequence[Sequence[Record]], start: Callable[[Sequence[Record]], Start]
+) -> tuple[int, tuple[LevelFit | None, ...]] | None:
+    """The model of every level, and the index of the level that a linear model fits best; None without any.
+
+    Args:
+        levels: the records of each level, by rising level; means removed, no input missing.
+        start: a first model of a level, `driven_start` or `decay_start`.
+    """
+    starts = [start(records) for records in levels]
+    best = min(range(len(levels)), key=lambda i: starts[i][0])
+    model = starts[best][1]
+    if model is None or starts[best][0] > EXPLAINS_NOTHING:
+        return None
+    fits: list[LevelFit | None] = [None] * len(levels)
+    fits[best] = fit = _fitted(levels[best], model)
+    for walk in (range(best + 1, len(levels)), range(best - 1, -1, -1)):
+        last = model if fit is None else fit.model
+        for i in walk:
+            fits[i] = found = _fitted(levels[i], last)
+            last = last if found is None else found.model
+    return best, tuple(fits)
+
+
+def _fitted(records: Sequence[Record], start: Realisation) -> LevelFit | None:
+    """The model refined on one level, with the deviations of its modes; None where it cannot be refined."""
+    better = refined(records, start)
+    left = left_over(start if better is None else better.realisation, records)
+    if better is None:
+        # noise-free data leave nothing to refine; anything else does not belong to this level
+        if left.mean() > np.square(NEGLIGIBLE):
+            return None
+        modes = _own_modes(start)
+        nothing = np.zeros(len(modes))
+        return LevelFit(model=start, modes=modes, frequency_stds=nothing, damping_ratio_stds=nothing, left_over=left)
+    if left.mean() > EXPLAINS_NOTHING**2:
+        return None
+    modes = _own_modes(better.realisation)
+    known = output_error_uncertainty(better, modes, n_lags=1)
+    scatter = _scatter(records, better.realisation, modes)
+    return LevelFit(
+        model=better.realisation,
+        modes=modes,
+        frequency_stds=np.fmax(known.frequency_std, scatter[0]),
+        damping_ratio_stds=np.fmax(known.damping_ratio_std, scatter[1]),
+        left_over=left,
+    )
+
+
+def _scatter(records: Sequence[Record], model: Realisation, modes: Sequence[Mode]) -> FloatArray:
+    """(2, n_modes) deviation of the mean frequency and damping ratio over parts of the records; nan where unknown."""
+    found = []
+    for part in _parts(records):
+        better = refined(part, model)
+        if better is not None:
+            others = _own_modes(better.realisation)
+            partner = partners(modes, others)
+            found.append([_numbers(others, i) for i in partner.tolist()])
+    if len(found) < FEWEST_PARTS:
+        return np.full((2, len(modes)), np.nan)
+    values = np.array(found).reshape(len(found), len(modes), 2)
+    there = np.isfinite(values)
+    count = there.sum(axis=0)
+    mean = np.where(there, values, 0.0).sum(axis=0) / np.maximum(count, 1)
+    squares = np.square(np.where(there, values - mean, 0.0)).sum(axis=0)
+    deviation = np.sqrt(squares / np.maximum(count - 1, 1) / np.maximum(count, 1))
+    return np.where(count >= FEWEST_PARTS, deviation, np.nan).T
+
+
+def _numbers(modes: Sequence[Mode], index: int) -> tuple[float, float]:
+    return (modes[index].frequency, modes[index].damping_ratio) if index >= 0 else (np.nan, np.nan)
+
+
+def _parts(records: Sequence[Record]) -> list[tuple[Record, ...]]:
+    """About four parts of equal length: whole records where there are enough, else pieces of each."""
+    if len(records) >= N_PARTS:
+        return [tuple(records[i::N_PARTS]) for i in range(N_PARTS)]
+    pieces = -(-N_PARTS // len(records))
+    shortest = max(len(records[0].output_names), len(records[0].input_names), SHORTEST_PART)
+    return [
+        (part.detrended(),)
+        for record in records
+        if record.n_samples >= pieces * shortest
+        for part in record.split(*[1.0 / pieces] * pieces)
+        if np.isfinite(part.outputs).any(axis=0).all()
+    ]
+
+
+def partners(first: Sequence[Mode], second: Sequence[Mode]) -> IndexArray:
+    """(n_first,) index of the same mode among `second` by kind, shape and frequency, -1 where there is none.
+
+    Paired one to one, the greatest product of assurance and nearness in frequency first.
+    """
+    if not first or not second:
+        return np.full(len(first), -1, dtype=np.intp)
+    alike = assurance(np.array([mode.shape for mode in first]).T, np.array([mode.shape for mode in second]).T)
+    one, other = (np.log([mode.frequency for mode in modes]) for modes in (first, second))
+    # the more a mode is damped the less is its frequency a property: a real pole moves by factors
+    damped = (np.array([mode.damping_ratio for mode in modes]) for modes in (first, second))
+    width = FREQUENCY_WIDTH + np.minimum(*np.meshgrid(*damped, indexing="ij"))
+    near = np.exp(-np.square((one[:, np.newaxis] - other) / width))
+    same_kind = np.array([[a.kind == b.kind for b in second] for a in first])
+    likeness = alike * near * same_kind
+    return pair_greatest_first(np.where(likeness > LEAST_PAIRING, likeness, 0.0))
+
+
+def _own_modes(model: Realisation) -> tuple[Mode, ...]:
+    """Oscillatory and real ones, but for what the refinement has left on its bound."""
+    return tuple(
+        mode
+        for mode in extract_modes(model)
+        if mode.kind == "real" or (mode.kind == "oscillatory" and mode.damping_ratio > LEAST_DAMPING)
+    )

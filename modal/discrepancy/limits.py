@@ -1,0 +1,53 @@
+"""The largest effects that the data could still hide."""
+
+import numpy as np
+
+from modal.discrepancy.diagnosis import DetectionLimit
+from modal.discrepancy.effect_units import parameter_units
+from modal.discrepancy.estimation import Estimate
+from modal.discrepancy.plant import Plant
+from modal.discrepancy.screen import Candidate, screen_candidates
+from modal.discrepancy.search import Task
+
+__all__ = ["detection_limits"]
+
+DEVIATIONS = 3.0
+
+
+def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[DetectionLimit, ...]:
+    """Three standard deviations of each effect's amplitude at each place, beside the model as found.
+
+    An effect with a shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest
+    over the shapes that the screen tries. Effects without an amplitude (a delay) are left out.
+
+    Args:
+        current: The model as found.
+        task: Records and catalogue.
+        plant: The plant.
+
+    Returns:
+        One limit an effect and place, in the order of the catalogue.
+    """
+    candidates = screen_candidates(current, task.fit, task.catalogue, signs="free")
+    largest: dict[tuple[str, str], Candidate] = {}
+    for candidate in candidates:
+        known = largest.get((candidate.key, candidate.where))
+        if np.isfinite(candidate.deviation) and (known is None or candidate.deviation > known.deviation):
+            largest[candidate.key, candidate.where] = candidate
+    found = []
+    for key, effect in task.catalogue.items():
+        amplitudes = [j for j, kind in enumerate(effect.parameters) if kind.role == "amplitude"]
+        for (other, where), candidate in largest.items():
+            if other != key or not amplitudes:
+                continue
+            first = amplitudes[0]
+            found.append(
+                DetectionLimit(
+                    effect=key,
+                    where=where,
+                    parameter=effect.parameters[first].name,
+                    value=DEVIATIONS * candidate.deviation,
+                    unit=parameter_units(plant, effect, where)[first],
+                )
+            )
+    return tuple(found)

@@ -1,0 +1,164 @@
+"""The linear plant with ports that every kind of model reduces to.
+
+    x' = A x + B u + E w        y = C x + D u + G w
+
+A port is a place where a force can act. An effect gives the force `w` from the motion at its port; nothing else of the
+model is nonlinear. The whole matrix [[A, B, E], [C, D, G]] is affine in the linear parameters that may be wrong
+(stiffness and damping of each element, or the real modal form of a state space), so that every sensitivity is exact.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from okid.arrays import FloatArray, frozen
+
+__all__ = ["LinearParameter", "Plant", "PlantMatrices", "Port", "plant_matrices", "split_matrices"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LinearParameter:
+    """One number of the linear model that may be wrong.
+
+    Attributes:
+        name: What it is, in words ("stiffness of element_1").
+        unit: Its unit.
+        nominal: Value in the model as it was given.
+        deviation: Standard deviation of the weak prior about the nominal value, in `unit`.
+        lower: Hard lower bound, in `unit`.
+        upper: Hard upper bound, in `unit`.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    deviation: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Port:
+    """A place where a force can act.
+
+    Attributes:
+        name: Name of the place ("element_1", "dof_0", "output_0", "output_0-output_1").
+        displacement: Row over [x; u] (n_states + n_inputs,) that gives the (relative) displacement; None where there
+            is none, as at a rotary shaft.
+        velocity: Row over [x; u] that gives the (relative) velocity; None for a flow.
+        columns: Columns of E and G in which a force at the port enters: one where its direction is known, several
+            that span the possible directions otherwise.
+        stiffness: Linear stiffness at the port in `force_unit`/`length_unit`, where it is known.
+        mass: Mass at the port (its moving end), where it is known.
+        length_unit: Unit of the displacement.
+        force_unit: Unit of the force.
+        accepts: What kinds of effect can act here: "motion" (any law of the motion at the port), "force" (only what
+            does not depend on it: constant and periodic forces), "mass" (a mass can be hung on it), "flow".
+    """
+
+    name: str
+    displacement: FloatArray | None
+    velocity: FloatArray | None
+    columns: tuple[int, ...]
+    stiffness: float | None = None
+    mass: float | None = None
+    length_unit: str = "m"
+    force_unit: str = "N"
+    accepts: frozenset[str] = frozenset({"motion", "force", "mass"})
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlantMatrices:
+    """The matrices of the plant for one value of the linear parameters.
+
+    Attributes:
+        A: (n_states, n_states) [1/s].
+        B: (n_states, n_inputs).
+        E: (n_states, n_forces).
+        C: (n_outputs, n_states).
+        D: (n_outputs, n_inputs).
+        G: (n_outputs, n_forces).
+    """
+
+    A: FloatArray
+    B: FloatArray
+    E: FloatArray
+    C: FloatArray
+    D: FloatArray
+    G: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Plant:
+    """A linear model with ports, affine in its uncertain parameters.
+
+    Attributes:
+        system: (1 + n_parameters, n_states + n_outputs, n_states + n_inputs + n_forces): the constant part of
+            [[A, B, E], [C, D, G]] and its derivative by each linear parameter.
+        n_states: Number of states; 0 for a plant without dynamics (imposed motion in, force out).
+        n_inputs: Number of inputs.
+        parameters: The linear parameters, in the order of `system[1:]`.
+        ports: The places where an effect can act.
+        input_names: Names of the inputs (also the places of input effects).
+        output_names: Names of the outputs (also the places of sensor effects).
+        input_units: Units of the inputs.
+        output_units: Units of the outputs.
+    """
+
+    system: FloatArray
+    n_states: int
+    n_inputs: int
+    parameters: tuple[LinearParameter, ...]
+    ports: tuple[Port, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "system", frozen(self.system, name="system of the plant"))
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.system.shape[1]) - self.n_states
+
+    @property
+    def n_forces(self) -> int:
+        """Number of columns of E."""
+        return int(self.system.shape[2]) - self.n_states - self.n_inputs
+
+    @property
+    def nominal(self) -> FloatArray:
+        """Nominal linear parameters (n_parameters,)."""
+        return np.array([parameter.nominal for parameter in self.parameters])
+
+    def port(self, name: str) -> Port:
+        """The port of that name.
+
+        Raises:
+            KeyError: If there is none.
+        """
+        for port in self.ports:
+            if port.name == name:
+                return port
+        raise KeyError(name)
+
+
+def split_matrices(plant: Plant, matrix: FloatArray) -> PlantMatrices:
+    """The blocks of one matrix of the shape of `plant.system[0]`."""
+    n, m = plant.n_states, plant.n_inputs
+    return PlantMatrices(
+        A=matrix[:n, :n],
+        B=matrix[:n, n : n + m],
+        E=matrix[:n, n + m :],
+        C=matrix[n:, :n],
+        D=matrix[n:, n : n + m],
+        G=matrix[n:, n + m :],
+    )
+
+
+def plant_matrices(plant: Plant, linear: FloatArray) -> PlantMatrices:
+    """The matrices at the linear parameters `linear` (n_parameters,)."""
+    whole = plant.system[0] + np.tensordot(linear, plant.system[1:], axes=(0, 0))
+    return split_matrices(plant, whole)

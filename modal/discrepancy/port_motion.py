@@ -1,0 +1,79 @@
+"""Motion at the places of forces, along a trajectory."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modal.discrepancy.assembly import Placement
+from modal.discrepancy.drive import Drive
+from modal.discrepancy.effects.effect import Motion
+from modal.discrepancy.plant import Port
+from okid.arrays import FloatArray
+
+__all__ = ["midway", "motion_at", "one_on", "shifted"]
+
+
+def shifted(values: FloatArray) -> FloatArray:
+    """Values one time on; the last time is its own successor (its step is not used)."""
+    return np.concatenate([values[1:], values[-1:]])
+
+
+def motion_at(
+    item: Placement,
+    states: FloatArray,
+    drive: Drive,
+    memory: FloatArray,
+    smoothing: float | FloatArray,
+    *,
+    stiffness: float | None = None,
+) -> Motion:
+    """Motion at a force's place along a trajectory of the plant's states (n_times, n_states).
+
+    `stiffness` is that of the place as calibrated, the port's own by default.
+    """
+    _, port = item.force_and_port
+    n = states.shape[1]
+
+    def along(row: FloatArray | None) -> FloatArray:
+        if row is None:
+            return np.zeros(len(states))
+        return np.asarray(states @ row[:n] + drive.sample @ row[n:])
+
+    return Motion(
+        displacement=along(port.displacement),
+        velocity=along(port.velocity),
+        time=drive.time,
+        memory=memory,
+        displacement_scale=item.displacement_scale,
+        velocity_scale=item.velocity_scale,
+        stiffness=next((value for value in (stiffness, port.stiffness) if value is not None), 1.0),
+        mass=1.0 if port.mass is None else port.mass,
+        smoothing=smoothing,
+    )
+
+
+def one_on(motion: Motion) -> Motion:
+    """Motion at the end of each step."""
+    return replace(
+        motion,
+        displacement=shifted(motion.displacement),
+        velocity=shifted(motion.velocity),
+        time=shifted(motion.time),
+        memory=shifted(motion.memory),
+    )
+
+
+def midway(port: Port, before: Motion, after: Motion, dt: float) -> Motion:
+    """Motion in the middle of each step, from displacement and velocity at both ends (cubic Hermite); memory as before.
+
+    d_m = (d0 + d1) / 2 + dt (v0 - v1) / 8 and v_m = 3 (d1 - d0) / (2 dt) - (v0 + v1) / 4.
+    """
+    d0, d1, v0, v1 = before.displacement, after.displacement, before.velocity, after.velocity
+    if port.displacement is None:
+        displacement, velocity = d0, 0.5 * (v0 + v1)
+    elif port.velocity is None:
+        displacement, velocity = 0.5 * (d0 + d1), v0
+    else:
+        displacement = 0.5 * (d0 + d1) + dt * (v0 - v1) / 8.0
+        velocity = 1.5 * (d1 - d0) / dt - 0.25 * (v0 + v1)
+    return replace(before, displacement=displacement, velocity=velocity, time=0.5 * (before.time + after.time))

@@ -1,0 +1,253 @@
+"""The level of white noise on an output, from the part of its spectrum that the response leaves quiet.
+
+In a window of neighbouring frequencies the spectrum of an output is, with the spectra U of the inputs,
+
+    Y(k) = sum over inputs of G_j(k) U_j(k) + T(k) + E(k)
+
+where the response function G and the transient T (initial state, and the ends of a record that is no whole number of
+periods) are smooth, hence low-order polynomials of k: linear least squares. What is left over, per degree of freedom,
+is noise and distortion. Noise is flat; the distortion of a nonlinear response piles up around its resonances and their
+harmonics. So the level is that of the quietest stretch of windows, as long a stretch as the data allow.
+
+The quietest of many is too quiet by chance. Therefore the stretch is chosen on every second window and its level taken
+from the others, and the other way round: what was chosen has no part in what is measured.
+
+How sure the level is depends on where the stretch lies. The force of a rubbing or an impact jumps, and the spectrum of
+samples with jumps falls off no faster than 1 / (4 sin^2(w / 2)), w in radians a sample. Over a long stretch that shape
+and a flat one cannot be mistaken for each other; over the last tenth of the band they look the same. The standard error
+is that of the flat part when such a tail is allowed for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from okid.arrays import BoolArray, ComplexArray, FloatArray
+
+__all__ = ["QuietBand", "ResidualSpectrum", "quiet_band", "residual_spectrum"]
+
+_DEGREE = 2
+"""Of the polynomials in a window."""
+_LINES_A_COLUMN = 5
+"""Frequencies of a window for each of its unknowns: fewer waste data, more ask for smoother response functions."""
+_FEWEST_LINES = 16
+_MOST_BLOCKS = 120
+"""Stretches begin and end at block edges; their number grows with the square of the blocks."""
+_CAUTION = 5.0
+"""Standard errors added to a level before it is called the smallest: with fewer a short stretch wins by chance."""
+_SMALLEST_SHARE = 0.2
+"""Of the spectrum, for a stretch: the gap between two resonances is quiet too, but no place to measure a level."""
+_OUTLIER = 1e-4
+"""A window this unlikely in its stretch holds a line (a harmonic, hum), and is left out."""
+_LOWEST_TAIL = 0.1
+"""Cycles a sample below which no tail is followed: resonances stand there."""
+_LARGEST_ERROR = 3.0
+_FEWEST_ABOVE = 8
+"""Windows above a stretch, to see a spectrum rise."""
+_UNDRIVEN = 1.2
+"""Level with the response to the inputs over that without, up to which inputs drive nothing there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ResidualSpectrum:
+    """What smooth response functions and a smooth transient leave of each output's spectrum.
+
+    Attributes:
+        n_samples: of the record.
+        first: number of the first line of the first window; line k is at k / n_samples cycles a sample.
+        edges: (n_windows + 1,) in cycles a sample, rising.
+        left: (n_windows, n_lines, n_outputs) residual, white noise of variance s^2 having E |left|^2 = s^2 before what
+            is fitted takes its share.
+        level: (n_windows, n_outputs) variance of a white noise of this density [unit^2].
+        level_undriven: the same with the transient alone taken out, the response to the inputs left in.
+        freedom: complex degrees of freedom of each window's level.
+        transient_freedom: unknowns of the transient in a window.
+    """
+
+    n_samples: int
+    first: int
+    edges: FloatArray
+    left: ComplexArray
+    level: FloatArray
+    level_undriven: FloatArray
+    freedom: int
+    transient_freedom: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class QuietBand:
+    """The quietest stretch of one output's spectrum.
+
+    Attributes:
+        variance: of the white noise [unit^2].
+        standard_error: relative, a tail of distortion in the stretch allowed for; at most 3.
+        low: end of the band, in cycles a sample.
+        high: likewise.
+        freedom: complex degrees of freedom behind the variance.
+        driven_share: share of the level in the middle window of the band that the inputs explain.
+        rise: variance of a noise that has this level up to the band and what the spectrum shows above it, over
+            `variance`: more than 1 where the spectrum rises to half the sampling frequency though no input drives it.
+    """
+
+    variance: float
+    standard_error: float
+    low: float
+    high: float
+    freedom: float
+    driven_share: float
+    rise: float
+
+
+def residual_spectrum(inputs: FloatArray, outputs: FloatArray) -> ResidualSpectrum | None:
+    """Levels of the residual in windows of neighbouring frequencies; None where there are too few samples for two.
+
+    Args:
+        inputs: (n_samples, n_inputs) without gaps; n_inputs may be 0.
+        outputs: (n_samples, n_outputs) without gaps.
+
+    References:
+        Pintelon, Schoukens, Vandersteen, Barbe, "Estimation of nonparametric noise and FRF models for multivariable
+        systems, part I: theory", Mechanical Systems and Signal Processing 24(3), 2010, 573-595, doi
+        10.1016/j.ymssp.2009.08.009.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> spectrum = residual_spectrum(u, 5.0 * u + 0.1 * rng.standard_normal((2000, 1)))
+        >>> print(f"{spectrum.level.mean():.3f}")
+        0.010
+    """
+    n_samples, n_inputs = inputs.shape
+    last = (n_samples - 1) // 2  # the line at half the sampling frequency is real, and left out
+    degree, width = _window(last, n_inputs)
+    n_windows = last // width
+    if n_windows < 2:
+        return None
+    first = last - n_windows * width + 1
+    given, answer = (
+        (np.fft.rfft(part - part.mean(axis=0), axis=0)[first : last + 1] / np.sqrt(n_samples)).reshape(
+            n_windows, width, part.shape[1]
+        )
+        for part in (inputs, outputs)
+    )
+    powers = np.linspace(-1.0, 1.0, width)[:, np.newaxis] ** np.arange(degree + 1)
+    n_powers = degree + 1
+    driven = (given[:, :, :, np.newaxis] * powers[:, np.newaxis, :]).reshape(n_windows, width, n_inputs * n_powers)
+    size = np.linalg.norm(driven, axis=1, keepdims=True)
+    columns = np.empty((n_windows, width, n_powers * (1 + n_inputs)), dtype=np.complex128)
+    columns[:, :, :n_powers] = powers
+    columns[:, :, n_powers:] = driven / np.where(size > 0.0, size, 1.0)
+    # Q has orthonormal columns even where an input has nothing in a window: its freedom is spent, no bias is made
+    basis = np.linalg.qr(columns)[0]
+    along = basis.conj().transpose(0, 2, 1) @ answer
+    left = answer - basis @ along
+    by_inputs = (np.abs(along[:, n_powers:]) ** 2).sum(axis=1)
+    freedom, energy = width - columns.shape[2], (np.abs(left) ** 2).sum(axis=1)
+    return ResidualSpectrum(
+        n_samples=n_samples,
+        first=first,
+        edges=(first - 0.5 + width * np.arange(n_windows + 1)) / n_samples,
+        left=left,
+        level=energy / freedom,
+        level_undriven=(energy + by_inputs) / (width - n_powers),
+        freedom=freedom,
+        transient_freedom=n_powers,
+    )
+
+
+def quiet_band(spectrum: ResidualSpectrum, output: int) -> QuietBand:
+    """The quietest stretch of windows: the one with the smallest upper limit of its level.
+
+    Args:
+        spectrum: of all outputs.
+        output: which of them.
+
+    Example:
+        >>> rng = np.random.default_rng(1)
+        >>> y = np.sin(0.2 * np.arange(4000)) ** 3 + 0.1 * rng.standard_normal(4000)
+        >>> band = quiet_band(residual_spectrum(np.empty((4000, 0)), y[:, np.newaxis]), 0)
+        >>> print(f"{band.variance:.3f}, sure to {100 * band.standard_error:.0f} %")
+        0.010, sure to 5 %
+    """
+    level = spectrum.level[:, output]
+    n_windows = level.size
+    n_blocks = int(np.clip(n_windows // 2, 1, _MOST_BLOCKS))
+    block = (np.arange(n_windows) * n_blocks) // n_windows
+    half = np.arange(n_windows) % 2 == 0
+    everything, measured = np.zeros(n_windows, dtype=np.bool_), np.zeros(n_windows)
+    for choosing in (half, ~half):
+        first, last = _quietest(level, block, choosing, spectrum.freedom)
+        inside = (block >= first) & (block <= last)
+        kept = inside & _ordinary(level, inside, spectrum.freedom)
+        everything |= kept
+        measured += kept & ~choosing if (kept & ~choosing).any() else kept
+    where = np.flatnonzero(everything)
+    mean = float(level @ measured / measured.sum())
+    undriven = float(np.median(spectrum.level_undriven[everything, output]))
+    return QuietBand(
+        variance=mean,
+        standard_error=_standard_error(spectrum, measured),
+        low=float(spectrum.edges[where[0]]),
+        high=float(spectrum.edges[where[-1] + 1]),
+        freedom=float(measured.sum()) * spectrum.freedom,
+        driven_share=max(0.0, 1.0 - float(np.median(level[everything])) / undriven) if undriven > 0.0 else 0.0,
+        rise=_rise(spectrum, output, mean, int(where[-1]) + 1),
+    )
+
+
+def _window(n_lines: int, n_inputs: int) -> tuple[int, int]:
+    """Degree of the polynomials and lines of a window: a lower degree where the record is short."""
+    degree = _DEGREE
+    while True:
+        width = max(_FEWEST_LINES, _LINES_A_COLUMN * (degree + 1) * (1 + n_inputs))
+        if degree == 0 or n_lines >= 6 * width:
+            return degree, width
+        degree -= 1
+
+
+def _quietest(level: FloatArray, block: np.ndarray, choosing: BoolArray, freedom: int) -> tuple[int, int]:
+    """First and last block of the stretch whose level plus its caution is smallest, on the choosing windows."""
+    n_blocks = int(block[-1]) + 1
+    total = np.concatenate([[0.0], np.cumsum(np.bincount(block, level * choosing, minlength=n_blocks))])
+    count = np.concatenate([[0.0], np.cumsum(np.bincount(block, choosing, minlength=n_blocks))])
+    sums, counts = (part[np.newaxis, :] - part[:, np.newaxis] for part in (total, count))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bound = sums / counts * (1.0 + _CAUTION / np.sqrt(counts * freedom))
+    bound[~(counts >= max(1.0, _SMALLEST_SHARE * count[-1]))] = np.inf
+    first, stop = np.unravel_index(int(np.argmin(bound)), bound.shape)
+    return int(first), int(stop) - 1
+
+
+def _ordinary(level: FloatArray, inside: BoolArray, freedom: int) -> BoolArray:
+    """False for windows that hold a line: far above the middle of their stretch."""
+    middle = float(np.median(level[inside]))
+    limit = scipy.special.gammainccinv(freedom, _OUTLIER) / scipy.special.gammainccinv(freedom, 0.5)
+    ordinary: BoolArray = level <= limit * middle
+    return ordinary
+
+
+def _rise(spectrum: ResidualSpectrum, output: int, mean: float, after: int) -> float:
+    """Variance with what lies above the band over that without; 1 where that need not be noise.
+
+    Distortion falls with frequency; what rises to the end is the noise of a differentiated or a sampled-down signal.
+    """
+    above, undriven = spectrum.level[after:, output], spectrum.level_undriven[after:, output]
+    if above.size < _FEWEST_ABOVE or mean <= 0.0:
+        return 1.0
+    quarter = above.size // 4
+    rises = above[-quarter:].mean() >= above[:-quarter].mean() > mean
+    if not rises or undriven.mean() > _UNDRIVEN * above.mean():
+        return 1.0
+    return float((mean * after + above.sum()) / (mean * spectrum.level.shape[0]))
+
+
+def _standard_error(spectrum: ResidualSpectrum, weight: FloatArray) -> float:
+    """Of the flat part of flat + tail, from windows of these weights; gamma distributed levels near flat."""
+    middle = np.maximum(0.5 * (spectrum.edges[1:] + spectrum.edges[:-1]), _LOWEST_TAIL)
+    tail = 1.0 / (4.0 * np.sin(np.pi * middle) ** 2)
+    own, cross, square = weight.sum(), weight @ tail, weight @ tail**2
+    known = own * square - cross**2
+    if known <= 1e-9 * own * square:
+        return _LARGEST_ERROR
+    return float(min(_LARGEST_ERROR, np.sqrt(square / known / spectrum.freedom)))

@@ -1,0 +1,192 @@
+"""What each candidate effect would do by itself: its force at a place along the current trajectory, at a few shapes.
+
+A law that is linear in its amplitudes gives one history an amplitude; what is not linear (a gap, a yield displacement,
+a frequency, a delay) is tried at the values that the effect proposes from the motion at its place and from the peaks of
+what the model leaves.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal.discrepancy.assembly import Assembly, Placement, Unknowns, initial_unknowns, place
+from modal.discrepancy.banded import band_of, solve_band
+from modal.discrepancy.drive import Drive
+from modal.discrepancy.driven import drive_inputs
+from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
+from modal.discrepancy.estimation import Estimate, Problem
+from modal.discrepancy.port_motion import motion_at
+from modal.discrepancy.sensitivity import Source, force_response
+from okid.arrays import FloatArray
+
+__all__ = ["Trial", "trials_of"]
+
+N_PEAKS = 4
+SHAPE_TRIES = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Trial:
+    """An effect at a place, at one shape.
+
+    Attributes:
+        placement: The effect at its place.
+        values: Its parameters; amplitudes stand at 1.
+        sources: What each amplitude does by itself, for each column of the port.
+    """
+
+    placement: Placement
+    values: tuple[float, ...]
+    sources: tuple[Source, ...]
+
+
+def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[Trial]:
+    """An effect at a place, at each shape worth a try.
+
+    Args:
+        current: The model so far.
+        problem: The records to fit.
+        effect: The effect.
+        where: Name of the place.
+        smoothing: Width of sharp laws, as a share of the motion's scale.
+
+    Returns:
+        The trials; none where the model has that effect there already, or none of its shapes shows.
+    """
+    assembly, trajectory = current.assembly, current.trajectory
+    drive = trajectory.drive
+    item = place(assembly.plant, effect, where)
+    if any(other.effect.key == effect.key and other.where == where for other in assembly.placements):
+        return []
+    if isinstance(effect, ForceEffect):
+        states, memory = trajectory.states[:, : assembly.plant.n_states], np.zeros((drive.n_times, effect.n_memory))
+        motion = motion_at(item, states, drive, memory, smoothing * drive.level)
+    else:
+        signal = drive.sample if isinstance(effect, InputEffect) else trajectory.linearisation.free
+        time = drive.time if isinstance(effect, InputEffect) else drive.time[drive.rows]
+        motion = _signal(signal[:, item.channel], time)
+    motion = replace(
+        motion,
+        displacement_scale=max(float(np.std(motion.displacement)), 1e-300),
+        velocity_scale=max(float(np.std(motion.velocity)), 1e-300),
+    )
+    item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
+    situation = Situation(
+        motion=motion,
+        residual_frequencies=_peaks(current, problem),
+        dt=drive.dt,
+        longest=float(drive.time.max()),
+    )
+    found = []
+    for values in effect.starts(situation):
+        sources = _sources(current, item, values, motion)
+        if sources:
+            found.append(Trial(placement=item, values=values, sources=tuple(sources)))
+    return found
+
+
+def _signal(values: FloatArray, time: FloatArray) -> Motion:
+    return Motion(
+        displacement=values,
+        velocity=np.zeros_like(values),
+        time=time,
+        memory=np.zeros((len(values), 0)),
+        displacement_scale=1.0,
+        velocity_scale=1.0,
+    )
+
+
+def _sources(current: Estimate, item: Placement, values: tuple[float, ...], motion: Motion) -> list[Source]:
+    effect, drive, n = item.effect, current.trajectory.drive, current.assembly.plant.n_states
+    n_all = current.trajectory.states.shape[1]
+    if isinstance(effect, ForceEffect):
+        if effect.n_memory:
+            memory = _memory(effect, values, motion, drive)
+            if memory is None:
+                return []
+            motion = replace(motion, memory=memory)
+        histories = effect.screen_columns(values, motion)
+        _, port = item.force_and_port
+        return [
+            force_response(drive, current.scheme, column, history, n_all)
+            for column in port.columns
+            for history in histories.T
+        ]
+    if isinstance(effect, SensorEffect):
+        slopes = effect.by_parameter(effect.neutral, motion.displacement, motion.time)
+        found = []
+        for slope in slopes.T:
+            sensed = np.zeros_like(current.trajectory.outputs)
+            sensed[:, item.channel] = slope
+            found.append(Source(sensed=sensed))
+        return found
+    moved = values
+    if values == effect.neutral:
+        moved = tuple(value + 1.0 for value in values)
+    lone = Assembly(plant=current.assembly.plant, placements=(item,))
+    changed = drive_inputs(lone, _plain(lone, moved, drive.n_records), drive)
+    flow = np.zeros((drive.n_times, n_all))
+    flow[:, :n] = (changed.start - drive.start) @ current.scheme.B0.T + (changed.end - drive.end) @ current.scheme.B1.T
+    direct = (changed.sample - drive.sample)[drive.rows] @ current.scheme.D.T
+    if not flow.any() and not direct.any():
+        return []
+    return [Source(flow=flow, outputs=direct)]
+
+
+def _plain(lone: Assembly, values: tuple[float, ...], n_records: int) -> Unknowns:
+    unknowns = initial_unknowns(lone, n_records)
+    unknowns.common[lone.n_linear :] = [values[j] for j in lone.placements[0].common]
+    return unknowns
+
+
+def _memory(effect: ForceEffect, values: tuple[float, ...], motion: Motion, drive: Drive) -> FloatArray | None:
+    """An effect's own states along a given motion, by Newton's method on the whole trajectory."""
+    following = np.minimum(np.arange(drive.n_times) + 1, drive.n_times - 1)
+    z = np.zeros((drive.n_times, effect.n_memory))
+    lasts = np.array(drive.firsts[1:]) - 1
+    for _ in range(SHAPE_TRIES):
+        before = replace(motion, memory=z)
+        after = replace(
+            before,
+            displacement=motion.displacement[following],
+            velocity=motion.velocity[following],
+            time=motion.time[following],
+            memory=z[following],
+        )
+        step = effect.advance(values, before, after, drive.dt)
+        forcing = np.zeros((1, *z.shape))
+        forcing[0, 1:] = (step.value - z[following])[:-1]
+        forcing[0, list(drive.firsts[:-1])] = -z[list(drive.firsts[:-1])]
+        transitions = step.by_memory.copy()
+        transitions[lasts] = 0.0
+        change = solve_band(band_of(transitions), forcing)[0]
+        z = z + change
+        if not np.isfinite(z).all():
+            return None
+        if np.abs(change).max() <= 1e-6 * max(np.abs(z).max(), 1e-300):
+            return z
+    return None
+
+
+def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
+    """Frequencies of the highest peaks of what the model leaves, outputs in units of their residual."""
+    drive = problem.drive
+    residual = np.where(drive.present, drive.outputs - current.trajectory.outputs, 0.0)
+    length = min(drive.row_firsts[r + 1] - drive.row_firsts[r] for r in range(drive.n_records))
+    power = np.zeros(length // 2 + 1)
+    window = np.hanning(length)
+    for record in range(drive.n_records):
+        part = residual[drive.rows_of(record)][:length]
+        scale = np.maximum(part.std(axis=0), 1e-300)
+        power += np.sum(np.abs(np.fft.rfft((part - part.mean(axis=0)) / scale * window[:, None], axis=0)) ** 2, axis=1)
+    dt = drive.dt * (int(drive.rows[1]) if len(drive.rows) > 1 else 1)
+    frequencies = np.fft.rfftfreq(length, dt)
+    inner = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    order = inner[np.argsort(-power[inner])]
+    chosen: list[int] = []
+    for index in order:
+        if index > 1 and all(abs(index - other) > 3 for other in chosen):
+            chosen.append(int(index))
+        if len(chosen) == N_PEAKS:
+            break
+    return tuple(float(frequencies[index]) for index in chosen)

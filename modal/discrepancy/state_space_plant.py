@@ -1,0 +1,252 @@
+"""A general linear state space as a plant with ports.
+
+A structure measured by displacement sensors has displacements d = C x; velocity sensors read the derivative of
+C A^-1 x, accelerometers the second derivative of C A^-2 x. A force cannot move a displacement at once, so its direction
+e in the state space is one with (displacement rows) e = 0: the null space of these rows. Half of the states of a
+structure at most are displacements; the other half is what a force can drive.
+
+Places are the outputs, and the differences of two of them. The direction of a force at a place is not known, so a port
+has several columns: the first, e_1, gives the displacement there an acceleration of -1 (the force opposes motion), the
+others add what a force at that place may do elsewhere and give it none. Forces are therefore counted per effective
+mass at the place, in length unit / s^2.
+
+Where a displacement does not exist:
+    - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
+      first order: its port takes flows in any direction of the states; its displacement row is the output itself.
+      Where all poles are real a displacement may also be the level of one of several tanks: a second port, "output_0
+      level", takes flows.
+    - velocity sensors of a shaft that nothing holds, or of a mass that only a damper holds: a constant force gives a
+      constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
+    - an integrator needs its displacement measured: an acceleration does not show it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from modal.discrepancy.continuous_time import ContinuousSystem, continuous_system
+from modal.discrepancy.internal_changes import internal_changes
+from modal.discrepancy.modal_form import modal_form
+from modal.discrepancy.motion_rows import OutputMotion, motion_of_outputs
+from modal.discrepancy.plant import Plant, Port
+from modal.discrepancy.static_plant import static_plant
+from modal.structure import SensorKind
+from modal.structure_checks import matched_names, sensor_kinds, tolerance
+from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
+from okid.record import InputHold, Record
+from okid.record_checks import labels
+
+__all__ = ["state_space_plant"]
+
+_MOST_PAIRED = 12
+"""Outputs up to which every pair is a place; beyond, only neighbours in the order of the outputs are."""
+
+_ACCEPTS = {
+    "mechanical": frozenset({"motion", "force", "mass"}),
+    "shaft": frozenset({"motion", "force"}),
+    "flow": frozenset({"flow", "force"}),
+}
+
+_STILL = 1e-9
+"""Share of the largest pole below which a pole is an integrator."""
+
+_RANK = 1e-6
+"""Singular values of the displacement rows below this share of the largest are rounding."""
+
+
+def state_space_plant(
+    system: Any,
+    *,
+    sensor_kind: SensorKind | Sequence[SensorKind],
+    input_hold: InputHold = "zero_order",
+    dt: float | None = None,
+    records: Sequence[Record] = (),
+    input_names: Sequence[str] = (),
+    output_names: Sequence[str] = (),
+    input_units: Sequence[str] = (),
+    output_units: Sequence[str] = (),
+    frequency_tolerance: float = 0.1,
+    damping_tolerance: float = 0.5,
+) -> Plant:
+    """The plant of a state space, in real modal form.
+
+    Uncertain are, with one mode or without free directions of force, the real and imaginary part of each pole (B, C and D
+    are taken as right); with several modes all linear forces inside the structure (`internal_changes`), because a wrong
+    stiffness changes shapes as well as poles.
+
+    Args:
+        system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
+            states it is a plant of imposed motion and measured force, see `static_plant`.
+        sensor_kind: "displacement", "velocity" or "acceleration", one word or one an output.
+        input_hold: Of the records, to convert a discrete system by.
+        dt: Time step of the records [s], to check the system's against.
+        records: Only for a plant without states: what tells which input is the derivative of which.
+        input_names: "input_0", ... unless given.
+        output_names: "output_0", ... unless given.
+        input_units: "" unless given.
+        output_units: "" unless given.
+        frequency_tolerance: Standard deviation of the prior on the imaginary part of a pole, as a share of |pole|.
+        damping_tolerance: Relative standard deviation of the prior on the real part of a pole.
+
+    Raises:
+        InvalidDataError: No state space, an unstable one, one that no continuous-time system samples to, or an
+            accelerometer on an integrator.
+        NumericalError: The conversion to continuous time is not exact.
+
+    Example:
+        >>> import control
+        >>> mass_on_spring = control.ss([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+        >>> plant = state_space_plant(mass_on_spring, sensor_kind="displacement")
+        >>> [port.name for port in plant.ports], [parameter.name for parameter in plant.parameters]
+        (['output_0'], ['real part of pole pair 1 (1.592 Hz)', 'imaginary part of pole pair 1 (1.592 Hz)'])
+    """
+    continuous = continuous_system(system, input_hold=input_hold, dt=dt)
+    n_outputs, n_inputs = continuous.D.shape
+    names = matched_names(input_names, output_names, n_inputs=n_inputs, n_outputs=n_outputs)
+    units = (
+        labels(input_units, n_inputs, "input", named=False),
+        labels(output_units, n_outputs, "output", named=False),
+    )
+    if len(continuous.A) == 0:
+        return static_plant(continuous.D, records=records, names=names, units=units)
+    _check_stable(continuous.A)
+    form = modal_form(
+        continuous,
+        frequency_tolerance=tolerance(frequency_tolerance, name="frequency_tolerance"),
+        damping_tolerance=tolerance(damping_tolerance, name="damping_tolerance"),
+    )
+    kinds = sensor_kinds(sensor_kind, n_outputs)
+    motions = motion_of_outputs(form.system, kinds, units[1])
+    ports, forces, direct = _ports(form.system, motions, names[1])
+    modal = form.system
+    constant = np.block([[modal.A, modal.B, forces], [modal.C, modal.D, direct]])
+    n_states = len(modal.A)
+    changes = internal_changes(modal.A, _free_directions(motions, n_states), motions, tolerance=frequency_tolerance)
+    parameters = form.parameters if changes is None else changes.parameters
+    slopes = np.zeros((len(parameters), *constant.shape))
+    if changes is None:
+        slopes[:, :n_states, :n_states] = form.slopes
+        nominal = np.array([parameter.nominal for parameter in parameters])
+        constant[:n_states, :n_states] -= np.tensordot(nominal, form.slopes, axes=(0, 0))
+    else:
+        slopes[:, :, :n_states] = changes.slopes
+    return Plant(
+        system=np.concatenate([constant[None], slopes]),
+        n_states=n_states,
+        n_inputs=n_inputs,
+        parameters=parameters,
+        ports=ports,
+        input_names=names[0],
+        output_names=names[1],
+        input_units=units[0],
+        output_units=units[1],
+    )
+
+
+def _check_stable(A: FloatArray) -> None:
+    poles = np.linalg.eigvals(A)
+    worst = poles[poles.real.argmax()]
+    # a double pole at zero comes out at the root of the rounding
+    if worst.real > 1e-7 * np.abs(poles).max():
+        raise InvalidDataError(
+            f"a model must be stable, but this one has a pole at {worst.real:.4g} {worst.imag:+.4g}i 1/s; leave that "
+            "mode out, or close the loop that holds it."
+        )
+
+
+def _ports(
+    system: ContinuousSystem, motions: tuple[OutputMotion, ...], names: tuple[str, ...]
+) -> tuple[tuple[Port, ...], FloatArray, FloatArray]:
+    """The ports with their E and G."""
+    n_states = len(system.A)
+    held = _free_directions(motions, n_states)
+    places = [(name, one, _ACCEPTS[one.nature]) for name, one in zip(names, motions, strict=True)]
+    for i, j in _pairs(motions):
+        # an absorber hangs on one place; between two its force would have nothing to stand on
+        places.append((f"{names[i]}-{names[j]}", motions[i].less(motions[j]), _ACCEPTS[motions[i].nature] - {"mass"}))
+    places += [(f"{name} level", one, frozenset({"flow"})) for name, one in _levels(system, motions, names)]
+    ports: list[Port] = []
+    columns: list[FloatArray] = [np.zeros((n_states, 0))]
+    n_columns = 0
+    for name, motion, accepts in places:
+        found = _opposing(np.eye(n_states) if motion.nature == "flow" else held, motion.driven)
+        if found is not None:
+            columns.append(found)
+            ports.append(
+                Port(
+                    name=name,
+                    displacement=motion.displacement,
+                    velocity=motion.velocity,
+                    columns=tuple(range(n_columns, n_columns + found.shape[1])),
+                    stiffness=_static_stiffness(system.A, motion, found[:, 0]),
+                    mass=1.0 if motion.nature == "mechanical" else None,
+                    length_unit=motion.unit,
+                    force_unit=motion.force_unit,
+                    accepts=accepts,
+                )
+            )
+            n_columns += found.shape[1]
+    forces = np.hstack(columns)
+    return tuple(ports), forces, np.array([motion.direct for motion in motions]) @ forces
+
+
+def _levels(
+    system: ContinuousSystem, motions: tuple[OutputMotion, ...], names: tuple[str, ...]
+) -> list[tuple[str, OutputMotion]]:
+    """Displacements of a plant whose poles are all real, as levels that flows move: it may be one of several tanks."""
+    if (np.linalg.eigvals(system.A).imag != 0).any():
+        return []
+    return [
+        (name, replace(one, nature="flow", velocity=None, driven=row))
+        for name, one, row in zip(names, motions, system.C, strict=True)
+        if one.nature == "mechanical" and not one.direct.any()
+    ]
+
+
+def _free_directions(motions: tuple[OutputMotion, ...], n_states: int) -> FloatArray:
+    """(n_states, n_free) orthonormal directions that leave every measured displacement where it is."""
+    rows = [
+        one.displacement[:n_states] for one in motions if one.nature == "mechanical" and one.displacement is not None
+    ]
+    if not rows:
+        return np.eye(n_states)
+    scaled = np.array([row / np.linalg.norm(row) for row in rows if row.any()]).reshape(-1, n_states)
+    _, sizes, right = np.linalg.svd(scaled)
+    rank = min(int((sizes > _RANK * sizes.max(initial=0.0)).sum()), n_states // 2)
+    return np.ascontiguousarray(right[rank:].T)
+
+
+def _opposing(free: FloatArray, driven: FloatArray) -> FloatArray | None:
+    """Columns of E for a force at a place, None where none of the free directions moves it.
+
+    The first is the shortest direction e with driven e = -1; the others, of its length, have driven e = 0.
+    """
+    moves = free.T @ driven
+    size = float(np.linalg.norm(moves))
+    if size <= 1e-8 * float(np.linalg.norm(driven)) or size == 0:
+        return None
+    first = -moves / size**2
+    others = scipy.linalg.null_space(moves[None] / size) / size
+    return free @ np.hstack([first[:, None], others])
+
+
+def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray) -> float | None:
+    """Constant force by the displacement that it gives at the place, per effective mass; k / m for one DOF."""
+    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / _STILL:
+        return None
+    compliance = float(motion.displacement[: len(A)] @ np.linalg.solve(A, opposing))
+    return 1 / compliance if compliance > 0 else None
+
+
+def _pairs(motions: tuple[OutputMotion, ...]) -> list[tuple[int, int]]:
+    reach = len(motions) if len(motions) <= _MOST_PAIRED else 1
+    return [
+        (i, j)
+        for i, first in enumerate(motions)
+        for j, second in enumerate(motions[: i + reach + 1])
+        if j > i and (first.nature, first.unit) == (second.nature, second.unit)
+    ]

@@ -1,0 +1,224 @@
+"""Simulation by Newton's method on the whole trajectory.
+
+Every step's defect is driven to zero at once: one banded solve an iteration (`modal.discrepancy.banded`), no loop over
+time. From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
+first smoothed and then sharpened, and at last the records are marched through in windows.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.assembly import Assembly, Unknowns
+from modal.discrepancy.banded import band_of, solve_band
+from modal.discrepancy.drive import Drive
+from modal.discrepancy.driven import drive_inputs
+from modal.discrepancy.linearisation import Linearisation, linearise
+from modal.discrepancy.scheme import Scheme
+from okid.arrays import FloatArray
+
+__all__ = ["SHARP", "Trajectory", "resting_states", "simulate_states"]
+
+SHARP = 0.005
+"""Smoothing of sharp laws in a finished simulation, as a share of the motion's scale: at 0.02 a sticking motor's
+simulation stays 14 times above the noise."""
+
+TOLERANCE = 1e-8
+"""A trajectory has converged when no step misses by more than this share of the states' size."""
+
+ITERATIONS = 25
+NEAR_ITERATIONS = 10
+"""Newton iterations from a trajectory that is near already: a trial step that needs more is taken for too long."""
+LADDER = (0.3, 0.1, 0.03, 0.012, 0.005, 0.002)
+SMALLEST_SHARE = 0.1
+"""Smallest share of a Newton step that is tried."""
+
+FIRST_WINDOW, SMALLEST_WINDOW, LARGEST_WINDOW = 64, 4, 256
+"""Steps of a window in the march."""
+
+BUDGET: dict[str, float] = {"far": 120.0, "near": 15.0}
+"""Evaluations of the whole trajectory that a march may cost."""
+OVERHEAD = 200
+"""What an evaluation of a window costs besides its times, in times."""
+
+About = Callable[[FloatArray, float], Linearisation]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Trajectory:
+    """A simulated trajectory and the model about it.
+
+    Attributes:
+        linearisation: The model about the trajectory.
+        band: The recursion's band, for the sensitivities.
+        drive: The drive after the effects at the inputs.
+    """
+
+    linearisation: Linearisation
+    band: FloatArray
+    drive: Drive
+
+    @property
+    def states(self) -> FloatArray:
+        """The trajectory (n_times, n_states + n_memory)."""
+        return self.linearisation.states
+
+    @property
+    def outputs(self) -> FloatArray:
+        """Outputs at the measured rows (n_rows, n_outputs)."""
+        return self.linearisation.outputs
+
+
+def resting_states(assembly: Assembly, drive: Drive) -> FloatArray:
+    """A trajectory to start from: all zero."""
+    return np.zeros((drive.n_times, assembly.plant.n_states + assembly.n_memory))
+
+
+def simulate_states(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    drive: Drive,
+    scheme: Scheme,
+    states: FloatArray,
+    *,
+    smoothing: float = SHARP,
+    gain: FloatArray | None = None,
+    start: Literal["far", "near"] = "far",
+) -> Trajectory | None:
+    """Simulate.
+
+    Args:
+        assembly: The plant and its effects.
+        unknowns: Values of all unknowns.
+        drive: Inputs as recorded.
+        scheme: Matrices of one step.
+        states: A trajectory to start from (n_times, n_states + n_memory).
+        smoothing: Width of sharp laws as a share of the motion's scale.
+        gain: Observer gain, or None for a free run.
+        start: "far": sharp laws are softened first where the whole does not converge; "near": a few iterations only.
+
+    Returns:
+        The trajectory; None where none was found (the motion escapes, or Newton's method does not converge).
+    """
+    driven = drive_inputs(assembly, unknowns, drive)
+
+    def about(trial: FloatArray, width: float) -> Linearisation:
+        return linearise(assembly, unknowns, driven, scheme, trial, smoothing=width, gain=gain)
+
+    found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS)
+    if found is None:
+        marched = _march(assembly, unknowns, driven, scheme, states, smoothing, BUDGET[start], gain)
+        found = None if marched is None else _newton(about, marched, smoothing, NEAR_ITERATIONS)
+    if found is None and start == "far":
+        found = _softened(about, states, smoothing)
+    if found is None:
+        return None
+    return Trajectory(linearisation=found, band=band_of(found.transitions()), drive=driven)
+
+
+def _softened(about: About, states: FloatArray, smoothing: float) -> Linearisation | None:
+    """Soften sharp laws until Newton's method converges, then sharpen them step by step."""
+    found: Linearisation | None = None
+    for width in (*(step for step in LADDER if step > smoothing), smoothing):
+        softer = _newton(about, states, width, ITERATIONS)
+        if softer is None and found is not None:
+            return None
+        if softer is not None:
+            found, states = softer, softer.states
+    return found
+
+
+def _march(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    driven: Drive,
+    scheme: Scheme,
+    states: FloatArray,
+    smoothing: float,
+    budget: float,
+    gain: FloatArray | None,
+) -> FloatArray | None:
+    """Solve window by window, all records side by side; a window that does not converge is halved.
+
+    `budget` is in evaluations of the whole trajectory.
+    """
+    spent = 0.0
+    found = states.copy()
+    for record, first in enumerate(driven.firsts[:-1]):
+        found[first] = unknowns.local[record, list(assembly.initial)]
+    longest = int(np.diff(driven.firsts).max())
+    position, width = 0, FIRST_WINDOW
+    while position < longest - 1:
+        window, index, which = driven.window(position, position + width + 1)
+        initial = found[index[list(window.firsts[:-1])]]
+        some = Unknowns(common=unknowns.common, local=unknowns.local[which])
+
+        def about(trial: FloatArray, wide: float) -> Linearisation:
+            nonlocal spent
+            spent += (len(trial) + OVERHEAD) / len(states)
+            return linearise(assembly, some, window, scheme, trial, smoothing=wide, gain=gain, initial=initial)  # noqa: B023 - used within this turn of the loop
+
+        held = np.repeat(initial, np.diff(window.firsts), axis=0)
+        solved = _newton(about, found[index], smoothing, NEAR_ITERATIONS) or _newton(
+            about, held, smoothing, NEAR_ITERATIONS
+        )
+        if solved is None:
+            width //= 2
+            if width < SMALLEST_WINDOW or spent > budget:
+                return None
+            continue
+        found[index] = solved.states
+        position, width = position + width, min(2 * width, LARGEST_WINDOW)
+    return found
+
+
+def _newton(about: About, states: FloatArray, width: float, iterations: int) -> Linearisation | None:
+    """Newton's method; None where it does not converge or a step has no unique end."""
+    try:
+        return _iterated(about, states, width, iterations)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _iterated(about: About, states: FloatArray, width: float, iterations: int) -> Linearisation | None:
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        current = about(states, width)
+        miss = _miss(current)
+        for _ in range(iterations):
+            if miss == 0.0:  # at rest without inputs, or no states at all
+                return current
+            if not np.isfinite(miss):
+                return None
+            step = _step(current)
+            largest = float(np.abs(step).max(initial=0.0))
+            size = float(np.abs(current.states).max(initial=0.0)) + largest
+            share = 1.0
+            trial = about(current.states + step, width)
+            trial_miss = _miss(trial)
+            while not trial_miss < max(miss, TOLERANCE * size) and share > SMALLEST_SHARE:
+                share /= 2.0
+                trial = about(current.states + share * step, width)
+                trial_miss = _miss(trial)
+            if not np.isfinite(trial_miss):
+                return None
+            done = share == 1.0 and largest <= TOLERANCE * size
+            current, miss = trial, trial_miss
+            if done:
+                return current
+    return None
+
+
+def _miss(current: Linearisation) -> float:
+    return float(np.sqrt(np.mean(current.defect**2))) if current.defect.size else 0.0
+
+
+def _step(current: Linearisation) -> FloatArray:
+    # The step k -> k + 1 is row k of what is led on; a record's initial state arrives unchanged.
+    led = np.zeros((1, *current.defect.shape))
+    led[0, :-1] = current.defect[1:]
+    forcing = np.empty_like(led)
+    forcing[0, 0] = current.defect[0]
+    forcing[0, 1:] = current.advance(led)[0, :-1]
+    return solve_band(band_of(current.transitions()), forcing)[0]

@@ -1,0 +1,225 @@
+"""The held-out records of a diagnosis over time, and all its tables: what is drawn, as numbers to be queried."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from modal.discrepancy.diagnosis import Diagnosis
+from modal.recording.discrepancy_plan import DiscrepancyPlan
+from modal.recording.names import with_unit
+from modal.recording.palette import BLUE, GOLD, GREEN, GREY, RED, Colour
+from modal.recording.series import TIMELINE, log_series, time_axis
+from modal.recording.tables import log_table
+from modal.report.discrepancy_stages import Stage, rows_of
+from modal.report.discrepancy_values import effects_text, times_floor
+
+if TYPE_CHECKING:
+    import rerun
+
+__all__ = ["STAGE_COLOURS", "Table", "diagnosis_tables", "log_histories", "log_tables", "stage_part"]
+
+STAGE_COLOURS: Final[dict[str, Colour]] = {"before": RED, "linear": GOLD, "after": GREEN}
+
+Columns = dict[str, list[object]]
+
+
+def stage_part(stage: Stage) -> str:
+    """The part of an entity path that stands for a state of the model: lines are painted in the order of paths."""
+    return {"before": "0_as_given", "linear": "1_calibrated", "after": "2_updated"}[stage.kind]
+
+
+def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    """Measured and simulated outputs, the gap of each state of the model, and the band of the noise."""
+    times = time_axis(diagnosis.held_out, plan)
+    first = diagnosis.held_out[0]
+    for output, path in enumerate(plan.output_paths):
+        measured = [record.outputs[:, output] for record in diagnosis.held_out]
+        name = with_unit(first.output_names[output], first.output_units[output])
+        log_series(
+            recording,
+            f"{path}/run/0_measured",
+            times,
+            measured,
+            plan=plan,
+            name=f"{name} measured",
+            colour=BLUE,
+            width=3.0,
+        )
+        for stage in plan.stages:
+            colour = STAGE_COLOURS[stage.kind]
+            simulated = [run.outputs[:, output] for run in stage.gap.simulated]
+            gap = [residual[:, output] for residual in stage.gap.residuals]
+            part = stage_part(stage)
+            log_series(
+                recording,
+                f"{path}/run/1_{part}",
+                times,
+                simulated,
+                plan=plan,
+                name=f"simulated {stage.name}",
+                colour=colour,
+            )
+            log_series(
+                recording,
+                f"{path}/gap/{part}",
+                times,
+                gap,
+                plan=plan,
+                name=f"gap {stage.name}",
+                colour=colour,
+                width=1.0,
+            )
+        _log_noise(diagnosis, recording, plan, output=output, path=path)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Table:
+    """One table of a diagnosis.
+
+    Attributes:
+        path: its entity.
+        title: of its view.
+        timeline: that counts its rows.
+        first: number of its first row.
+        columns: by name, one value a row.
+    """
+
+    path: str
+    title: str
+    timeline: str
+    first: int
+    columns: Columns
+
+    @property
+    def n_rows(self) -> int:
+        """Number of its rows."""
+        return max((len(values) for values in self.columns.values()), default=0)
+
+
+def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[Table, ...]:
+    """Every table that has rows, each on a timeline that counts them from 1; steps count from 0."""
+    limits = _fields(diagnosis.detection_limits, _LIMIT)
+    made = (
+        _table("findings", "Parameters found", "parameter", _findings(diagnosis)),
+        _table("evidence", "Evidence", "finding", _evidence(diagnosis)),
+        Table(path="discrepancy/steps", title="Steps", timeline="step", first=0, columns=_steps(diagnosis)),
+        _table("hypotheses", "Hypotheses", "hypothesis", _hypotheses(diagnosis)),
+        _table("gaps", "Gap by record and output", "gap", _gaps(diagnosis)),
+        _table("parts", "Gap by part", "part", _parts(plan)),
+        _table("calibrated", "Linear parameters", "linear_parameter", _fields(diagnosis.calibrated, _CALIBRATED)),
+        _table("detection_limits", "What could still hide", "limit", limits),
+    )
+    return tuple(table for table in made if table.n_rows)
+
+
+def log_tables(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    """Every table of the diagnosis as numbers and words."""
+    for table in diagnosis_tables(diagnosis, plan):
+        index = np.arange(table.first, table.first + table.n_rows)
+        log_table(recording, table.path, table.timeline, index, table.columns)
+
+
+def _table(name: str, title: str, timeline: str, columns: Columns) -> Table:
+    return Table(path=f"discrepancy/{name}", title=title, timeline=timeline, first=1, columns=columns)
+
+
+_CALIBRATED = ("name", "unit", "nominal", "value", "std", "at_bound")
+_LIMIT = ("effect", "where", "parameter", "value", "unit")
+
+
+def _log_noise(
+    diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan, *, output: int, path: str
+) -> None:
+    """Two deviations of the noise to either side, a straight line over each record."""
+    import rerun as rr
+
+    variance = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :, output]
+    for side, word in ((1.0, "upper"), (-1.0, "lower")):
+        times: list[float] = []
+        values: list[float] = []
+        for start, stop, value in zip(plan.starts, plan.stops, variance, strict=True):
+            times += [start, stop, stop + 0.5 * diagnosis.held_out[0].dt]
+            values += [side * 2.0 * float(np.sqrt(value))] * 2
+        entity = f"{path}/gap/9_noise/{word}"
+        # an empty row after each record breaks the line there
+        columns = rr.Scalars.columns(scalars=values).partition([1, 1, 0] * len(variance))
+        recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=times)], columns, strict=True)
+        name = f"noise, {'+' if side > 0 else '−'}2 deviations"
+        style = rr.SeriesLines(names=name, colors=GREY, widths=1.0, aggregation_policy="MinMax")
+        recording.log(entity, style, static=True, strict=True)
+
+
+def _steps(diagnosis: Diagnosis) -> Columns:
+    return {
+        "name": [step.name for step in diagnosis.steps],
+        "fit_level": [step.fit_level for step in diagnosis.steps],
+        "held_out_level": [step.held_out_level for step in diagnosis.steps],
+        "fit_times_floor": [times_floor(step.fit_level) for step in diagnosis.steps],
+        "held_out_times_floor": [times_floor(step.held_out_level) for step in diagnosis.steps],
+    }
+
+
+def _findings(diagnosis: Diagnosis) -> Columns:
+    rows = [(k, finding, one) for k, finding in enumerate(diagnosis.findings, 1) for one in finding.parameters]
+    return {
+        "finding": [k for k, _, _ in rows],
+        "effect": [finding.effect for _, finding, _ in rows],
+        "where": [finding.where for _, finding, _ in rows],
+        "parameter_name": [one.name for _, _, one in rows],
+        "value": [one.value for _, _, one in rows],
+        "std": [one.std for _, _, one in rows],
+        "unit": [one.unit for _, _, one in rows],
+    }
+
+
+def _evidence(diagnosis: Diagnosis) -> Columns:
+    found = diagnosis.findings
+    others = [one.runner_up for one in found]
+    return {
+        "effect": [one.effect for one in found],
+        "where": [one.where for one in found],
+        "law": [one.law for one in found],
+        "closed": [one.evidence.closed for one in found],
+        "log_likelihood": [one.evidence.log_likelihood for one in found],
+        "margin": [one.evidence.margin for one in found],
+        "runner_up": [effects_text(other.effects) if other else "none" for other in others],
+        "ambiguous_with": [", ".join(one.ambiguous_with) or "nothing" for one in found],
+    }
+
+
+def _hypotheses(diagnosis: Diagnosis) -> Columns:
+    tried = diagnosis.hypotheses
+    return {
+        "effects": [effects_text(one.effects) for one in tried],
+        "fit_level": [one.fit_level for one in tried],
+        "held_out_level": [one.held_out_level for one in tried],
+        "log_likelihood": [one.log_likelihood for one in tried],
+    }
+
+
+def _gaps(diagnosis: Diagnosis) -> Columns:
+    cells = [(i, j) for i in range(len(diagnosis.held_out)) for j in range(diagnosis.held_out[0].n_outputs)]
+    variance = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :]
+    return {
+        "record": [diagnosis.held_out[i].name for i, _ in cells],
+        "output": [diagnosis.held_out[i].output_names[j] for i, j in cells],
+        "unit": [diagnosis.held_out[i].output_units[j] for i, j in cells],
+        "before": [diagnosis.gap_before[i, j] for i, j in cells],
+        "after": [diagnosis.gap_after[i, j] for i, j in cells],
+        "noise": [float(np.sqrt(variance[i, j])) for i, j in cells],
+    }
+
+
+def _parts(plan: DiscrepancyPlan) -> Columns:
+    rows = rows_of(plan.stages)
+    columns: Columns = {"by": [row.part for row in rows], "name": [row.name for row in rows]}
+    for index, stage in enumerate(plan.stages):
+        columns[f"times_floor_{stage_part(stage)[2:]}"] = [row.sizes[index] for row in rows]
+    return columns
+
+
+def _fields(items: Iterable[object], names: tuple[str, ...]) -> Columns:
+    listed = tuple(items)
+    return {name: [getattr(item, name) for item in listed] for name in names}

@@ -1,0 +1,235 @@
+"""Numbers and names of a diagnosis as they are written: effects without underscores, values to the digits they have."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
+
+__all__ = [
+    "CLOSE_COMPANY",
+    "NAMED_WITHIN",
+    "effect_text",
+    "effects_text",
+    "found_hypothesis",
+    "found_word",
+    "interval_text",
+    "law_against",
+    "law_gives",
+    "levels_in_words",
+    "listed",
+    "share_text",
+    "signed_change",
+    "size_text",
+    "step_text",
+    "times_floor",
+    "times_text",
+    "value_text",
+]
+
+NAMED_WITHIN = math.sqrt(1.5)
+"""Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
+of `modal.discrepancy.decision.NEAR_FLOOR`, which is in mean squares."""
+
+CLOSE_COMPANY = 30.0
+"""2 ln L below which a lead is no lead, that of `modal.discrepancy.decision`."""
+
+_NAMES_KEPT = {"coulomb": "Coulomb", "bouc": "Bouc", "wen": "Wen"}
+"""Words of catalogue keys that are people's names."""
+
+
+def effect_text(effect: str) -> str:
+    """A catalogue key in words.
+
+    Example:
+        >>> effect_text("bouc_wen_hysteresis"), effect_text("input_delay")
+        ('Bouc-Wen hysteresis', 'input delay')
+    """
+    words = [_NAMES_KEPT.get(word, word) for word in effect.split("_") if word]
+    return " ".join(words).replace("Bouc Wen", "Bouc-Wen")
+
+
+def effects_text(effects: Sequence[tuple[str, str]]) -> str:
+    """A set of effects, each with its place, said once where it is the same; "no effect" for the empty one.
+
+    Example:
+        >>> effects_text([("cubic_stiffness", "element_1"), ("input_delay", "force")]), effects_text([])
+        ('cubic stiffness at element_1 and input delay at force', 'no effect')
+        >>> effects_text([("cubic_stiffness", "element_1"), ("coulomb_friction", "element_1")])
+        'cubic stiffness and Coulomb friction at element_1'
+    """
+    if not effects:
+        return "no effect"
+    places = {where for _, where in effects}
+    if len(places) == 1:
+        return f"{listed([effect_text(effect) for effect, _ in effects])} at {places.pop()}"
+    return listed([f"{effect_text(effect)} at {where}" for effect, where in effects])
+
+
+def listed(words: Sequence[str]) -> str:
+    """The words with commas and an "and" before the last.
+
+    Example:
+        >>> listed(["a"]), listed(["a", "b", "c"])
+        ('a', 'a, b and c')
+    """
+    return " and ".join(words) if len(words) < 3 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def step_text(name: str) -> str:
+    """The name of a step in words.
+
+    Example:
+        >>> step_text("cubic_stiffness at element_1"), step_text("as given")
+        ('+ cubic stiffness at element_1', 'as given')
+    """
+    effect, _, where = name.partition(" at ")
+    return f"+ {effect_text(effect)} at {where}" if where else name
+
+
+def times_floor(level: float) -> float:
+    """Root mean square over that of the noise, from a mean square in units of the floor; nan where it is not known."""
+    return math.sqrt(level) if 0.0 <= level < math.inf else math.nan
+
+
+def times_text(size: float) -> str:
+    """Times the noise floor, to three digits; a dash where it is not known.
+
+    Example:
+        >>> times_text(1.0236), times_text(425.37), times_text(61234.0), times_text(float("nan"))
+        ('1.02', '425', '61200', '–')
+    """
+    if not math.isfinite(size):
+        return "–"
+    if size >= 100.0:
+        return f"{float(f'{size:.3g}'):.0f}"
+    return f"{size:#.3g}" if size >= 0.01 else f"{size:.1g}"
+
+
+def value_text(value: float, std: float = math.nan) -> str:
+    """Value ± standard deviation, to the second digit of the deviation; a common power of ten where that is shorter.
+
+    Example:
+        >>> value_text(0.2481, 0.0011), value_text(403000.0, 4100.0), value_text(2.5e-7, 3e-9)
+        ('0.2481 ± 0.0011', '(4.030 ± 0.041)e5', '(2.500 ± 0.030)e-7')
+        >>> value_text(0.0), value_text(12.3456)
+        ('0', '12.35')
+    """
+    if not math.isfinite(value):
+        return "–"
+    if not (math.isfinite(std) and std > 0.0):
+        return f"{value:.4g}"
+    size = max(abs(value), std)
+    power = math.floor(math.log10(size))
+    if -4 < power < 5:
+        digits = max(0, 1 - math.floor(math.log10(std)))
+        return f"{value:.{digits}f} ± {std:.{digits}f}"
+    scale = 10.0**power
+    digits = max(0, 1 - math.floor(math.log10(std / scale)))
+    return f"({value / scale:.{digits}f} ± {std / scale:.{digits}f})e{power}"
+
+
+def interval_text(value: float, std: float) -> str:
+    """The 95 % interval of a value, a dash where its deviation is not known.
+
+    Example:
+        >>> interval_text(0.2481, 0.0011), interval_text(403000.0, 4100.0)
+        ('0.2459 to 0.2503', '3.950e5 to 4.110e5')
+    """
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
+        return "–"
+    low, high = value - 1.96 * std, value + 1.96 * std
+    power = math.floor(math.log10(max(abs(low), abs(high))))
+    digits = 1 - math.floor(math.log10(std))
+    if -4 < power < 5:
+        return f"{low:.{max(0, digits)}f} to {high:.{max(0, digits)}f}"
+    digits = max(0, digits + power)
+    return " to ".join(f"{end / 10.0**power:.{digits}f}e{power}" for end in (low, high))
+
+
+def share_text(share: float) -> str:
+    """A share in percent; never rounded up to a whole that it does not reach.
+
+    Example:
+        >>> share_text(0.9312), share_text(0.99996), share_text(1.0000002), share_text(-0.2)
+        ('93.1 %', '99.99 %', '100 %', '0 %')
+    """
+    if not math.isfinite(share):
+        return "–"
+    percent = 100.0 * min(max(share, 0.0), 1.0)
+    if percent in (0.0, 100.0):
+        return f"{percent:.0f} %"
+    if percent > 99.0:
+        return f"{math.floor(100.0 * percent) / 100.0:.2f} %"
+    return f"{percent:.3g} %"
+
+
+def size_text(value: float) -> str:
+    """A size in the unit of its channel, to three digits; "unbounded" where the model ran away.
+
+    Example:
+        >>> size_text(0.0042071), size_text(float("inf"))
+        ('0.00421', 'unbounded')
+    """
+    return f"{value:.3g}" if math.isfinite(value) else "unbounded"
+
+
+def levels_in_words(hypothesis: Hypothesis) -> str:
+    """What a hypothesis leaves on held-out data, in words."""
+    size = times_floor(hypothesis.held_out_level)
+    if not math.isfinite(size):
+        return "does not run through the held-out records"
+    return f"leaves {times_text(size)} times the noise floor on held-out data"
+
+
+def found_hypothesis(diagnosis: Diagnosis) -> Hypothesis | None:
+    """The hypothesis that the diagnosis settled on, among those that were fitted; None where it settled on none.
+
+    A hypothesis lists all effects of its model, those that the given model had already among them; the shortest one is
+    the given model itself.
+    """
+    if not diagnosis.findings and diagnosis.status != "none":
+        return None
+    known = min((one.effects for one in diagnosis.hypotheses), key=len, default=())
+    found = sorted([*known, *((finding.effect, finding.where) for finding in diagnosis.findings)])
+    return next((one for one in diagnosis.hypotheses if sorted(one.effects) == found), None)
+
+
+def found_word(diagnosis: Diagnosis) -> str:
+    """What to call the hypothesis that the diagnosis settled on."""
+    return {"named": "found", "none": "enough", "unresolved": "best guess"}[diagnosis.status]
+
+
+def law_against(law: LawCurve) -> str:
+    """What a law is drawn against, with its unit: "displacement [m]"."""
+    return f"{law.against} [{law.motion_unit}]" if law.motion_unit else law.against
+
+
+def law_gives(law: LawCurve) -> str:
+    """What a law gives, with its unit: "force [N]"; of an input or a sensor the changed signal."""
+    if law.against == "time" and law.effect.startswith("sensor"):
+        what = "added to the reading"
+    else:
+        what = {"input": "input after the effect", "output": "reading"}.get(law.against, "force")
+    return f"{what} [{law.force_unit}]" if law.force_unit else what
+
+
+def signed_change(item: Calibrated) -> float:
+    """Relative change of a calibrated parameter, nan where the nominal value is 0."""
+    return item.value / item.nominal - 1.0 if item.nominal else math.nan
+
+
+def with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
+    """A value and its unit."""
+    return f"{text} {item.unit}" if item.unit else text
+
+
+def parameters_text(finding: Finding) -> str:
+    """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
+    return ", ".join(f"{one.name} = {with_unit(value_text(one.value, one.std), one)}" for one in finding.parameters)
+
+
+def finite_or_nan(values: Sequence[float]) -> list[float]:
+    """The values, nan where they are not finite."""
+    return np.where(np.isfinite(values), values, np.nan).tolist()

@@ -1,0 +1,111 @@
+"""All files of a report or none: they are made in a folder of their own beside the target and moved when complete."""
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+from modal.names import shorten
+from okid.errors import InvalidDataError
+
+__all__ = ["Existing", "refuse_names", "write_folder"]
+
+LONGEST_PATH = 200
+"""Letters of a path in a sentence."""
+
+Existing = Literal["refuse", "replace"]
+"""What to do with files of a report that are already there."""
+
+
+def write_folder(target: Path, names: Iterable[str], write: Callable[[Path], None], *, existing: Existing) -> None:
+    """Let `write` fill a folder; it appears as `target` once it is complete, and nothing is left behind otherwise.
+
+    Args:
+        target: made if it does not exist; other files in it stay.
+        names: of the files that will be written.
+        write: writes them into the folder that it is given.
+        existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
+
+    Raises:
+        InvalidDataError: a file of that name exists already, or the folder cannot be written.
+    """
+    refuse_names(target, names, existing)
+    made = _make_parents(target)
+    temporary: Path | None = None
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=".modal-report-", dir=target.parent))
+        write(temporary)
+        _move(temporary, target)
+    except BaseException as error:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+        for parent in made:
+            with contextlib.suppress(OSError):
+                parent.rmdir()
+        if isinstance(error, OSError):
+            raise _cannot_write(target, error) from error
+        raise
+
+
+def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None:
+    """Raise before any work is done when files of these names could not be written.
+
+    Raises:
+        InvalidDataError: as in `write_folder`.
+    """
+    try:
+        nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        there = [name for name in names if (folder / name).exists()]
+    except OSError as error:  # a name that is too long, a folder that may not be looked into
+        raise _cannot_write(folder, error) from error
+    if not nearest.is_dir():
+        raise InvalidDataError(
+            f"{_named(folder)} cannot be a folder, because {str(nearest)!r} is a file; choose another folder for the "
+            "report."
+        )
+    if there and existing == "refuse":
+        raise InvalidDataError(
+            f"{_named(folder)} already holds {', '.join(there)}; choose another folder, or replace them (--overwrite, "
+            'in Python existing="replace").'
+        )
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InvalidDataError(
+            f"{_named(folder)} cannot be written (no right to write in {str(nearest)!r}); choose another folder for "
+            "the report."
+        )
+
+
+def _named(folder: Path) -> str:
+    return repr(shorten(str(folder), LONGEST_PATH))
+
+
+def _make_parents(target: Path) -> list[Path]:
+    """Make the folders above the target; return those made, the innermost first."""
+    missing = [parent for parent in target.absolute().parents if not parent.exists()]
+    try:
+        target.absolute().parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_write(target, error) from error
+    return missing
+
+
+def _move(temporary: Path, target: Path) -> None:
+    """One rename for a new folder; file by file, each at once, into one that exists."""
+    if not target.exists():
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o777 & ~mask)
+        temporary.rename(target)
+        return
+    for path in sorted(temporary.iterdir()):
+        path.replace(target / path.name)
+    temporary.rmdir()
+
+
+def _cannot_write(target: Path, error: OSError) -> InvalidDataError:
+    return InvalidDataError(
+        f"{_named(target)} cannot be written ({error.strerror or error}); choose another folder for the report."
+    )

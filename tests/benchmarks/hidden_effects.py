@@ -1,0 +1,129 @@
+"""Confusion of effects: cases in which one is hidden, diagnosed, and scored against what was hidden.
+
+    python tests/benchmarks/hidden_effects.py --seeds 1000-1059 --kinds 1dof_displacement,none --work DIR --processes 2
+
+Cases come from `tests/hidden_effects/` (an integrator of their own, sharp laws, wrong linear parameters), models and
+records go in through public names only, and `modal.discrepancy.diagnose` sees nothing of the truth. One line of JSON a
+case in `DIR/<kind>.jsonl`; lines that are there are not made again (`--restart` empties them), so that an interrupted
+run goes on. `--report-only` prints the tables of what is there; `--write-docs` puts them into
+modal/docs/discrepancy_confusion.md. Seeds of a figure are never the seeds of building: below 1000 is for building.
+
+Goals, and what each word means, are in `hidden_tables.GOALS` and `hidden_scoring`. Seconds are CPU time of the
+diagnosis alone, one BLAS thread, on a machine that may be shared.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+import traceback
+import warnings
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+ROOT = Path(__file__).resolve().parents[2]
+for folder in (ROOT, ROOT / "tests" / "hidden_effects", ROOT / "tests" / "benchmarks"):
+    sys.path.insert(0, str(folder))
+
+from hidden_cases import hidden_case  # noqa: E402 - after the path is set
+from hidden_kinds import KINDS  # noqa: E402
+from hidden_products import model_of, options_of, records_of  # noqa: E402
+from hidden_scoring import describe, outcome  # noqa: E402
+from hidden_tables import report  # noqa: E402
+
+DOCUMENT = ROOT / "modal" / "docs" / "discrepancy_confusion.md"
+MARK = "<!-- figures: written by tests/benchmarks/hidden_effects.py --write-docs -->"
+
+
+def diagnosed(kind, seed):
+    """The line of one case."""
+    from modal.discrepancy import diagnose
+
+    case = hidden_case(kind, seed)
+    model, (fit, held_out) = model_of(case), records_of(case)
+    start = time.process_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = diagnose(model, fit, held_out, **options_of(case, diagnose))
+    except Exception as error:  # noqa: BLE001 - a case that raises is a case that is wrong, not the end of the run
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        text = f"{type(error).__name__}: {error}".replace("|", "/").replace("\n", " ")[:200]
+        return {
+            **describe(case),
+            "error": f"{text} ({Path(where.filename).name}:{where.lineno})",
+            "seconds": time.process_time() - start,
+        }
+    return outcome(case, found, seconds=time.process_time() - start)
+
+
+def seeds_from(text):
+    """Seeds from "1-60" or "1,5,9-12"."""
+    seeds = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        seeds += range(int(first), int(last or first) + 1)
+    return seeds
+
+
+def kinds_from(text):
+    """Kinds by name, "all" for every one."""
+    chosen = list(KINDS) if text == "all" else text.split(",")
+    unknown = set(chosen) - set(KINDS)
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no kinds {sorted(unknown)}; there are {', '.join(KINDS)}, and all")
+    return chosen
+
+
+def lines_in(folder, kinds):
+    """All lines of these kinds."""
+    files = [folder / f"{kind}.jsonl" for kind in kinds]
+    return [json.loads(line) for file in files if file.exists() for line in file.read_text().splitlines()]
+
+
+def run(options):
+    """Every case that is not there yet."""
+    done = {(line["kind"], line["seed"]) for line in lines_in(options.work, options.kinds)}
+    # by seed, then kind: an interrupted run has something of every kind
+    missing = [(kind, seed) for seed in options.seeds for kind in options.kinds if (kind, seed) not in done]
+    with ProcessPoolExecutor(options.processes) as pool:
+        jobs = {pool.submit(diagnosed, kind, seed): (kind, seed) for kind, seed in missing}
+        for i, job in enumerate(as_completed(jobs)):
+            kind, _ = jobs[job]
+            with (options.work / f"{kind}.jsonl").open("a") as file:
+                file.write(json.dumps(job.result()) + "\n")
+            print(f"{i + 1} of {len(jobs)} cases", end="\r", file=sys.stderr, flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=seeds_from, default=seeds_from("1000-1059"))
+    parser.add_argument("--kinds", type=kinds_from, default=kinds_from("all"), help=", ".join(KINDS))
+    parser.add_argument("--work", type=Path, default=Path("hidden_effects"), help="folder for the lines")
+    parser.add_argument("--processes", type=int, default=1, help="one BLAS thread each")
+    parser.add_argument("--restart", action="store_true", help="empty the lines of these kinds first")
+    parser.add_argument("--report-only", action="store_true", help="tables of the lines that are there")
+    parser.add_argument("--write-docs", action="store_true", help=f"put the tables into {DOCUMENT.relative_to(ROOT)}")
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    if options.restart:
+        for kind in options.kinds:
+            (options.work / f"{kind}.jsonl").unlink(missing_ok=True)
+    if not options.report_only:
+        run(options)
+    wanted = set(options.seeds)
+    lines = [line for line in lines_in(options.work, options.kinds) if line["seed"] in wanted]
+    if not lines:
+        sys.exit("no case to report on")
+    tables = report(lines)
+    print(tables)
+    if options.write_docs:
+        head, _, _ = DOCUMENT.read_text().partition(MARK)
+        DOCUMENT.write_text(head + MARK + "\n\n" + tables)
+
+
+if __name__ == "__main__":
+    main()

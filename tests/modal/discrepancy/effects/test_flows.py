@@ -1,0 +1,119 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from differences import force_disagreement
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modal.discrepancy.effects.effect import Motion, Situation
+from modal.discrepancy.effects.overflow import Overflow
+from modal.discrepancy.effects.power_law_flow import PowerLawFlow
+
+exponents = st.floats(0.06, 2.9)
+rates = st.floats(0.01, 100.0)
+seeds = st.integers(0, 2**31)
+
+
+def tank(level, *, scale=None, smoothing=0.0):
+    level = np.asarray(level, dtype=float)
+    return Motion(
+        displacement=level,
+        velocity=np.zeros_like(level),
+        time=np.arange(float(level.size)),
+        memory=np.zeros((level.size, 0)),
+        displacement_scale=float(np.std(level)) if scale is None else scale,
+        velocity_scale=0.0,
+        smoothing=smoothing,
+    )
+
+
+def random_level(seed, n=40):
+    return 3.0 * np.random.default_rng(seed).standard_normal(n)
+
+
+@given(seed=seeds, coefficient=rates, exponent=exponents, smoothing=st.sampled_from([0.05, 0.3]))
+def test_power_law_derivatives_agree_with_differences(seed, coefficient, exponent, smoothing):
+    motion = tank(random_level(seed), smoothing=smoothing)
+    assert max(force_disagreement(PowerLawFlow(), [coefficient, exponent], motion).values()) < 1e-5
+
+
+@given(seed=seeds, coefficient=rates, exponent=exponents, scale=st.floats(0.1, 10.0))
+def test_without_smoothing_the_flow_is_the_power_law_less_the_line(seed, coefficient, exponent, scale):
+    level = random_level(seed)
+    flow = PowerLawFlow().force([coefficient, exponent], tank(level, scale=scale)).value
+    expected = [coefficient * (np.sign(h) * abs(h) ** exponent * scale ** (1 - exponent) - h) for h in level]
+    np.testing.assert_allclose(flow, expected, rtol=1e-9, atol=1e-9 * coefficient * scale)
+
+
+@given(seed=seeds, coefficient=rates, smoothing=st.sampled_from([0.0, 0.1]))
+def test_an_exponent_of_one_is_the_linear_model_itself(seed, coefficient, smoothing):
+    flow = PowerLawFlow().force([coefficient, 1.0], tank(random_level(seed), smoothing=smoothing))
+    np.testing.assert_allclose(flow.value, 0.0, atol=1e-10 * coefficient)
+
+
+@given(seed=seeds, exponent=exponents, smoothing=st.sampled_from([0.0, 0.1]))
+def test_the_power_law_is_odd_and_has_the_unit_of_the_level(seed, exponent, smoothing):
+    level = random_level(seed)
+    flow = PowerLawFlow().force([2.0, exponent], tank(level, smoothing=smoothing)).value
+    mirrored = PowerLawFlow().force([2.0, exponent], tank(-level, smoothing=smoothing)).value
+    in_millimetres = PowerLawFlow().force([2.0, exponent], tank(1000.0 * level, smoothing=smoothing)).value
+    np.testing.assert_allclose(mirrored, -flow, rtol=1e-12)
+    np.testing.assert_allclose(in_millimetres, 1000.0 * flow, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.01])
+@pytest.mark.parametrize("exponent", [0.05, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("scale", [0.0, 1e-9, 1.0, 1e9])
+def test_empty_and_huge_levels_give_finite_flows_and_slopes(smoothing, exponent, scale):
+    level = np.array([0.0, 1e-300, -1e-300, 1e-12, 1.0, 1e40, -1e40, 1e200])
+    flow = PowerLawFlow().force([1.0, exponent], tank(level, scale=scale, smoothing=smoothing))
+    for part in (flow.value, flow.by_displacement, flow.by_velocity, flow.by_parameter):
+        assert np.all(np.isfinite(part))
+    assert flow.value[0] == 0.0
+
+
+@given(seed=seeds, rate=rates, limit=st.floats(-3.0, 3.0), smoothing=st.sampled_from([0.05, 0.3]))
+def test_overflow_derivatives_agree_with_differences(seed, rate, limit, smoothing):
+    motion = tank(random_level(seed), smoothing=smoothing)
+    assert max(force_disagreement(Overflow(), [rate, limit], motion).values()) < 1e-4  # its slope bends at two levels
+
+
+@given(seed=seeds, rate=rates, limit=st.floats(-3.0, 3.0))
+def test_overflow_starts_at_the_limit_and_rises_with_the_rate(seed, rate, limit):
+    level = random_level(seed)
+    sharp = Overflow().force([rate, limit], tank(level))
+    np.testing.assert_allclose(sharp.value, [rate * max(h - limit, 0.0) for h in level], rtol=1e-12)
+    rounded = Overflow().force([rate, limit], tank(level, smoothing=0.1))
+    width = 0.1 * np.std(level)
+    off = np.abs(level - limit) > width
+    np.testing.assert_array_equal(rounded.value[off], sharp.value[off])
+    assert np.all(rounded.value >= sharp.value)
+    assert np.all(rounded.value - sharp.value <= rate * width / 4 * (1 + 1e-9))
+
+
+def test_a_large_rate_holds_the_level_at_the_brim():
+    """h' = 1 - h / 10 - q by small Euler steps: without overflow to 10, with it to just above the limit."""
+    level = 0.0
+    for _ in range(20000):
+        overflow = Overflow().force([100.0, 4.0], tank([level], scale=1.0)).value[0]
+        level += 1e-3 * (1.0 - level / 10.0 - overflow)
+    assert 4.0 < level < 4.0 + 1.0 / 100.0
+
+
+def test_starts_of_the_overflow_lie_near_the_top_of_the_level():
+    level = np.linspace(0.0, 10.0, 1001)
+    motion = tank(level)
+    starts = Overflow().starts(Situation(motion=motion, residual_frequencies=(), dt=1.0, longest=1000.0))
+    assert [round(limit, 6) for _, limit in starts] == [9.5, 9.0, 8.0, 6.5]
+    empty = replace(motion, displacement=np.empty(0))
+    assert Overflow().starts(Situation(motion=empty, residual_frequencies=(), dt=1.0, longest=0.0)) == ()
+
+
+def test_neither_flow_may_be_negative_by_its_bounds():
+    assert PowerLawFlow.parameters[0].lower == 0.0
+    assert (PowerLawFlow.parameters[1].lower, PowerLawFlow.parameters[1].upper) == (0.05, 3.0)
+    assert Overflow.parameters[0].lower == 0.0
+    for effect in (PowerLawFlow(), Overflow()):
+        assert effect.acts_at == "flow"
+        assert np.all(effect.force(effect.neutral, tank([1.0, 2.0])).value == 0.0)

@@ -1,0 +1,323 @@
+"""What every law of the motion keeps: exact derivatives, linear amplitudes, units, signs, finite numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modal.discrepancy.effects.bilinear_stiffness import BilinearStiffness
+from modal.discrepancy.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from modal.discrepancy.effects.coulomb_friction import CoulombFriction
+from modal.discrepancy.effects.cubic_stiffness import CubicStiffness
+from modal.discrepancy.effects.effect import Motion, Situation
+from modal.discrepancy.effects.gap_spring import GapSpring
+from modal.discrepancy.effects.quadratic_drag import QuadraticDrag
+from modal.discrepancy.effects.quadratic_stiffness import QuadraticStiffness
+from modal.discrepancy.effects.sine_softening import SineSoftening
+from modal.discrepancy.effects.slack_in_hysteresis import SlackInHysteresis
+from modal.discrepancy.effects.time_varying_stiffness import TimeVaryingStiffness
+
+LAWS = {
+    CubicStiffness(): (-2.3,),
+    QuadraticStiffness(): (1.7,),
+    BilinearStiffness(): (-0.8,),
+    GapSpring(): (-0.4, 3.0, 0.7),
+    CoulombFriction(): (1.3,),
+    QuadraticDrag(): (0.6,),
+    BoucWenHysteresis(): (2.0, 0.6, 1.8),
+    SineSoftening(): (0.9,),
+    SlackInHysteresis(): (2.5, 0.3, 0.4),
+    TimeVaryingStiffness(): (0.25,),
+}
+"""Values without symmetry, of the size of the motion below."""
+ODD = {
+    "cubic_stiffness",
+    "gap_spring",
+    "coulomb_friction",
+    "quadratic_drag",
+    "bouc_wen_hysteresis",
+    "sine_softening",
+    "slack_in_hysteresis",
+    "time_varying_stiffness",
+}
+EVEN = {"quadratic_stiffness"}
+NAMES = {
+    "cubic_stiffness": ["k3"],
+    "quadratic_stiffness": ["k2"],
+    "bilinear_stiffness": ["kb"],
+    "gap_spring": ["k_in", "k_out", "gap"],
+    "coulomb_friction": ["Fc"],
+    "quadratic_drag": ["c2"],
+    "bouc_wen_hysteresis": ["a", "yield_displacement", "n"],
+    "sine_softening": ["length_scale"],
+    "slack_in_hysteresis": ["k", "yield_displacement", "slack"],
+    "time_varying_stiffness": ["rate"],
+}
+"""The contract: scripts outside this repository read these."""
+NOT_NEGATIVE = {"Fc", "c2", "k_out", "gap", "a", "yield_displacement", "k", "slack", "length_scale"}
+law = pytest.mark.parametrize("effect", LAWS, ids=lambda effect: effect.key)
+with_memory = pytest.mark.parametrize(
+    "effect", [effect for effect in LAWS if effect.n_memory], ids=lambda effect: effect.key
+)
+seeds = given(seed=st.integers(0, 2**32 - 1))
+
+
+def random_motion(rng, effect, *, n=60, smoothing=0.3):
+    return Motion(
+        displacement=rng.normal(size=n),
+        velocity=rng.normal(size=n) * 2.0,
+        time=rng.uniform(0.0, 5.0, n),
+        memory=rng.uniform(-0.55, 0.55, (n, effect.n_memory)),
+        displacement_scale=1.1,
+        velocity_scale=1.9,
+        stiffness=1.4,
+        smoothing=smoothing,
+    )
+
+
+def differences(function, point, *, step=1e-5):
+    """Central difference over samples, and where both sides agree (no corner between)."""
+    below, here, above = function(point - step), function(point), function(point + step)
+    smooth = np.abs(above - 2.0 * here + below) < 1e-3 * step * (1.0 + np.abs(above - below) / step)
+    return (above - below) / (2.0 * step), smooth
+
+
+def assert_slopes(claimed, function, point, *, rtol=2e-5, corners=0.05):
+    found, smooth = differences(function, point)
+    assert np.mean(~smooth) <= corners
+    np.testing.assert_allclose(claimed[smooth], found[smooth], rtol=rtol, atol=2e-5)
+
+
+def with_value(values, j, value):
+    return [*values[:j], value, *values[j + 1 :]]
+
+
+@law
+@settings(max_examples=20, deadline=None)
+@seeds
+def test_the_derivatives_of_the_force_are_those_of_its_value(effect, seed):
+    motion, values = random_motion(np.random.default_rng(seed), effect), LAWS[effect]
+    force = effect.force(values, motion)
+    n = len(motion.time)
+    assert force.by_memory.shape == (n, effect.n_memory)
+    assert force.by_parameter.shape == (n, len(effect.parameters))
+    for claimed, name in ((force.by_displacement, "displacement"), (force.by_velocity, "velocity")):
+        assert_slopes(
+            claimed,
+            lambda x, name=name: effect.force(values, replace(motion, **{name: x})).value,
+            getattr(motion, name),
+        )
+    if effect.n_memory:
+        assert_slopes(
+            force.by_memory[:, 0],
+            lambda x: effect.force(values, replace(motion, memory=x[:, None])).value,
+            motion.memory[:, 0],
+        )
+    for j, value in enumerate(values):
+        assert_slopes(
+            force.by_parameter[:, j],
+            lambda x, j=j: effect.force(with_value(values, j, x), motion).value,
+            np.full(n, float(value)),
+        )
+
+
+@with_memory
+@settings(max_examples=20, deadline=None)
+@seeds
+def test_the_derivatives_of_the_memory_are_those_of_its_value(effect, seed):
+    rng = np.random.default_rng(seed)
+    before, after, values = random_motion(rng, effect), random_motion(rng, effect), LAWS[effect]
+    dt = 0.7
+    memory = effect.advance(values, before, after, dt)
+    n = len(before.time)
+    assert memory.value.shape == (n, 1)
+    assert memory.by_memory.shape == (n, 1, 1)
+    assert memory.by_parameter.shape == (n, 1, len(values))
+
+    def value_at(start=before, end=after, at=values):
+        return effect.advance(at, start, end, dt).value[:, 0]
+
+    for name in ("displacement", "velocity"):
+        assert_slopes(
+            getattr(memory, f"by_{name}_before")[:, 0],
+            lambda x, name=name: value_at(start=replace(before, **{name: x})),
+            getattr(before, name),
+            rtol=1e-3,
+        )
+        assert_slopes(
+            getattr(memory, f"by_{name}_after")[:, 0],
+            lambda x, name=name: value_at(end=replace(after, **{name: x})),
+            getattr(after, name),
+            rtol=1e-3,
+        )
+    assert_slopes(
+        memory.by_memory[:, 0, 0],
+        lambda x: value_at(start=replace(before, memory=x[:, None])),
+        before.memory[:, 0],
+        rtol=1e-3,
+    )
+    for j, value in enumerate(values):
+        assert_slopes(
+            memory.by_parameter[:, 0, j],
+            lambda x, j=j: value_at(at=with_value(values, j, x)),
+            np.full(n, float(value)),
+            rtol=1e-3,
+        )
+
+
+@law
+@settings(deadline=None)
+@seeds
+def test_amplitudes_enter_linearly(effect, seed):
+    rng = np.random.default_rng(seed)
+    motion, values = random_motion(rng, effect), LAWS[effect]
+    amplitudes = [j for j, kind in enumerate(effect.parameters) if kind.role == "amplitude"]
+    force = effect.force(values, motion)
+    if not amplitudes:  # a spring of known stiffness: only its length scale is free
+        assert effect.key == "sine_softening"
+        return
+    columns = effect.screen_columns(values, motion)
+    np.testing.assert_allclose(columns @ [values[j] for j in amplitudes], force.value, rtol=1e-10, atol=1e-12)
+    weights = rng.uniform(0.1, 2.0, len(amplitudes))
+    chosen = effect.from_screen(values, weights)
+    np.testing.assert_allclose(effect.screen_columns(chosen, motion), columns)
+    np.testing.assert_allclose(effect.force(chosen, motion).value, columns @ weights, rtol=1e-10, atol=1e-12)
+
+
+@law
+@settings(deadline=None)
+@seeds
+def test_a_change_of_units_changes_the_force_by_its_unit(effect, seed):
+    rng = np.random.default_rng(seed)
+    motion, values = random_motion(rng, effect), LAWS[effect]
+    force, length, time = np.exp(rng.uniform(-3.0, 3.0, 3))
+    again = replace(
+        motion,
+        displacement=motion.displacement * length,
+        velocity=motion.velocity * length / time,
+        time=motion.time * time,
+        memory=motion.memory * length,
+        displacement_scale=motion.displacement_scale * length,
+        velocity_scale=motion.velocity_scale * length / time,
+        stiffness=motion.stiffness * force / length,
+    )
+    converted = [
+        value * force ** kind.dimension[0] * length ** kind.dimension[1] * time ** kind.dimension[2]
+        for value, kind in zip(values, effect.parameters, strict=True)
+    ]
+    np.testing.assert_allclose(
+        effect.force(converted, again).value, force * effect.force(values, motion).value, rtol=1e-9, atol=1e-9 * force
+    )
+    if effect.n_memory:
+        np.testing.assert_allclose(
+            effect.advance(converted, again, replace(again, displacement=-again.displacement), 0.1 * time).value,
+            length * effect.advance(values, motion, replace(motion, displacement=-motion.displacement), 0.1).value,
+            rtol=1e-9,
+            atol=1e-9 * length,
+        )
+
+
+@law
+@pytest.mark.parametrize("smoothing", [0.0, 0.2])
+@settings(deadline=None)
+@seeds
+def test_symmetry(effect, smoothing, seed):
+    motion, values = random_motion(np.random.default_rng(seed), effect, smoothing=smoothing), LAWS[effect]
+    mirrored = replace(motion, displacement=-motion.displacement, velocity=-motion.velocity, memory=-motion.memory)
+    there, back = effect.force(values, motion).value, effect.force(values, mirrored).value
+    if effect.key in ODD:
+        np.testing.assert_allclose(back, -there, rtol=1e-12, atol=1e-14)
+    elif effect.key in EVEN:
+        np.testing.assert_allclose(back, there, rtol=1e-12)
+    else:
+        assert np.max(np.abs(np.abs(back) - np.abs(there))) > 0.1
+
+
+@law
+def test_the_neutral_values_give_no_force(effect):
+    motion = random_motion(np.random.default_rng(3), effect)
+    force = effect.force(effect.neutral, motion)
+    assert not force.value.any()
+    assert not force.by_displacement.any()
+    assert not force.by_velocity.any()
+    assert np.isfinite(force.by_parameter).all()
+
+
+@law
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    size=st.sampled_from([0.0, 1e-300, 1e-9, 1.0, 1e9, 1e100]),
+    scale=st.sampled_from([0.0, 1e-300, 1.0, 1e100]),
+    smoothing=st.sampled_from([0.0, 1e-6, 0.3]),
+    lengths=st.sampled_from([0.0, 1e-300, 1.0, 1e100]),
+)
+def test_no_finite_motion_gives_anything_but_finite_numbers(effect, *, seed, size, scale, smoothing, lengths):
+    rng = np.random.default_rng(seed)
+    motion, after = (
+        replace(
+            found, displacement=found.displacement * size, velocity=found.velocity * size, memory=found.memory * size
+        )
+        for found in (random_motion(rng, effect, smoothing=smoothing) for _ in range(2))
+    )
+    motion = replace(motion, displacement_scale=scale, velocity_scale=scale)
+    values = [
+        lengths if kind.dimension == (0, 1, 0) else value
+        for value, kind in zip(LAWS[effect], effect.parameters, strict=True)
+    ]
+    force = effect.force(values, motion)
+    found = [force.value, force.by_displacement, force.by_velocity, force.by_memory, force.by_parameter]
+    if effect.n_memory:
+        memory = effect.advance(values, motion, after, 0.01)
+        found += [getattr(memory, name) for name in type(memory).__slots__]
+    for array in found:
+        assert np.isfinite(array).all()
+
+
+@law
+def test_each_record_may_have_values_of_its_own(effect):
+    motion, values = random_motion(np.random.default_rng(4), effect), LAWS[effect]
+    n = len(motion.time)
+    spread = [np.full(n, value) for value in values]
+    one, many = effect.force(values, motion), effect.force(spread, motion)
+    for name in type(one).__slots__:
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+    if effect.n_memory:
+        after = random_motion(np.random.default_rng(5), effect)
+        one, many = effect.advance(values, motion, after, 0.1), effect.advance(spread, motion, after, 0.1)
+        np.testing.assert_array_equal(one.value, many.value)
+        np.testing.assert_array_equal(one.by_parameter, many.by_parameter)
+
+
+@law
+def test_the_starts_lie_within_the_bounds_and_the_motion(effect):
+    motion = random_motion(np.random.default_rng(6), effect, n=2000)
+    situation = Situation(motion=motion, residual_frequencies=(), dt=0.01, longest=20.0)
+    starts = effect.starts(situation)
+    assert 1 <= len(starts) <= 4
+    assert len(set(starts)) == len(starts)
+    largest = np.max(np.abs(motion.displacement))
+    for start in starts:
+        for value, kind in zip(start, effect.parameters, strict=True):
+            assert kind.lower <= value <= kind.upper
+            assert value == 1.0 or kind.role == "shape"
+            if kind.role == "shape" and kind.dimension == (0, 1, 0) and effect.key != "sine_softening":
+                assert 0.0 < value < largest
+    still = replace(motion, displacement=np.zeros(9), velocity=np.zeros(9), time=np.zeros(9), memory=motion.memory[:9])
+    assert np.isfinite(effect.starts(replace(situation, motion=still))).all()
+
+
+@law
+def test_names_signs_and_words(effect):
+    assert [kind.name for kind in effect.parameters] == NAMES[effect.key]
+    assert len(effect.neutral) == len(effect.parameters)
+    for kind in effect.parameters:
+        assert (kind.lower >= 0.0) == (kind.name in NOT_NEGATIVE or kind.name == "n")
+        assert kind.meaning
+    for text in (effect.law, effect.family, effect.signature, effect.reference):
+        assert text
+        assert "\n" not in text
+    assert "doi" in effect.reference
+    assert type(effect).__doc__.count("\n") > 12

@@ -1,0 +1,71 @@
+"""One step's matrices against SciPy, and their slopes against differences."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+from engine_plants import imposed_motion, two_masses
+
+from modal.discrepancy.plant import plant_matrices
+from modal.discrepancy.scheme import scheme_and_slopes
+
+DT = 0.03
+LINEAR = np.array([95.0, 1.1])
+
+
+def test_a_held_input_is_that_of_scipy():
+    plant = two_masses()
+    ours, _ = scheme_and_slopes(plant, LINEAR, DT)
+    m = plant_matrices(plant, LINEAR)
+    driven = np.hstack([m.B, m.E])
+    Ad, Bd, *_ = scipy.signal.cont2discrete((m.A, driven, m.C, np.hstack([m.D, m.G])), DT)
+    assert np.allclose(ours.Ad, Ad, atol=1e-13)
+    assert np.allclose(np.hstack([ours.B0 + ours.B1, ours.E0 + ours.E1]), Bd, atol=1e-13)
+    for name in "CDG":
+        assert np.array_equal(getattr(ours, name), getattr(m, name))
+
+
+def test_an_input_that_moves_in_a_straight_line_is_integrated_exactly():
+    plant = two_masses()
+    ours, _ = scheme_and_slopes(plant, LINEAR, DT)
+    m = plant_matrices(plant, LINEAR)
+    t = np.arange(8) * DT
+    u = np.random.default_rng(0).standard_normal((8, 5))
+    driven = np.hstack([m.B, m.E])
+    _, _, expected = scipy.signal.lsim((m.A, driven, m.C, np.hstack([m.D, m.G])), u, t, interp=True)
+    x, start, end = np.zeros(4), np.hstack([ours.B0, ours.E0]), np.hstack([ours.B1, ours.E1])
+    for k in range(7):
+        assert np.allclose(x, expected[k], atol=1e-12)
+        x = ours.Ad @ x + start @ u[k] + end @ u[k + 1]
+
+
+@pytest.mark.parametrize("j", [0, 1])
+def test_slopes_by_a_linear_parameter(j):
+    plant = two_masses()
+    _, slopes = scheme_and_slopes(plant, LINEAR, DT)
+    for name in ("Ad", "B0", "B1", "E0", "E1", "C", "D", "G"):
+        above, below = (scheme_and_slopes(plant, LINEAR + s * 0.01 * np.eye(2)[j], DT)[0] for s in (1, -1))
+        difference = (getattr(above, name) - getattr(below, name)) / 0.02
+        size = max(np.abs(difference).max(), 1e-3)
+        assert np.abs(getattr(slopes[j], name) - difference).max() < 1e-5 * size, name
+
+
+def test_a_plant_without_states_has_only_its_direct_part():
+    scheme, slopes = scheme_and_slopes(imposed_motion(), np.array([2.0]), DT)
+    assert scheme.Ad.shape == (0, 0)
+    assert scheme.B0.shape == (0, 3)
+    assert np.array_equal(scheme.D, [[2.0, 0.5, 0.2]])
+    assert np.allclose(slopes[0].D, [[1.0, 0.0, 0.0]])
+
+
+def test_an_integrator_has_a_flow():
+    """A singular A, where formulas with its inverse fail."""
+    plant = two_masses()
+    system = plant.system.copy()
+    system[:, :4, :4] = 0.0
+    system[0, 0, 2] = 1.0
+    from dataclasses import replace
+
+    scheme, _ = scheme_and_slopes(replace(plant, system=system), LINEAR, DT)
+    assert np.allclose(scheme.Ad, scipy.linalg.expm(system[0, :4, :4] * DT))
+    assert scheme.B0[0, 0] + scheme.B1[0, 0] == pytest.approx(DT**2 / 2)

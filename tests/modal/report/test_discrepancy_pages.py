@@ -1,0 +1,211 @@
+"""The pages: what they say, and that names from files change nothing but words."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
+from modal.report.discrepancy_pictures import draw_diagnosis
+from modal.report.provenance import Provenance
+
+NASTY = (
+    '<script>alert("1")</script>',
+    '=HYPERLINK("http://x.y") ](javascript:1) `|* '
+    + "very long " * 60
+    + "\N{RIGHT-TO-LEFT OVERRIDE}\x1b[2J\x00 $\\frac{",
+)
+NASTY_INPUT = "--><img src=x onerror=alert(1)>"
+VOID = {"meta", "br", "img", "input", "link", "hr"}
+
+
+class Tags(HTMLParser):
+    """Tags with the names of their attributes, all values, and the text outside pictures."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.attributes, self.words, self.open = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        if "svg" not in self.open:
+            self.tags.append((tag, tuple(name for name, _ in attrs)))
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.attributes += [(tag, name, value) for name, value in attrs]
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "svg" not in self.open and "style" not in self.open:
+            self.words.append(data)
+
+
+class Location:
+    def __init__(self, *sentences):
+        self.sentences = sentences
+
+
+def page_of(diagnosis, name="plain"):
+    provenance = Provenance(command=f"modal-report gap '{name}'", sources=(name,), remarks=(name,))
+    return diagnosis_html(diagnosis, provenance, draw_diagnosis(diagnosis), model_file="model.json")
+
+
+@pytest.fixture(scope="module")
+def pages(make_gap):
+    """The same diagnosis of plain names and of nasty ones."""
+    found = {}
+    for key, names, input_name, where in (
+        ("plain", ("lower", "upper"), "force", "element_1"),
+        ("nasty", NASTY, NASTY_INPUT, NASTY[0]),
+    ):
+        diagnosis = make_gap(names=names, input_name=input_name, where=where, warnings=(f"Look at {names[0]}.",))
+        diagnosis = replace(diagnosis, location=Location(f"The gap lies in {names[1]}."))
+        records = tuple(replace(record, name=names[1]) for record in diagnosis.held_out)
+        diagnosis = replace(diagnosis, held_out=records)
+        markdown = diagnosis_markdown(diagnosis, Provenance(command=input_name, sources=names))
+        found[key] = (page_of(diagnosis, input_name), markdown)
+    return found
+
+
+def test_names_change_no_tag_of_the_page(pages):
+    plain, nasty = Tags(pages["plain"][0]), Tags(pages["nasty"][0])
+    assert nasty.tags == plain.tags
+    assert not nasty.open
+
+
+def test_nothing_runs_and_nothing_is_loaded(pages):
+    for text, _ in pages.values():
+        skeleton = Tags(text)
+        tags = {tag for tag, _, _ in skeleton.attributes} | {tag for tag, _ in skeleton.tags}
+        assert not tags & {"script", "link", "iframe", "img", "object", "embed", "foreignobject"}
+        for _, name, value in skeleton.attributes:
+            assert not name.startswith("on")
+            if name in ("href", "src", "xlink:href"):
+                assert value.startswith("#")
+        assert "@import" not in text
+
+
+def test_hidden_characters_reach_no_text(pages):
+    for text in pages["nasty"]:
+        assert not {"\x1b", "\x00", "\N{RIGHT-TO-LEFT OVERRIDE}"} & set(text)
+
+
+def test_every_link_leads_somewhere(pages):
+    skeleton = Tags(pages["plain"][0])
+    identities = {value for _, name, value in skeleton.attributes if name == "id"}
+    links = {value[1:] for tag, name, value in skeleton.attributes if tag == "a" and name == "href"}
+    assert len(links) > 6
+    assert links <= identities
+
+
+def test_markdown_holds_no_tag_and_no_link_of_a_name(pages):
+    outside_code = "\n".join(line for line in pages["nasty"][1].splitlines() if not line.startswith("    "))
+    assert "<script" not in outside_code
+    assert "<img" not in outside_code
+    assert "](javascript" not in outside_code.replace("\\]", "")
+    assert "http://" not in outside_code
+
+
+@pytest.mark.parametrize("key", ["plain", "nasty"])
+def test_markdown_tables_have_equal_rows(pages, key):
+    width, n_tables = None, 0
+    for line in pages[key][1].splitlines():
+        if not line.startswith("|"):
+            width = None
+            continue
+        cells = len(re.findall(r"(?<!\\)\|", line))
+        n_tables += width is None
+        assert width in (None, cells), line
+        width = cells
+    assert n_tables >= 7
+
+
+def test_the_page_says_what_was_found_and_how_sure(pages):
+    text = " ".join(" ".join(Tags(pages["plain"][0]).words).split())
+    for words in (
+        "The simulation lacks cubic stiffness and Coulomb friction at element_1.",
+        "(2.013 ± 0.019)e5",
+        "1.976e5 to 2.050e5",
+        "cannot be told from sine softening",
+        "Runner-up: gap spring at element_1",
+        "The gap lies in upper.",
+        "Look at lower.",
+        "Add a record at twice the level",
+        "Damping of element_1 sits on its bound",
+        "model.json",
+    ):
+        assert words in text, words
+
+
+def test_lines_of_a_block_stay_lines(pages):
+    block = pages["plain"][0].split("result = modal.discrepancy.diagnose")[1]
+    assert block.splitlines()[1].startswith("result.model")
+
+
+@pytest.mark.parametrize(
+    ("status", "n_effects", "there", "missing"),
+    [
+        ("named", 1, ("What is missing", "Simulate with the updated"), ("The best guess", "What could still hide")),
+        ("unresolved", 1, ("The best guess", "Not proved"), ("What is missing", "Simulate with the updated")),
+        ("none", 0, ("What could still hide", "Nothing missing"), ("What is missing", "What else was tried")),
+        ("unresolved", 0, ("no effect of the catalogue explains it",), ("What is missing", "The best guess")),
+    ],
+)
+def test_each_status_has_its_page(diagnosis_of, status, n_effects, there, missing):
+    diagnosis = diagnosis_of(status, n_effects)
+    skeleton = Tags(diagnosis_html(diagnosis, Provenance(), {}))
+    markdown = diagnosis_markdown(diagnosis, Provenance())
+    text = " ".join(skeleton.words)
+    for words in there:
+        assert words in text
+        assert words in markdown
+    for words in missing:
+        assert words not in text
+        assert words not in markdown
+    links = {value[1:] for tag, name, value in skeleton.attributes if tag == "a" and name == "href"}
+    assert links <= {value for _, name, value in skeleton.attributes if name == "id"}
+
+
+def test_a_model_without_equations_and_without_a_file_is_no_hole_in_the_page(diagnosis):
+    bare = replace(diagnosis, model=lambda record: record, calibrated=())
+    text = diagnosis_html(bare, Provenance(), {})
+    assert "The updated model</h3>" not in text
+    assert "model.json" not in text
+    assert "None was free." in text
+
+
+def test_pictures_say_which_outputs_and_records_they_show(diagnosis, monkeypatch):
+    captions = {name: picture.caption for name, picture in draw_diagnosis(diagnosis).items()}
+    assert set(captions) == {"histories", "spectra", "before_after", "steps", "hypotheses", "laws"}
+    assert "Held-out record 'held out, 1.8 N'." in captions["histories"]
+    assert "largest gap" not in captions["histories"]
+    assert "with the effects (green)" in captions["spectra"]
+    assert "drawn as the loop" not in captions["laws"]
+    monkeypatch.setattr("modal.report.discrepancy_pictures.MOST_OUTPUTS", 1)
+    assert "Shown: the output with the largest gap." in draw_diagnosis(diagnosis)["histories"].caption
+
+
+def test_pictures_of_nothing_found(diagnosis_of):
+    assert set(draw_diagnosis(diagnosis_of("none", 0))) == {"histories", "spectra", "before_after", "steps"}
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
+def test_a_browser_has_nothing_to_complain_about(pages, tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text(pages["nasty"][0], encoding="utf-8")
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
+    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    command += ["--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert "CONSOLE" not in run.stderr
+    assert run.stdout.count("<svg") == pages["nasty"][0].count("<svg")

@@ -1,0 +1,95 @@
+"""The gap by part, against plain loops over samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modal.report.discrepancy_spectra import gap_density
+from modal.report.discrepancy_stages import held_out_floor, rows_of, stages_of, worst_outputs
+
+
+def by_hand(diagnosis, step):
+    """(n_held_out, n_outputs) mean square in units of the noise, sample by sample."""
+    variance = diagnosis.noise_floor.variance[len(diagnosis.fit) :]
+    sizes = np.zeros_like(variance)
+    for i, record in enumerate(diagnosis.held_out):
+        for j in range(record.n_outputs):
+            total = sum(
+                (float(record.outputs[k, j]) - float(step.simulated[i][k, j])) ** 2 for k in range(record.n_samples)
+            )
+            sizes[i, j] = total / record.n_samples / variance[i, j]
+    return sizes
+
+
+@pytest.mark.parametrize(
+    ("status", "n_effects", "kinds"),
+    [
+        ("named", 2, ["before", "linear", "after"]),
+        ("named", 1, ["before", "linear", "after"]),
+        ("none", 0, ["before", "after"]),
+    ],
+)
+def test_the_stages_are_the_first_the_calibrated_and_the_last(diagnosis_of, status, n_effects, kinds):
+    found = diagnosis_of(status, n_effects)
+    stages = stages_of(found)
+    assert [stage.kind for stage in stages] == kinds
+    assert stages[0].step == 0
+    assert stages[-1].step == len(found.steps) - 1
+    assert stages[0].name == "as given"
+    assert stages[-1].name == {0: "calibrated", 1: "with the effect", 2: "with the effects"}[n_effects]
+
+
+def test_sizes_are_those_of_a_plain_loop(diagnosis):
+    stages = stages_of(diagnosis)
+    rows = rows_of(stages)
+    for index, stage in enumerate(stages):
+        sizes = by_hand(diagnosis, diagnosis.steps[stage.step])
+        outputs = [row.sizes[index] for row in rows if row.part == "output"]
+        np.testing.assert_allclose(outputs, np.sqrt(sizes.mean(axis=0)), rtol=1e-10)
+        records = {row.name: row.sizes[index] for row in rows if row.part == "record"}
+        assert records == pytest.approx(
+            {record.name: float(np.sqrt(sizes[i].mean())) for i, record in enumerate(diagnosis.held_out)}
+        )
+
+
+def test_what_is_noise_has_size_one_in_every_band(diagnosis):
+    rows = [row for row in rows_of(stages_of(diagnosis)) if row.part == "band"]
+    assert len(rows) > 3
+    assert all(row.sizes[-1] == pytest.approx(1.0, abs=0.35) for row in rows)
+    assert max(row.sizes[0] for row in rows) > 20.0
+
+
+def test_the_floor_is_that_of_the_held_out_records(diagnosis):
+    variance = np.arange(8.0).reshape(4, 2) + 1.0
+    changed = replace(diagnosis, noise_floor=replace(diagnosis.noise_floor, variance=variance))
+    np.testing.assert_array_equal(held_out_floor(changed), variance[2:])
+
+
+@pytest.mark.parametrize("how", ["partly", "never ran"])
+def test_a_step_that_ran_away_is_no_stage(diagnosis, how):
+    lost = np.array(diagnosis.steps[0].simulated[1])
+    lost[500:] = np.nan
+    simulated = (diagnosis.steps[0].simulated[0], lost) if how == "partly" else ()
+    first = replace(diagnosis.steps[0], simulated=simulated)
+    stages = stages_of(replace(diagnosis, steps=(first, *diagnosis.steps[1:])))
+    assert [stage.kind for stage in stages] == ["linear", "after"]
+    assert rows_of(()) == ()
+
+
+def test_worst_outputs_stand_in_the_order_of_the_record(diagnosis):
+    gap = stages_of(diagnosis)[0].gap
+    assert worst_outputs(gap, 2) == [0, 1]
+    assert worst_outputs(gap, 1) == [1]
+
+
+def test_densities_add_up_to_mean_squares(diagnosis):
+    stages = stages_of(diagnosis)
+    density = gap_density([stage.gap for stage in stages])
+    width = density.frequency[1] - density.frequency[0]
+    nyquist = 0.5 / diagnosis.held_out[0].dt
+    np.testing.assert_allclose(density.noise * nyquist, diagnosis.noise_floor.variance[0], rtol=1e-12)
+    after = density.gaps[-1].sum(axis=0) * width
+    np.testing.assert_allclose(after, diagnosis.noise_floor.variance[0], rtol=0.2)
+    low, high = density.span(1)
+    assert low < density.noise[1] < density.gaps[0][:, 1].max() < high
