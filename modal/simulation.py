@@ -34,8 +34,8 @@ def simulate(
     """Simulate a model in free run.
 
     Args:
-        model: `StructuralModel`, a model with effects, `control.StateSpace`, `era.Realisation`, or a callable that takes
-            a Record and returns one.
+        model: `StructuralModel`, a model with effects, `control.StateSpace`, `era.Realisation`, or a callable that
+            takes a Record and returns one.
         record_or_inputs: A record, whose inputs are used, or inputs (n_samples, n_inputs).
         dt: Sampling interval [s]; needed with plain inputs, taken from a record otherwise.
         input_hold: How plain inputs go on between samples; a record knows its own.
@@ -54,22 +54,22 @@ def simulate(
         >>> import numpy as np
         >>> from modal.structure import StructuralModel
         >>> model = StructuralModel.chain([1.0], [100.0], [0.4], force_dofs=[0], sensor_dofs=[0])
-        >>> push = np.ones((2000, 1))
+        >>> push = np.ones((4000, 1))
         >>> simulate(model, push, dt=0.01).outputs[-1].round(4)
         array([0.01])
         >>> stiffer = model.with_effect("cubic_stiffness", "element_0", k3=1e6)
         >>> simulate(stiffer, push, dt=0.01).outputs[-1].round(4)
         array([0.0068])
     """
-    record = _record(model, record_or_inputs, dt, input_hold)
+    record = _record(record_or_inputs, dt, input_hold)
     if callable(model) and not hasattr(model, "A"):
         return _called(model, record)
     given = given_model(model, [record], sensor_kind=sensor_kind)
     plant = given.plant
     if record.n_inputs != plant.n_inputs:
         raise InvalidDataError(
-            f"the model has {plant.n_inputs} inputs and the record has {record.n_inputs}; pass the same ones in the same "
-            f"order ({', '.join(plant.input_names)})"
+            f"the model has {plant.n_inputs} inputs and the record has {record.n_inputs}; pass the same ones in the "
+            f"same order ({', '.join(plant.input_names)})"
         )
     blank = replace(
         record,
@@ -78,9 +78,8 @@ def simulate(
         output_units=plant.output_units,
     )
     drive = drive_of([blank], steps_per_sample(plant, given.linear, [blank]))
-    assembly, unknowns = placed_assembly(plant, given.linear, given.effects, drive, catalogue)
-    if initial_state is not None:
-        unknowns.local[0, : plant.n_states] = _state(initial_state, plant.n_states)
+    initial = None if initial_state is None else _state(initial_state, plant.n_states)[np.newaxis]
+    assembly, unknowns = placed_assembly(plant, given.linear, given.effects, drive, catalogue, initial=initial)
     found = simulate_at(assembly, unknowns, Problem(drive=drive, floor=np.ones((1, plant.n_outputs))))
     if found is None or not np.isfinite(found.trajectory.outputs).all():
         raise NumericalError(
@@ -90,7 +89,7 @@ def simulate(
     return replace(blank, outputs=found.trajectory.outputs)
 
 
-def _record(model: Any, given: Record | npt.ArrayLike, dt: float | None, input_hold: InputHold) -> Record:
+def _record(given: Record | npt.ArrayLike, dt: float | None, input_hold: InputHold) -> Record:
     if isinstance(given, Record):
         return given
     inputs = np.asarray(given, dtype=float)

@@ -283,6 +283,9 @@ class StructuralModel:
     def load(cls, path: str | Path) -> "StructuralModel":
         """Read a structural model from a file.
 
+        Args:
+            path: Of the file.
+
         Raises:
             UnreadableFileError: No such file, or one that holds no structural model.
         """

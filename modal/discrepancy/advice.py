@@ -7,8 +7,8 @@ import numpy as np
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.checks import SAME_LEVEL
 from modal.discrepancy.decision import Decision
+from modal.discrepancy.nodes import Node
 from modal.discrepancy.plant import Plant
-from modal.discrepancy.search import Node
 from okid.record import Record
 
 __all__ = ["advise", "circumstances_of"]
@@ -48,14 +48,11 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozen
     return frozenset(found)
 
 
-def advise(
-    decision: Decision, plant: Plant, fits: Sequence[Record], circumstances: frozenset[Circumstance]
-) -> tuple[str, ...]:
+def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
     """What to measure next.
 
     Args:
         decision: What was decided.
-        plant: The plant.
         fits: Records to fit.
         circumstances: From `circumstances_of`.
 
@@ -63,9 +60,11 @@ def advise(
         Sentences, the most useful first.
     """
     words: list[str] = []
-    for (effect, where), runner, margin in zip(decision.node.effects, decision.runners, decision.margins, strict=True):
-        for row in ambiguous_with(effect, circumstances=circumstances):
-            words.append(f"To tell {effect} at {where} from {', '.join(row.others(effect))}: {row.separates}.")
+    for (effect, where), runner, margin in zip(decision.node.effects, decision.runners, decision.margins, strict=False):
+        words += [
+            f"To tell {effect} at {where} from {', '.join(row.others(effect))}: {row.separates}."
+            for row in ambiguous_with(effect, circumstances=circumstances)
+        ]
         if runner is not None and margin < np.inf and decision.status == "unresolved":
             others = {key for key, _ in runner.effects} - {key for key, _ in decision.node.effects}
             words += [
@@ -78,13 +77,14 @@ def advise(
         words.append("Measure at a second level, two or three times as strong: most effects are told apart by level.")
     if decision.status == "unresolved" and not decision.node.effects:
         words.append(
-            "Nothing in the catalogue explains the gap: measure at more places, look at the time windows and bands in which "
-            "it is greatest, or register an effect of your own."
+            "Nothing in the catalogue explains the gap: measure at more places, look at the time windows and bands in "
+            "which it is greatest, or register an effect of your own."
         )
     if decision.status == "none":
         highest = max(fits, key=lambda record: float(np.nanvar(record.inputs)) if record.n_inputs else 0.0)
         words.append(
-            f"A stronger level than that of {highest.name or 'the loudest record'} would show effects that these data hide."
+            f"A stronger level than that of {highest.name or 'the loudest record'} would show effects that these data "
+            "hide."
         )
     return tuple(dict.fromkeys(words))
 

@@ -5,7 +5,7 @@ right-hand sides at once: no loop over time in Python, whatever the coefficients
 """
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
+import scipy
 
 from okid.arrays import FloatArray
 
@@ -49,5 +49,5 @@ def solve_band(band: FloatArray, forcing: FloatArray) -> FloatArray:
         return forcing
     # Columns first in C order are LAPACK's right-hand sides in Fortran order: no copy.
     right = np.ascontiguousarray(forcing).reshape(n_columns, n_times * n).T
-    solution, _ = dtbtrs(band, right, uplo="L", diag="U")
+    solution, _ = scipy.linalg.lapack.dtbtrs(band, right, uplo="L", diag="U")
     return np.asarray(solution).T.reshape(n_columns, n_times, n)

@@ -15,8 +15,8 @@ from era.realisation import Realisation
 from modal.discrepancy.advice import circumstances_of
 from modal.discrepancy.callable_identification import LinearPart, identify_callable, quietest, relative_miss
 from modal.discrepancy.callable_model import Simulator, check_deterministic, run_callable
-from modal.discrepancy.corrected_callable import CorrectedCallable, along_plant
-from modal.discrepancy.decision import NEAR_FLOOR, decide_nodes
+from modal.discrepancy.corrected_callable import along_plant
+from modal.discrepancy.decision import decide_nodes
 from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.gap import measure_gap
@@ -26,10 +26,11 @@ from modal.discrepancy.lines import measure_lines
 from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.noise_floor import NoiseFloor, noise_floor
 from modal.discrepancy.plant_model import PlantModel
-from modal.discrepancy.proof import Proof, Runs, prove, unproved
-from modal.discrepancy.residual_model import residual_model
+from modal.discrepancy.proof import Runs, prove
+from modal.discrepancy.proved_diagnosis import proved, without_search
 from modal.discrepancy.search import search
-from modal.discrepancy.workflow import Progress, _diagnosis, prepare_setup, roots, simulated_outputs
+from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, uncovered
+from modal.discrepancy.workflow import diagnosis_of
 from modal.structure import SensorKind
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError
@@ -68,8 +69,7 @@ def diagnose_callable(
         The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
 
     Raises:
-        InvalidDataError: No input, or a callable that fails, is not deterministic, or returns no record or one that does
-            not match.
+        InvalidDataError: No input, or a callable that fails, is not deterministic, or returns no record that matches.
         NumericalError: Its linear part cannot be simulated along the records.
     """
     records = (*fits, *helds)
@@ -86,24 +86,42 @@ def diagnose_callable(
     progress("identifying the linear part of the callable", 0.01)
     part, given = _identified(runs, sensor_kind)
     if part is None or given is None or part.miss > USEFUL:
-        return _without_search(runs, floor, (*notes, _unidentified(part, own[: len(fits)])))
+        location = _located(fits, [run.outputs for run in own[: len(fits)]], floor)
+        return without_search(runs, floor, location, (*notes, _unidentified(part, own[: len(fits)])))
+    misses = [float(np.max(relative_miss(part.realisation, run))) for run in own]
     plant = _plant_of(given)
     rest = [run.outputs - along_plant(plant, record) for run, record in zip(own, records, strict=True)]
-    shifted = tuple(replace(record, outputs=record.outputs - one) for record, one in zip(records, rest, strict=True))
-    setup = prepare_setup(given, shifted[: len(fits)], shifted[len(fits) :], catalogue, progress, floor)
+    shifted = [replace(record, outputs=record.outputs - one) for record, one in zip(records, rest, strict=True)]
+    to_fit, to_hold = _worth_searching(misses, len(fits))
+    setup = prepare_setup(
+        given,
+        tuple(shifted[i] for i in to_fit),
+        tuple(shifted[i] for i in to_hold),
+        catalogue,
+        progress,
+        floor=_rows(floor, [*to_fit, *to_hold]),
+    )
     as_given, root = roots(setup)
     progress("locating the gap", 0.05)
-    found = zip(simulated_outputs(root.fitted, fits), rest[: len(fits)], strict=True)
-    location = _located(fits, [simulated + one for simulated, one in found], floor)
-    nodes = search(root, setup.task)
+    along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
+    location = _located([records[i] for i in to_fit], along, setup.floor)
+    setup, nodes, as_given = uncovered(setup, search(root, setup.task), as_given)
+    floor = _with_rows(floor, [*to_fit, *to_hold], setup.floor)
+    runs = replace(runs, floor=floor.variance)
     progress("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
     decision = decide_nodes(nodes, setup.task, circumstances=circumstances)
-    first = _diagnosis(setup, as_given, nodes, decision, location, circumstances, notes)
+    said = (*notes, *_nonlinear(misses, records, len(fits)))
+    found = diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=said)
     progress("proving it with the callable itself", 0.95)
-    proof = prove(runs, plant, part.realisation, decision.node)
-    words = _nonlinear(part.realisation, own, len(fits))
-    return _proved(_unshifted(first, runs, rest[len(fits) :]), runs, proof, part.realisation, words)
+    return proved(
+        replace(found, noise_floor=floor),
+        runs,
+        prove(runs, plant, part.realisation, decision.node),
+        realisation=part.realisation,
+        decision=decision,
+        between=_between(found, rest[len(fits) :]) if len(to_hold) == len(helds) else (),
+    )
 
 
 def _identified(
@@ -132,154 +150,74 @@ def _plant_of(given: Given) -> PlantModel:
 def _located(fits: Sequence[Record], simulated: Sequence[FloatArray], floor: NoiseFloor) -> Location:
     runs = [replace(record, outputs=one) for record, one in zip(fits, simulated, strict=True)]
     gap = measure_gap(fits, runs, floor.variance[: len(fits)])
-    return locate(gap, level_modes(fits), measure_lines(fits))
+    return locate(gap, modes=level_modes(fits), lines=measure_lines(fits))
 
 
-def _nonlinear(realisation: Realisation, own: Sequence[Record], n_fit: int) -> tuple[str, ...]:
+def _worth_searching(misses: Sequence[float], n_fit: int) -> tuple[list[int], list[int]]:
+    """Records to fit and held-out ones that the linear part reproduces well enough to search with."""
+    to_fit = [i for i, miss in enumerate(misses[:n_fit]) if miss <= USEFUL]
+    to_hold = [i for i, miss in enumerate(misses) if miss <= USEFUL and i >= n_fit]
+    return to_fit, to_hold or list(range(n_fit, len(misses)))
+
+
+def _rows(floor: NoiseFloor, chosen: Sequence[int]) -> NoiseFloor:
+    rows = list(chosen)
+    return replace(
+        floor,
+        variance=floor.variance[rows],
+        method=tuple(floor.method[i] for i in rows),
+        reason=tuple(floor.reason[i] for i in rows),
+        standard_error=floor.standard_error[rows],
+        random=floor.random[rows],
+        distortion=floor.distortion[rows],
+    )
+
+
+def _with_rows(floor: NoiseFloor, chosen: Sequence[int], rows: NoiseFloor) -> NoiseFloor:
+    """The floor of all records with that of some in place."""
+    at = {record: row for row, record in enumerate(chosen)}
+    source = [(rows, at[i]) if i in at else (floor, i) for i in range(len(floor.method))]
+    return replace(
+        floor,
+        variance=np.array([one.variance[i] for one, i in source]),
+        method=tuple(one.method[i] for one, i in source),
+        reason=tuple(one.reason[i] for one, i in source),
+        standard_error=np.array([one.standard_error[i] for one, i in source]),
+        random=np.array([one.random[i] for one, i in source]),
+        distortion=np.array([one.distortion[i] for one, i in source]),
+    )
+
+
+def _between(found: Diagnosis, rest: Sequence[FloatArray]) -> list[Step]:
+    """The steps between the first and the last, in the records as they were measured."""
+    steps = []
+    for step in found.steps[1:-1]:
+        simulated = [one + other for one, other in zip(step.simulated, rest, strict=True)] if step.simulated else []
+        steps.append(replace(step, simulated=tuple(simulated)))
+    return steps
+
+
+def _nonlinear(misses: Sequence[float], records: Sequence[Record], n_fit: int) -> tuple[str, ...]:
     """What to say where the linear part does not reproduce the callable."""
-    misses = [float(np.max(relative_miss(realisation, run))) for run in own]
     if max(misses) <= LINEAR:
         return ()
-    worst = own[int(np.argmax(misses))]
-    least = min(misses[:n_fit])
-    return (
-        f"the callable is itself nonlinear: its linear part, identified at the lowest level, misses {100.0 * least:.2g} % "
-        f"of its output there and {100.0 * max(misses):.2g} % in {worst.name or 'the worst record'}; the search saw the "
-        "callable's own output, but the forces and delays that it tried act on the linear part only",
+    at = int(np.argmax(misses))
+    left_out = sum(miss > USEFUL for miss in misses)
+    without = f", but for {left_out} records that it misses too much of" if left_out else ""
+    said = (
+        f"the callable is itself nonlinear: its linear part, identified at the lowest level, misses "
+        f"{100.0 * min(misses[:n_fit]):.2g} % of its output there and {100.0 * misses[at]:.2g} % in "
+        f"{records[at].name or 'its worst record'}; effects were looked for about its own output{without}, with forces "
+        "and delays acting on the linear part only"
     )
+    return (said,)
 
 
 def _unidentified(part: LinearPart | None, own: Sequence[Record]) -> str:
     at = quietest(own)[0].name or "the quietest record"
     how = "no linear model at all" if part is None else f"a linear model misses {100.0 * part.miss:.0f} % of its output"
     return (
-        f"the callable could not be identified as a linear model with ports ({how} in {at}, limit "
-        f"{100.0 * USEFUL:.0f} %), so no effect was tried: the callable is itself nonlinear at every level, holds a delay "
-        "of its own, or answers hardly to the inputs; add a record of a lower level, or pass the model's matrices"
-    )
-
-
-def _unshifted(found: Diagnosis, runs: Runs, rest: Sequence[FloatArray]) -> Diagnosis:
-    """The diagnosis in the records as they were measured."""
-    return replace(
-        found,
-        fit=runs.fit,
-        held_out=runs.held_out,
-        steps=tuple(
-            replace(
-                step,
-                simulated=tuple(one + other for one, other in zip(step.simulated, rest, strict=True))
-                if step.simulated
-                else (),
-            )
-            for step in found.steps
-        ),
-    )
-
-
-def _proved(found: Diagnosis, runs: Runs, proof: Proof, realisation: Realisation, words: tuple[str, ...]) -> Diagnosis:
-    """The diagnosis with the callable's own figures in place of those of its linear part."""
-    before = unproved(runs, realisation)
-    status, reasons = found.status, ()
-    if status != "unresolved" and proof.held_out_level > NEAR_FLOOR:
-        status = "unresolved"
-        reasons = (
-            f"the callable itself, with what was found, leaves {proof.held_out_level:.2f} times the noise floor on "
-            f"held-out data (limit {NEAR_FLOOR:g}), while its linear part left {found.steps[-1].held_out_level:.2f}",
-        )
-    steps = [_step(before, found.steps[0].name), *found.steps[1:-1], _step(proof, found.steps[-1].name)]
-    result = replace(
-        found,
-        status=status,
-        model=proof.model,
-        gap_before=before.rmse,
-        gap_after=proof.rmse,
-        closed=_closed(before, proof, runs),
-        steps=tuple(steps),
-        advice=(*_how_to_build_in(proof), *found.advice),
-        warnings=(*found.warnings, *words, *reasons),
-    )
-    return _with_residual(result, runs, before, proof) if status == "unresolved" and not found.findings else result
-
-
-def _with_residual(found: Diagnosis, runs: Runs, before: Proof, proof: Proof) -> Diagnosis:
-    """Where nothing of the catalogue explains the gap: a linear model of what is left, if it proves itself."""
-    n_fit = len(runs.fit)
-    records = (*runs.fit, *runs.held_out)
-    left = [
-        replace(record, outputs=record.outputs - simulated)
-        for record, simulated in zip(records, proof.simulated, strict=True)
-    ]
-    linear = residual_model(left[:n_fit], left[n_fit:], runs.floor[:n_fit], runs.floor[n_fit:])
-    if linear is None:
-        return found
-    model = replace(proof.model, residual=linear.realisation)
-    simulated = tuple(
-        one + replace(model, simulator=_still, effects=(), correction=None)(record).outputs
-        for one, record in zip(proof.simulated, records, strict=True)
-    )
-    after = Proof.of(runs, model, simulated)
-    return replace(
-        found,
-        model=model,
-        gap_after=after.rmse,
-        closed=_closed(before, after, runs),
-        steps=(*found.steps, _step(after, "linear model of what is left")),
-        warnings=(*found.warnings, linear.words),
-        advice=(f"Look for what the model leaves out: {linear.words}.", *found.advice),
-    )
-
-
-def _still(record: Record) -> Record:
-    return replace(record, outputs=np.zeros_like(record.outputs))
-
-
-def _without_search(runs: Runs, floor: NoiseFloor, warnings: tuple[str, ...]) -> Diagnosis:
-    """All that can be said of a callable that could not be identified."""
-    before = unproved(runs, None)
-    location = _located(runs.fit, before.simulated[: len(runs.fit)], floor)
-    found = Diagnosis(
-        status="unresolved",
-        findings=(),
-        model=before.model,
-        noise_floor=floor,
-        gap_before=before.rmse,
-        gap_after=before.rmse,
-        closed=0.0,
-        calibrated=(),
-        bounds_hit=(),
-        detection_limits=(),
-        advice=(
-            "Add a record of a lower level, at which the callable is nearly linear, or pass the model's matrices.",
-        ),
-        location=location,
-        steps=(_step(before, "as given"),),
-        hypotheses=(),
-        laws=(),
-        fit=runs.fit,
-        held_out=runs.held_out,
-        warnings=warnings,
-    )
-    return _with_residual(found, runs, before, before)
-
-
-def _step(proof: Proof, name: str) -> Step:
-    return Step(
-        name=name, fit_level=proof.fit_level, held_out_level=proof.held_out_level, simulated=proof.simulated_held_out
-    )
-
-
-def _closed(before: Proof, after: Proof, runs: Runs) -> float:
-    """Share of the held-out mean square above the floor that is gone."""
-    floor = runs.floor[len(runs.fit) :]
-    gap, left = (float(np.nansum(np.maximum(one.rmse**2 / floor - 1.0, 0.0))) for one in (before, after))
-    return 1.0 - left / gap if gap > 0.0 else 0.0
-
-
-def _how_to_build_in(proof: Proof) -> tuple[str, ...]:
-    if proof.model.correction is None:
-        return ()
-    return (
-        "The returned model adds the difference that the correction makes in the linear part of the callable; build what "
-        "was found into the simulation program itself, and diagnose again.",
+        f"the callable could not be identified as a linear model ({how} in {at}, limit {100.0 * USEFUL:.0f} %), so no "
+        "effect was tried: it is itself nonlinear at every level, holds a delay of its own, or hardly answers to the "
+        "inputs; add a record of a lower level, or pass the model's matrices"
     )

@@ -60,7 +60,7 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
 """The effects by key; it cannot be changed in place."""
 
 
-def register(effect: Effect, catalogue: Mapping[str, Effect] = CATALOGUE) -> Mapping[str, Effect]:
+def register(effect: Effect, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Mapping[str, Effect]:
     """A new catalogue with one effect more; the given one stays as it is.
 
     The effect is tried once on a random motion: words, parameters, starts, and every derivative against differences.

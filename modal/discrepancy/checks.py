@@ -35,11 +35,17 @@ def check_records(
     """
     fits = (fit,) if isinstance(fit, Record) else tuple(fit)
     helds = (held_out,) if isinstance(held_out, Record) else tuple(held_out)
+    for record in (*fits, *helds):
+        if not isinstance(record, Record):
+            raise InvalidDataError(
+                f"records to fit and held-out records are okid.Record objects; a {type(record).__name__} was given"
+            )
     if not fits:
         raise InvalidDataError("there is no record to fit; pass at least one")
     if not helds:
         raise InvalidDataError(
-            "there is no held-out record, so nothing could be proved; keep one record, best of another level, out of the fit"
+            "there is no held-out record, so nothing could be proved; keep one record, best of another level, out of "
+            "the fit"
         )
     _check_alike([*fits, *helds])
     for record in (*fits, *helds):
@@ -50,8 +56,8 @@ def check_records(
     for held in helds:
         if any(held is record or _same(held, record) for record in fits):
             raise InvalidDataError(
-                f"held-out record {held.name or 'without a name'} is also among the records to fit, so it proves nothing; "
-                "hold out another one"
+                f"held-out record {held.name or 'without a name'} is also among the records to fit, so it proves "
+                "nothing; hold out another one"
             )
     return fits, helds, _level_notes(fits, helds)
 
@@ -90,10 +96,11 @@ def _level_notes(fits: Sequence[Record], helds: Sequence[Record]) -> tuple[str, 
     sizes = [_level(record) for record in (*fits, *helds)]
     if min(sizes) > 0.0 and max(sizes) / min(sizes) >= SAME_LEVEL:
         return ()
-    return (
-        "all records are of one level: friction and drag, stops and cubic stiffness, saturation and a gain, a missing mode "
-        "and a disturbance can hardly be told apart; measure at a second level, two or three times as strong",
+    note = (
+        "all records are of one level: friction and drag, stops and cubic stiffness, saturation and a gain, a missing "
+        "mode and a disturbance can hardly be told apart; measure at a second level, two or three times as strong"
     )
+    return (note,)
 
 
 def _level(record: Record) -> float:
@@ -116,8 +123,8 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
     first = records[0]
     if (plant.n_inputs, plant.n_outputs) != (first.n_inputs, first.n_outputs):
         raise InvalidDataError(
-            f"the model has {plant.n_inputs} inputs and {plant.n_outputs} outputs, the records have {first.n_inputs} and "
-            f"{first.n_outputs}; choose the channels that the model knows"
+            f"the model has {plant.n_inputs} inputs and {plant.n_outputs} outputs, the records have {first.n_inputs} "
+            f"and {first.n_outputs}; choose the channels that the model knows"
         )
     for kind in ("input", "output"):
         ours, theirs = getattr(plant, f"{kind}_units"), getattr(first, f"{kind}_units")
@@ -130,7 +137,8 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
         if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), 1e-300) + 1e-9 / first.dt:
             raise InvalidDataError(
-                f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its signs"
+                f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
+                "signs"
             )
     unknowns = len(plant.parameters) + plant.n_states * len(records)
     values = sum(int(np.count_nonzero(~np.isnan(record.outputs))) for record in records)

@@ -118,7 +118,7 @@ class CorrectedCallable:
             )
         if self.residual is not None:
             found += simulate(self.residual, record).outputs
-        time = record.dt * np.arange(record.n_samples)
+        time = record.dt * np.arange(record.n_samples, dtype=np.float64)
         for one in self.effects:
             effect = self.catalogue[one.effect]
             if isinstance(effect, SensorEffect):

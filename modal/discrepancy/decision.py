@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
-from modal.discrepancy.search import Node, Task, counts, log_likelihood_gain, without
+from modal.discrepancy.estimation import Problem, covariance
+from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, without
 
 __all__ = ["Decision", "decide_nodes"]
 
@@ -23,6 +24,9 @@ SAME = 1.05
 """Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
 
 CLOSE_COMPANY = 30.0
+SURE = 3.0
+SHARP_SHARE = 0.05
+"""A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -110,7 +114,32 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
     fewest = min(len(node.effects) for node in (within or good))
     equals = [node for node in (within or good) if len(node.effects) == fewest]
-    return max(equals, key=lambda node: log_likelihood_gain(root, node, task))
+    return max(equals, key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task))
+
+
+def _cost_of_freedom(node: Node, task: Task) -> float:
+    """ln(n) a free parameter (Schwarz 1978); one that is found at the value known beforehand is not free."""
+    assembly, problem = node.coarse.assembly, task.fit
+    n_values = int(problem.drive.present.sum() + task.held_out.drive.present.sum())
+    free = 0
+    for i, item in enumerate(assembly.placements):
+        free += len(item.common) + item.n_directions - len(item.held)
+        known = item.effect.known_values("" if item.port is None else item.port.length_unit)
+        if any(value is not None for value in known):
+            free -= _found_as_known(node, i, known, problem)
+    return free * float(np.log(n_values))
+
+
+def _found_as_known(node: Node, i: int, known: Sequence[float | None], problem: Problem) -> int:
+    """How many parameters of an effect came out at their known values, and sharply so."""
+    item, span = node.coarse.assembly.placements[i], node.coarse.assembly.common_of(i)
+    spread = np.sqrt(np.maximum(np.diag(covariance(node.coarse, problem)), 0.0))[span]
+    values = node.coarse.unknowns.common[span]
+    return sum(
+        abs(value - wanted) <= SURE * deviation and deviation <= SHARP_SHARE * abs(wanted)
+        for j, value, deviation in zip(item.common, values, spread, strict=False)
+        if (wanted := known[j]) is not None
+    )
 
 
 def _strongest(nodes: Sequence[Node], root: Node, task: Task) -> Node | None:

@@ -17,6 +17,9 @@ __all__ = ["Drive", "drive_of"]
 
 IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
 
+SILENT = 1e-150
+"""Level of a record without any input: its laws are smoothed as those of the records together."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Drive:
@@ -33,8 +36,8 @@ class Drive:
         row_firsts: Index of each record's first row, and n_rows at the end.
         outputs: (n_rows, n_outputs) measured outputs, zero where missing.
         present: (n_rows, n_outputs) False where missing.
-        level: (n_times,) size of each record's inputs (of its outputs where it has none), relative to `reference`: sharp
-            laws are smoothed in proportion to it.
+        level: (n_times,) size of each record's inputs (of its outputs where it has none), relative to `reference`:
+            sharp laws are smoothed in proportion to it.
         reference: Size that counts as 1, that of the records to fit together.
     """
 
@@ -108,7 +111,8 @@ def drive_of(records: Sequence[Record], upsampling: int = 1, *, reference: float
         The drive.
     """
     levels = np.array([_level(record) for record in records])
-    against = float(np.sqrt(np.mean(levels**2))) if reference is None else reference
+    against = max(float(np.sqrt(np.mean(levels**2))), SILENT) if reference is None else reference
+    levels = np.where(levels > SILENT, levels, against)
     parts = [_one(record, upsampling) for record in records]
     firsts = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])])
     row_firsts = np.concatenate([[0], np.cumsum([record.n_samples for record in records])])
@@ -139,7 +143,7 @@ def drive_of(records: Sequence[Record], upsampling: int = 1, *, reference: float
 def _level(record: Record) -> float:
     signals = record.inputs if record.n_inputs else record.outputs
     size = float(np.sqrt(np.nansum(np.nanvar(signals, axis=0))))
-    return size if size > 0.0 else max(float(np.sqrt(np.nanmean(signals**2))), 1e-300)
+    return size if size > 0.0 else max(float(np.sqrt(np.nanmean(signals**2))), SILENT)
 
 
 def _one(record: Record, upsampling: int) -> tuple[FloatArray, FloatArray, FloatArray]:

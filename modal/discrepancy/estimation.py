@@ -21,7 +21,7 @@ from okid.arrays import BoolArray, FloatArray
 __all__ = ["Estimate", "Problem", "covariance", "estimate", "normal_equations", "simulate_at", "weighted_residual"]
 
 FIRST_DAMPING = 1e-3
-TRIALS = 7
+TRIALS = 5
 """Trial steps of an iteration, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
 """An iteration that lowers the cost by less than this share of it ends the fit."""
@@ -173,7 +173,7 @@ def _sensitivity(current: Estimate, problem: Problem) -> Sensitivity:
         problem.drive,
         current.trajectory,
         current.scheme,
-        slopes,
+        slopes=slopes,
         gain=current.gain,
         common=problem.free_common,
     )
@@ -263,14 +263,19 @@ def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: Float
 
 
 def covariance(current: Estimate, problem: Problem) -> FloatArray:
-    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor."""
+    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor.
+
+    What is held, or sits on a hard bound, has none: the others' is that given the bound.
+    """
     gram, _ = normal_equations(current, problem, _sensitivity(current, problem))
     lower, upper = current.assembly.bounds()
-    held = np.flatnonzero(lower == upper)
+    held = np.flatnonzero((lower == upper) | current.at_bounds)
     gram[held, :] = 0.0
     gram[:, held] = 0.0
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse[held, :] = 0.0
+    inverse[:, held] = 0.0
     return np.asarray(inverse * max(1.0, current.level))
 
 

@@ -8,8 +8,8 @@ from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.decision import Decision
 from modal.discrepancy.diagnosis import Evidence, Finding, Hypothesis, Parameter
 from modal.discrepancy.effect_units import parameter_units
+from modal.discrepancy.nodes import Node, Task, log_likelihood_gain
 from modal.discrepancy.plant import Plant
-from modal.discrepancy.search import Node, Task, log_likelihood_gain
 from okid.arrays import FloatArray
 
 __all__ = ["findings_of", "hypothesis_of"]
@@ -30,6 +30,7 @@ def findings_of(
     root: Node,
     task: Task,
     plant: Plant,
+    *,
     deviations: FloatArray,
     circumstances: frozenset[Circumstance],
 ) -> tuple[Finding, ...]:
@@ -93,8 +94,8 @@ def _evidence(decision: Decision, root: Node, task: Task, i: int, margin: float)
     )
     also = " (with the other effects)" if len(node.effects) - len(root.effects) > 1 else ""
     words = (
-        f"the held-out mean square falls from {root.held_out_level:.4g} to {node.held_out_level:.3g} times the noise floor"
-        f"{also}; {lead}"
+        f"the held-out mean square falls from {root.held_out_level:.4g} to {node.held_out_level:.3g} times the noise "
+        f"floor{also}; {lead}"
     )
     del i
     return Evidence(closed=float(np.clip(closed, -np.inf, 1.0)), log_likelihood=gain, margin=margin, words=words)

@@ -63,9 +63,9 @@ def force_line(
     port: Port,
     before: Motion,
     after: Motion,
+    *,
     force: Force,
     dt: float,
-    *,
     n_states: int,
     n_all: int,
     memory: slice,
@@ -93,7 +93,7 @@ def force_line(
     at_times = np.zeros((len(force.value), n_all))
     add_rows(at_times[:, :n_states], port, force.by_displacement, force.by_velocity)
     at_times[:, memory] = force.by_memory
-    middle = _middle(effect, values, port, before, after, dt, n_states=n_states, n_all=n_all, memory=memory)
+    middle = _middle(effect, values, port, before, after, dt=dt, n_states=n_states, n_all=n_all, memory=memory)
     lift = 2.0 / 3.0 * (middle.value - 0.5 * (force.value + shifted(force.value)))
     slope = 2.0 / 3.0 * (middle.slope - 0.5 * (force.by_parameter + shifted(force.by_parameter)))
     by_before = 2.0 / 3.0 * (middle.by_before - 0.5 * at_times)
@@ -144,8 +144,8 @@ def _middle(
     port: Port,
     before: Motion,
     after: Motion,
-    dt: float,
     *,
+    dt: float,
     n_states: int,
     n_all: int,
     memory: slice,

@@ -52,7 +52,8 @@ def given_model(
     """The plant of a model.
 
     Args:
-        model: `StructuralModel`, `PlantModel`, `era.Realisation`, `control.StateSpace`, or anything with A, B, C, D, dt.
+        model: `StructuralModel`, `PlantModel`, `era.Realisation`, `control.StateSpace`, or anything with A, B, C, D,
+            dt.
         records: Records that it is to be compared with.
         sensor_kind: What the outputs of a state space are; by default from the units of the records' outputs, and
             "displacement" where they say nothing.
@@ -70,8 +71,8 @@ def given_model(
         return Given(model=model, plant=model.plant, linear=model.linear, effects=model.effects)
     if not all(hasattr(model, name) for name in "ABCD"):
         raise InvalidDataError(
-            f"a model is a StructuralModel, a state space (control.StateSpace, era.Realisation) or a callable that takes "
-            f"a Record and returns one; a {type(model).__name__} was given"
+            f"a model is a StructuralModel, a state space (control.StateSpace, era.Realisation) or a callable that "
+            f"takes a Record and returns one; a {type(model).__name__} was given"
         )
     first = records[0]
     kinds = _kinds(first) if sensor_kind is None else sensor_kind
@@ -109,6 +110,8 @@ def placed_assembly(
     effects: Sequence[PlacedEffect],
     drive: Drive,
     catalogue: Mapping[str, Effect] = CATALOGUE,
+    *,
+    initial: FloatArray | None = None,
 ) -> tuple[Assembly, Unknowns]:
     """A plant with its effects at their places, and the values of everything.
 
@@ -121,15 +124,20 @@ def placed_assembly(
         effects: Effects with values.
         drive: What drives it.
         catalogue: Where the effects are found.
+        initial: (n_records, n_states) initial states; at rest by default.
 
     Returns:
-        The assembly, and the unknowns for records that start at rest.
+        The assembly, and the unknowns.
     """
-    placements = [_scaled(place(plant, catalogue[one.effect], one.where), plant, linear, drive) for one in effects]
+    begun = np.zeros((drive.n_records, plant.n_states)) if initial is None else initial
+    placements = [
+        _scaled(place(plant, catalogue[one.effect], one.where), plant, linear, drive, begun) for one in effects
+    ]
     assembly = assemble(plant, placements)
     common = np.zeros(assembly.n_common)
     common[: assembly.n_linear] = linear
     local = np.zeros((drive.n_records, assembly.n_local))
+    local[:, : plant.n_states] = begun
     for i, (item, one) in enumerate(zip(placements, effects, strict=True)):
         free = _directions(item, one)
         common[assembly.common_of(i)] = [*(one.values[j] for j in item.common), *free]
@@ -148,13 +156,13 @@ def _directions(item: Placement, one: PlacedEffect) -> FloatArray:
     return np.array(one.direction[1:]) / one.direction[0]
 
 
-def _scaled(item: Placement, plant: Plant, linear: FloatArray, drive: Drive) -> Placement:
+def _scaled(item: Placement, plant: Plant, linear: FloatArray, drive: Drive, initial: FloatArray) -> Placement:
     if item.port is None:
         return item
     bare = assemble(plant)
     common = np.array(linear, dtype=float)
     scheme, _ = scheme_and_slopes(plant, common, drive.dt)
-    unknowns = Unknowns(common=common, local=np.zeros((drive.n_records, bare.n_local)))
+    unknowns = Unknowns(common=common, local=initial)
     trajectory = simulate_states(bare, unknowns, drive, scheme, resting_states(bare, drive))
     if trajectory is None:
         return item
@@ -163,7 +171,7 @@ def _scaled(item: Placement, plant: Plant, linear: FloatArray, drive: Drive) -> 
     def size(row: FloatArray | None) -> float:
         if row is None:
             return 1.0
-        return max(float(np.std(trajectory.states[:, :n] @ row[:n] + drive.sample @ row[n:])), 1e-12) or 1.0
+        return float(np.std(trajectory.states[:, :n] @ row[:n] + drive.sample @ row[n:])) or 1.0  # nothing moves
 
     return replace(item, displacement_scale=size(item.port.displacement), velocity_scale=size(item.port.velocity))
 

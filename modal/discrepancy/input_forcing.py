@@ -17,7 +17,14 @@ __all__ = ["input_forcing"]
 
 
 def input_forcing(
-    assembly: Assembly, unknowns: Unknowns, drive: Drive, trajectory: Trajectory, scheme: Scheme, placement: int, j: int
+    assembly: Assembly,
+    unknowns: Unknowns,
+    drive: Drive,
+    trajectory: Trajectory,
+    scheme: Scheme,
+    *,
+    placement: int,
+    j: int,
 ) -> tuple[FloatArray, FloatArray]:
     """What parameter j of the effect at an input does by itself.
 

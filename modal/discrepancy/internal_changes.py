@@ -1,9 +1,9 @@
-"""What may be wrong in the linear part of a state space of several modes: any linear force inside the structure.
+"""What may be wrong in the linear part of a state space: any linear force inside the structure.
 
-A wrong stiffness or damping anywhere in a structure is a force that is linear in the state and that, as any force, moves
-no displacement at once: A becomes A + N F with N spanning the directions that leave the measured displacements where they
-are and F free. Poles and shapes change together, as they do in a structure; changing the poles alone would leave a gap
-of several per cent of a response whose shapes are wrong by as much.
+A wrong stiffness or damping anywhere in a structure is a force that is linear in the state and that, as any force,
+moves no displacement at once: A becomes A + N F with N spanning the directions that leave the measured displacements
+where they are and F free. Poles and shapes change together, as they do in a structure; changing the poles alone would
+leave a gap of several per cent of a response whose shapes are wrong by as much.
 """
 
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ __all__ = ["InternalChanges", "internal_changes"]
 MOST = 80
 """Entries of F at most; with more only the poles are calibrated."""
 
+STILL = 1e-7
 REACH = 10.0
 """Hard bounds, in standard deviations of the prior."""
 
@@ -48,10 +49,13 @@ def internal_changes(
         tolerance: Standard deviation of the prior, as a share of the linear forces that the model has.
 
     Returns:
-        The parameters; None with one mode, for plants that are no structure, or with more than 80 entries.
+        The parameters; None for plants that are no structure, have rigid-body motion, or need more than 80 entries.
     """
     n_states, n_free = free.shape
-    if n_states <= 2 or n_states * n_free > MOST or any(one.nature != "mechanical" for one in motions):
+    if n_states < 2 or n_states * n_free > MOST or any(one.nature != "mechanical" for one in motions):
+        return None
+    poles = np.abs(np.linalg.eigvals(A))
+    if poles.min() <= STILL * poles.max():  # rigid-body motion: a spring to nowhere would be added
         return None
     direct = np.array([one.direct for one in motions])
     parameters, slopes = [], []

@@ -76,7 +76,7 @@ class BinnedForce(ForceEffect):
 
 
 def binned_force(
-    fitted: Estimate, problem: Problem, placement: int, bins: Bins, reading: Reading, ahead: FloatArray
+    fitted: Estimate, problem: Problem, placement: int, *, bins: Bins, reading: Reading, ahead: FloatArray
 ) -> tuple[FloatArray, Told, float] | None:
     """Fit the bins beside a law whose own parameters are held.
 
@@ -92,7 +92,7 @@ def binned_force(
         What the data add to the law in each bin (m,), the last normal equations' word, and the sum of squares that is
         left; None where the model cannot be simulated.
     """
-    current = _beside(fitted, problem, placement, bins, reading, ahead)
+    current = _beside(fitted, problem, placement, bins=bins, reading=reading, ahead=ahead)
     if current is None:
         return None
     added_to = len(current.assembly.placements) - 1
@@ -131,7 +131,7 @@ def binned_force(
 
 
 def _beside(
-    fitted: Estimate, problem: Problem, placement: int, bins: Bins, reading: Reading, ahead: FloatArray
+    fitted: Estimate, problem: Problem, placement: int, *, bins: Bins, reading: Reading, ahead: FloatArray
 ) -> Estimate | None:
     """The model with empty bins beside a law, in its direction."""
     item = fitted.assembly.placements[placement]

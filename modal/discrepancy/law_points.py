@@ -1,21 +1,21 @@
 """What the data say of a law in bins of its motion, free of the law's form.
 
-The law is held as found and piecewise linear functions of the motion (hats, one a bin) are added to it as forces of
-their own. The residual is regressed on the response of the model, linearised about its trajectory, to each hat, with
-everything else unknown in the model left free; the parameters of the law itself are not, so that what the hats take up
-is the whole departure of the data from it. With F0 the Gram matrix of the hats' responses and F what the other unknowns
-leave of it,
+The law is held as found and a smooth function of the motion, given by its values in the bins, is added to it. These
+values are fitted with everything else unknown in the model left free; the parameters of the law itself are not, so that
+the bins take up the whole departure of the data from it. With F0 the Gram matrix of the responses to the bins, F what
+the other unknowns leave of it and s the score,
 
-    F v = lambda F0 v,    correction a = sum over lambda >= 0.01 of v v' s / lambda
+    F v = lambda F0 v, v' F0 v = 1        addition = sum over lambda >= 0.01 of v v' s / lambda
 
 A direction with a small lambda cannot be told from the rest of the model: a force in proportion to the motion from a
 wrong stiffness or damping, under accelerometers a constant force. There the points follow the law as found; in all
-others they are free. With P the projection on those others, L the law's derivative by its parameters and Q their
-covariance, the points' covariance about the true law is
+others they are free. So the points are what acts beyond the calibrated linear model. With P = sum of v v' F0 the
+projection on what can be told, L the law's derivative by its parameters and Q their covariance, the points' covariance
+about the true law is
 
     P S P' - P L Q L' P' + L Q L'        S = sum of v v' / lambda
 
-that of the departure, given what the law's own fit explains of it, and that of the law.
+that of the departure, less what the law's own fit explains of it, and that of the law.
 
 References:
     Larsen, McCleary, The use of partial residual plots in regression analysis, Technometrics 14(3), 1972,
@@ -26,6 +26,7 @@ References:
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from modal.discrepancy.estimation import Estimate, Problem, normal_equations, weighted_residual
@@ -33,6 +34,8 @@ from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitiv
 from okid.arrays import FloatArray
 
 __all__ = ["N_BINS", "Bins", "Told", "bins_of", "derivatives", "told_by", "told_by_sources", "unknowns_but"]
+
+IndexArray = npt.NDArray[np.intp]
 
 N_BINS = 12
 INDISTINCT = 0.01
@@ -57,7 +60,7 @@ class Bins:
         Beyond the outer knots they go on straight. Straight hats would lie on the wrong side of a curved force: over
         a parabola their values in the outer bins come out several per cent too small.
         """
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costs a tenth of a second at import
+        from scipy.interpolate import CubicSpline  # costs a tenth of a second at import
 
         if self.period:
             knots = np.append(self.knots, self.knots[0] + self.period)
@@ -123,7 +126,7 @@ class Told:
         return np.asarray(np.sqrt(np.maximum(departure, 0.0) + np.maximum(np.diag(law), 0.0)))
 
 
-def told_by(gram: FloatArray, score: FloatArray, bins: FloatArray, others: FloatArray) -> Told:
+def told_by(gram: FloatArray, score: FloatArray, bins: IndexArray, others: IndexArray) -> Told:
     """Solve normal equations for the bins with the other unknowns free.
 
     Args:
@@ -161,12 +164,12 @@ def derivatives(fitted: Estimate, problem: Problem) -> Sensitivity:
         problem.drive,
         fitted.trajectory,
         fitted.scheme,
-        fitted.slopes,
+        slopes=fitted.slopes,
         gain=fitted.gain,
     )
 
 
-def unknowns_but(fitted: Estimate, placements: list[int]) -> FloatArray:
+def unknowns_but(fitted: Estimate, placements: list[int]) -> IndexArray:
     """Indices of all unknowns but the parameters, directions and values of each record of some placements."""
     assembly, (n_records, n_local) = fitted.assembly, fitted.unknowns.local.shape
     held: list[int] = []

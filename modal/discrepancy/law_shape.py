@@ -1,4 +1,4 @@
-"""A force law by itself: what it is drawn against, its value over a grid of that, and its derivative by its parameters."""
+"""A force law by itself: what it is drawn against, its value over a grid of that, and its derivatives."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -97,14 +97,12 @@ def loaded_law(
     """A law with memory as it loads from rest to either side, and its derivative, by central differences."""
     given = np.array([float(np.mean(value)) for value in values])
     steps = RELATIVE_STEP * np.maximum(np.abs(given), 1e-12)
-    trials = [given]
-    for j in range(len(given)):
-        for sign in (1.0, -1.0):
-            trials.append(given + sign * steps * (np.arange(len(given)) == j))
+    moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], len(given))[:, None]
+    trials = given + np.concatenate([np.zeros((1, len(given))), moves])
     reach = np.array([float(grid.min()), float(grid.max())])
     paths = np.linspace(0.0, 1.0, LOADING_STEPS + 1)[:, None] * reach
-    displacement = np.repeat(paths, len(trials), axis=1)
-    parameters = list(np.tile(np.array(trials).T, (1, 2)))
+    displacement = np.tile(paths, (1, len(trials)))
+    parameters = list(np.repeat(trials, 2, axis=0).T)
     at = still_motion(item, displacement.shape[1])
     forces = np.zeros_like(displacement)
     for k, following in enumerate(displacement):
@@ -114,7 +112,7 @@ def loaded_law(
             after = _moved(after, memory=memory)
         forces[k] = effect.force(parameters, after).value
         at = after
-    found = np.stack([np.concatenate([forces[:0:-1, i], forces[:, len(trials) + i]]) for i in range(len(trials))])
+    found = np.concatenate([forces[:0:-1, 0::2], forces[:, 1::2]]).T
     along = np.concatenate([paths[:0:-1, 0], paths[:, 1]])
     order = np.argsort(along, kind="stable")
     law = np.stack([np.interp(grid, along[order], one[order]) for one in found])

@@ -5,9 +5,9 @@ import numpy as np
 from modal.discrepancy.diagnosis import DetectionLimit
 from modal.discrepancy.effect_units import parameter_units
 from modal.discrepancy.estimation import Estimate
+from modal.discrepancy.nodes import Task
 from modal.discrepancy.plant import Plant
 from modal.discrepancy.screen import Candidate, screen_candidates
-from modal.discrepancy.search import Task
 
 __all__ = ["detection_limits"]
 

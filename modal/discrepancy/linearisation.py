@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal.discrepancy.acting_force import ActingForce, acting_forces
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import per_time
 from modal.discrepancy.effects.effect import Force, Memory
-from modal.discrepancy.force_line import ForceLine, add_rows, force_line
-from modal.discrepancy.port_motion import motion_at, one_on
+from modal.discrepancy.force_line import ForceLine
 from modal.discrepancy.scheme import Scheme
 from okid.arrays import FloatArray
 
@@ -103,62 +103,22 @@ def linearise(
         Defects and dependences.
     """
     n, n_all, n_times = assembly.plant.n_states, states.shape[1], drive.n_times
-    n_forces = len(assembly.forces)
-    forces: list[Force] = []
-    lines: list[ForceLine] = []
-    memories: list[Memory | None] = []
-    J = np.zeros((n_forces, len(drive.rows), n_all))
+    acting = acting_forces(assembly, unknowns, drive, scheme, states, smoothing=smoothing)
     before = np.zeros((n_times, n_all, n_all))
     before[:, :n, :n] = scheme.Ad
-    n_rows = 2 * n_forces
-    U = np.zeros((n_all, n_rows + n_all - n))
-    U[n:, n_rows:] = np.eye(n_all - n)
-    V = np.zeros((n_times, n_rows + n_all - n, n_all))
     following = np.zeros((n_times, n_all))
     following[:, :n] = states[:, :n] @ scheme.Ad.T + drive.start @ scheme.B0.T + drive.end @ scheme.B1.T
-    G = np.zeros((assembly.plant.n_outputs, n_forces))
-    widths = smoothing * drive.level
-    first = n
-    for position, i in enumerate(assembly.forces):
-        item = assembly.placements[i]
-        effect, port = item.force_and_port
-        values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
-        span = slice(first, first + effect.n_memory)
-        at = assembly.stiffness_parameter(i)
-        stiffness = None if at is None else float(unknowns.common[at])
-        motion = motion_at(item, states[:, :n], drive, states[:, span], widths, stiffness=stiffness)
-        after = one_on(motion)
-        force = effect.force(values, motion)
-        line = force_line(effect, values, port, motion, after, force, drive.dt, n_states=n, n_all=n_all, memory=span)
-        direction = unknowns.directions(assembly, i)
-        E0, E1 = (matrix[:, list(port.columns)] @ direction for matrix in (scheme.E0, scheme.E1))
-        G[:, position] = scheme.G[:, list(port.columns)] @ direction
-        add_rows(J[position, :, :n], port, force.by_displacement[drive.rows], force.by_velocity[drive.rows])
-        J[position, :, span] = force.by_memory[drive.rows]
-        before[:, :n] += E0[:, None] * line.start_before[:, None, :] + E1[:, None] * line.end_before[:, None, :]
-        U[:n, 2 * position], U[:n, 2 * position + 1] = E0, E1
-        V[:, 2 * position], V[:, 2 * position + 1] = line.start_after, line.end_after
-        following[:, :n] += line.flow(E0, E1)
-        memory: Memory | None = None
-        if effect.n_memory:
-            memory = effect.advance(values, motion, after, drive.dt)
-            following[:, span] = memory.value
-            before[:, span, span] = memory.by_memory
-            for own in range(effect.n_memory):
-                at_start, at_end = before[:, first + own, :n], V[:, n_rows + first - n + own, :n]
-                add_rows(at_start, port, memory.by_displacement_before[:, own], memory.by_velocity_before[:, own])
-                add_rows(at_end, port, memory.by_displacement_after[:, own], memory.by_velocity_after[:, own])
-        forces.append(force)
-        lines.append(line)
-        memories.append(memory)
-        first += effect.n_memory
-
-    w = np.stack([force.value for force in forces], axis=1) if forces else np.zeros((n_times, 0))
-    free = states[drive.rows, :n] @ scheme.C.T + drive.sample[drive.rows] @ scheme.D.T + w[drive.rows] @ G.T
+    U, V = _end_of_step(acting, n, n_all, n_times)
+    free = states[drive.rows, :n] @ scheme.C.T + drive.sample[drive.rows] @ scheme.D.T
     H = np.zeros((len(drive.rows), assembly.plant.n_outputs, n_all))
     H[:, :, :n] = scheme.C
-    for position in range(n_forces):
-        H += G[:, position][:, None] * J[position][:, None, :]
+    for one in acting:
+        before[:, :n] += one.E0[:, None] * one.line.start_before[:, None, :]
+        before[:, :n] += one.E1[:, None] * one.line.end_before[:, None, :]
+        following[:, :n] += one.line.flow(one.E0, one.E1)
+        one.add_memory(before, following)
+        free += one.force.value[drive.rows, None] * one.G
+        H += one.G[:, None] * one.rows(drive.rows, n_all)[:, None, :]
     outputs, factors = _sensed(assembly, unknowns, drive, free)
     H *= factors[:, :, None]
     if gain is not None:
@@ -178,10 +138,10 @@ def linearise(
             defect[begin] += initial[record]
     return Linearisation(
         states=states,
-        forces=tuple(forces),
-        lines=tuple(lines),
-        memories=tuple(memories),
-        G=G,
+        forces=tuple(one.force for one in acting),
+        lines=tuple(one.line for one in acting),
+        memories=tuple(one.memory for one in acting),
+        G=np.stack([one.G for one in acting], axis=1) if acting else np.zeros((assembly.plant.n_outputs, 0)),
         before=before,
         U=U,
         V=V,
@@ -194,11 +154,30 @@ def linearise(
     )
 
 
+def _end_of_step(acting: tuple[ActingForce, ...], n: int, n_all: int, n_times: int) -> tuple[FloatArray, FloatArray]:
+    """U and V: what each step takes from the state at its own end, two rows a force and one a state of an effect."""
+    n_rows = 2 * len(acting)
+    U = np.zeros((n_all, n_rows + n_all - n))
+    U[n:, n_rows:] = np.eye(n_all - n)
+    V = np.zeros((n_times, n_rows + n_all - n, n_all))
+    for position, one in enumerate(acting):
+        U[:n, 2 * position], U[:n, 2 * position + 1] = one.E0, one.E1
+        V[:, 2 * position], V[:, 2 * position + 1] = one.line.start_after, one.line.end_after
+        one.add_memory_end(V[:, n_rows:, :n], n)
+    return U, V
+
+
 def _inverse(matrices: FloatArray) -> FloatArray:
     if matrices.shape[1] == 0:
         return matrices
     if matrices.shape[1] == 1:
         return np.asarray(1.0 / matrices)
+    if matrices.shape[1] == 2:  # one force: the closed form costs a tenth of LAPACK's loop over small matrices
+        (a, b), (c, d) = matrices.transpose(1, 2, 0)
+        found = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
+        if not np.isfinite(found).all():
+            raise np.linalg.LinAlgError("a step has no unique end")
+        return np.ascontiguousarray(found.transpose(2, 0, 1))
     return np.asarray(np.linalg.inv(matrices), dtype=float)
 
 

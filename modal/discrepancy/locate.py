@@ -48,7 +48,7 @@ class Location:
         return tuple(statement.text for statement in self.statements)
 
 
-def locate(gap: Gap, modes: LevelModes | None = None, lines: Lines | None = None) -> Location:
+def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = None) -> Location:
     """Say where measurement and simulation disagree: output, band, level, time, modes, lines.
 
     Args:

@@ -2,7 +2,8 @@
 
 A free run of a wrong model drifts away from the measured motion, and a law evaluated along it is the law of another
 motion. Corrected by the measured outputs, the states stay near the true ones, whatever is missing; the fit in this form
-has hardly any local minima. The nearer the model, the smaller the forces and the gain: the form turns into the free run.
+has hardly any local minima. The nearer the model, the smaller the forces and the gain: the form turns into the free
+run.
 """
 
 import numpy as np

@@ -159,6 +159,9 @@ class PlantModel:
     def load(cls, path: str | Path) -> "PlantModel":
         """Read a model from a file.
 
+        Args:
+            path: Of the file.
+
         Raises:
             UnreadableFileError: No such file, or one that holds another kind of model.
         """

@@ -11,10 +11,10 @@ from modal.discrepancy.corrected_callable import CorrectedCallable
 from modal.discrepancy.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.discrepancy.estimation import Estimate
 from modal.discrepancy.given import Given, returned_model
+from modal.discrepancy.nodes import Node
 from modal.discrepancy.placed import PlacedEffect
 from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.residual_model import mean_squares, with_start
-from modal.discrepancy.search import Node
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record
@@ -142,7 +142,7 @@ def _proof(
     simulated = []
     try:
         for number, (record, run) in enumerate(zip((*runs.fit, *runs.held_out), runs.own, strict=True)):
-            side, at = (node.fitted, number) if number < n_fit else (node.held_out or node.fitted, number - n_fit)
+            side, at = _side(node, number, n_fit, len(runs.held_out))
             model = _corrected(runs, plant, _placed(plant, side, at), linear)
             changed = model.changed_inputs(record)
             outputs = run.outputs if changed is record else run_callable(runs.simulator, changed).outputs
@@ -150,6 +150,16 @@ def _proof(
     except IdentificationError:
         return None
     return Proof.of(runs, _corrected(runs, plant, _placed(plant, node.fitted, None), linear), tuple(simulated))
+
+
+def _side(node: Node, number: int, n_fit: int, n_held_out: int) -> tuple[Estimate, int | None]:
+    """The estimate that knows a record's own values, and where; none does where the search left records out."""
+    held = node.held_out
+    if number < n_fit:
+        return node.fitted, number if node.fitted.trajectory.drive.n_records == n_fit else None
+    if held is None or held.trajectory.drive.n_records != n_held_out:
+        return node.fitted, None
+    return held, number - n_fit
 
 
 def _corrected(
@@ -175,8 +185,7 @@ def _placed(plant: PlantModel, fitted: Estimate, record: int | None) -> tuple[Pl
         replace(
             one,
             values=tuple(
-                own[min(record, len(own) - 1)] if own else value
-                for value, own in zip(one.values, one.local_values, strict=True)
+                own[record] if own else value for value, own in zip(one.values, one.local_values, strict=True)
             ),
             local_values=((),) * len(one.values),
         )

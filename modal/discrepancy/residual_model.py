@@ -24,7 +24,7 @@ from okid.recovery import recover_markov
 
 __all__ = ["ResidualModel", "mean_squares", "residual_model", "with_start"]
 
-MOST_STATES = 8
+MOST_STATES = 12
 SMALLEST_SHARE = 0.1
 """Share of the held-out gap above the floor that a model must take away to be one."""
 
@@ -54,9 +54,8 @@ class ResidualModel:
         )
         what = f"modes at {modes}" if modes else "no oscillatory mode"
         return (
-            f"what is left follows the inputs linearly: a model of order {self.realisation.order} with {what} takes away "
-            f"{100.0 * self.share:.0f} % of the held-out gap, so dynamics may be missing there; it is part of the "
-            "returned model, without a name"
+            f"what is left follows the inputs linearly: a model of order {self.realisation.order} with {what} takes "
+            f"away {100.0 * self.share:.0f} % of the held-out gap"
         )
 
 

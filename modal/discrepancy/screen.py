@@ -120,7 +120,7 @@ class _Nuisance:
             drive,
             current.trajectory,
             current.scheme,
-            current.slopes,
+            slopes=current.slopes,
             gain=current.gain,
         )
         level = np.sqrt(np.maximum(np.nan_to_num(current.mean_square, nan=1.0), 1.0))
@@ -181,9 +181,11 @@ def _signed(
     trial: Trial, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
 ) -> FloatArray | None:
     """The weights within the sign bounds of the amplitudes: those that would cross are zero; None if none is left."""
+    kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
+    if not kinds:  # the column is the effect itself, so less than none of it is the opposite: hardening, an advance
+        return weights if weights[0] > 0.0 else None
     if local or not isinstance(trial.placement.effect, ForceEffect):
         return weights
-    kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
     if len(kinds) * (1 + trial.placement.n_directions) != len(weights):
         return weights
     kept = np.ones(len(weights), dtype=bool)

@@ -62,8 +62,8 @@ def sensitivity(
     drive: Drive,
     trajectory: Trajectory,
     scheme: Scheme,
-    slopes: tuple[Scheme, ...],
     *,
+    slopes: tuple[Scheme, ...],
     gain: FloatArray | None = None,
     common: bool = True,
 ) -> Sensitivity:
@@ -83,17 +83,20 @@ def sensitivity(
         The derivatives.
     """
     about, driven = trajectory.linearisation, trajectory.drive
-    shared = [_linear(about, driven, scheme, slope, assembly, unknowns, j) for j, slope in enumerate(slopes)]
+    shared = [
+        _linear(about, driven, scheme, slope, assembly=assembly, unknowns=unknowns, j=j)
+        for j, slope in enumerate(slopes)
+    ]
     local = [Source(initial=state) for state in range(assembly.plant.n_states)]
     memory = assembly.plant.n_states
     for i, item in enumerate(assembly.placements):
         local += [Source(initial=memory + own) for own in range(item.n_memory)]
         memory += item.n_memory
-        local += [_parameter(assembly, unknowns, drive, trajectory, scheme, i, j) for j in item.local]
+        local += [_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j) for j in item.local]
         if common:
-            shared += [_parameter(assembly, unknowns, drive, trajectory, scheme, i, j) for j in item.common]
+            shared += [_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j) for j in item.common]
             directions = range(1, 1 + item.n_directions)
-            shared += [_direction(about, driven, scheme, assembly, i, column) for column in directions]
+            shared += [_direction(about, driven, scheme, assembly, placement=i, column=column) for column in directions]
     states, outputs = respond(assembly, unknowns, trajectory, [*shared, *local], gain=gain)
     n = len(shared)
     return Sensitivity(common=outputs[:n], local=outputs[n:], common_states=states[:n], local_states=states[n:])
@@ -166,7 +169,14 @@ def _factors(assembly: Assembly, unknowns: Unknowns, drive: Drive) -> FloatArray
 
 
 def _linear(
-    about: Linearisation, drive: Drive, scheme: Scheme, slope: Scheme, assembly: Assembly, unknowns: Unknowns, j: int
+    about: Linearisation,
+    drive: Drive,
+    scheme: Scheme,
+    slope: Scheme,
+    *,
+    assembly: Assembly,
+    unknowns: Unknowns,
+    j: int,
 ) -> Source:
     n = assembly.plant.n_states
     states = about.states[:, :n]
@@ -186,18 +196,25 @@ def _linear(
 
 
 def _parameter(
-    assembly: Assembly, unknowns: Unknowns, drive: Drive, trajectory: Trajectory, scheme: Scheme, placement: int, j: int
+    assembly: Assembly,
+    unknowns: Unknowns,
+    drive: Drive,
+    trajectory: Trajectory,
+    scheme: Scheme,
+    *,
+    placement: int,
+    j: int,
 ) -> Source:
     if placement in assembly.forces:
-        return _force_parameter(assembly, unknowns, trajectory, scheme, placement, j)
+        return _force_parameter(assembly, unknowns, trajectory, scheme, placement=placement, j=j)
     if placement in assembly.sensors:
         return _sensor_parameter(assembly, unknowns, trajectory, placement, j)
-    flow, outputs = input_forcing(assembly, unknowns, drive, trajectory, scheme, placement, j)
+    flow, outputs = input_forcing(assembly, unknowns, drive, trajectory, scheme, placement=placement, j=j)
     return Source(flow=flow, outputs=outputs)
 
 
 def _force_parameter(
-    assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, scheme: Scheme, placement: int, j: int
+    assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, scheme: Scheme, *, placement: int, j: int
 ) -> Source:
     about, drive, n = trajectory.linearisation, trajectory.drive, assembly.plant.n_states
     _, port = assembly.placements[placement].force_and_port
@@ -236,7 +253,7 @@ def _sensor_parameter(assembly: Assembly, unknowns: Unknowns, trajectory: Trajec
 
 
 def _direction(
-    about: Linearisation, drive: Drive, scheme: Scheme, assembly: Assembly, placement: int, column: int
+    about: Linearisation, drive: Drive, scheme: Scheme, assembly: Assembly, *, placement: int, column: int
 ) -> Source:
     _, port = assembly.placements[placement].force_and_port
     position, n = assembly.forces.index(placement), assembly.plant.n_states

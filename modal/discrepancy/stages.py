@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
 from modal.discrepancy.given import Given, given_model, placed_assembly, returned_model
+from modal.discrepancy.nodes import Node, node_of, polished
 from modal.discrepancy.noise_floor import noise_floor
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate, screen_candidates
-from modal.discrepancy.search import Node, node_of
+from modal.discrepancy.setup import prepare_setup
 from modal.discrepancy.steps import steps_per_sample
 from modal.structure import SensorKind
 from okid.arrays import FloatArray
@@ -93,7 +95,7 @@ def fit(
         level=found.level,
         mean_square=found.mean_square,
         calibrated=calibrated_parameters(found, deviations),
-        simulated=tuple(found.trajectory.outputs[a:b] for a, b in zip(rows[:-1], rows[1:], strict=True)),
+        simulated=tuple(found.trajectory.outputs[a:b] for a, b in pairwise(rows)),
     )
 
 
@@ -178,8 +180,6 @@ def decide(
     Raises:
         InvalidDataError: No model, or models and records that do not match.
     """
-    from modal.discrepancy.workflow import prepare_setup
-
     if not models:
         raise InvalidDataError("there is no model to decide on; pass the plain one first, then those with effects")
     fits, helds, _ = check_records(fit, held_out)
@@ -187,12 +187,12 @@ def decide(
     floor = noise_floor([*fits, *helds])
     for model in models:
         given = given_model(model, fits, sensor_kind=sensor_kind)
-        setup = prepare_setup(given, fits, helds, catalogue, lambda what, share: None, floor)
+        setup = prepare_setup(given, fits, helds, catalogue, lambda *_: None, floor=floor)
         assembly, unknowns = placed_assembly(given.plant, given.linear, given.effects, setup.task.fit.drive, catalogue)
         start = simulate_at(assembly, unknowns, setup.task.fit)
         if start is None:
             raise NumericalError(f"{model!r} could not be simulated along the records to fit; check its effects")
-        nodes.append(node_of(estimate(start, setup.task.fit, iterations=12), setup.task))
+        nodes.append(polished(node_of(estimate(start, setup.task.fit, iterations=12), setup.task), setup.task))
     return decide_nodes(nodes, setup.task, circumstances=circumstances_of(setup.given.plant, fits, nodes[0]))
 
 
@@ -235,7 +235,25 @@ def _estimated(
     start = simulate_at(assembly, unknowns, problem)
     if start is None:
         raise NumericalError(
-            "the model could not be simulated along the records: its motion grows without bound; check the units of the "
-            "inputs and the signs of its effects"
+            "the model could not be simulated along the records: its motion grows without bound; check the units of "
+            "the inputs and the signs of its effects"
         )
-    return given, estimate(start, problem, iterations=15), problem
+    found = estimate(start, problem, iterations=15)
+    observed = _by_observer(start, problem) if given.effects else None
+    return given, found if observed is None or observed.cost >= found.cost else observed, problem
+
+
+def _by_observer(start: Estimate, problem: Problem) -> Estimate | None:
+    """The fit by way of the observer form: a free run far from the records has minima of its own in the effects."""
+    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
+    gain = observer_gain(start, problem, steps)
+    if gain is None:
+        return None
+    observed = simulate_at(
+        start.assembly, start.unknowns, problem, states=start.trajectory.states, gain=gain, smoothing=start.smoothing
+    )
+    if observed is None:
+        return None
+    near = estimate(observed, problem, iterations=6)
+    free = simulate_at(start.assembly, near.unknowns, problem, states=near.trajectory.states, smoothing=start.smoothing)
+    return None if free is None else estimate(free, problem, iterations=15)

@@ -13,15 +13,15 @@ mass at the place, in length unit / s^2.
 Where a displacement does not exist:
     - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
       first order: its port takes flows in any direction of the states; its displacement row is the output itself.
-      Where all poles are real a displacement may also be the level of one of several tanks: a second port, "output_0
-      level", takes flows.
+      Where no pole oscillates a displacement may also be the level of one of several tanks: further ports, "output_0
+      level" and "output_0 upstream", take flows (`modal.discrepancy.tank_levels`); where its unit is no length either,
+      the first port takes constant and periodic forces only.
     - velocity sensors of a shaft that nothing holds, or of a mass that only a damper holds: a constant force gives a
       constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
     - an integrator needs its displacement measured: an acceleration does not show it.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from modal.discrepancy.modal_form import modal_form
 from modal.discrepancy.motion_rows import OutputMotion, motion_of_outputs
 from modal.discrepancy.plant import Plant, Port
 from modal.discrepancy.static_plant import static_plant
+from modal.discrepancy.tank_levels import is_length, tank_levels
 from modal.structure import SensorKind
 from modal.structure_checks import matched_names, sensor_kinds, tolerance
 from okid.arrays import FloatArray
@@ -74,9 +75,8 @@ def state_space_plant(
 ) -> Plant:
     """The plant of a state space, in real modal form.
 
-    Uncertain are, with one mode or without free directions of force, the real and imaginary part of each pole (B, C and D
-    are taken as right); with several modes all linear forces inside the structure (`internal_changes`), because a wrong
-    stiffness changes shapes as well as poles.
+    Uncertain are all linear forces inside the structure (`internal_changes`), because a wrong stiffness changes shapes
+    and static response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
 
     Args:
         system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
@@ -102,7 +102,7 @@ def state_space_plant(
         >>> mass_on_spring = control.ss([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
         >>> plant = state_space_plant(mass_on_spring, sensor_kind="displacement")
         >>> [port.name for port in plant.ports], [parameter.name for parameter in plant.parameters]
-        (['output_0'], ['real part of pole pair 1 (1.592 Hz)', 'imaginary part of pole pair 1 (1.592 Hz)'])
+        (['output_0'], ['internal force 1 by modal state 1', 'internal force 1 by modal state 2'])
     """
     continuous = continuous_system(system, input_hold=input_hold, dt=dt)
     n_outputs, n_inputs = continuous.D.shape
@@ -164,11 +164,12 @@ def _ports(
     """The ports with their E and G."""
     n_states = len(system.A)
     held = _free_directions(motions, n_states)
-    places = [(name, one, _ACCEPTS[one.nature]) for name, one in zip(names, motions, strict=True)]
+    levels = tank_levels(system, motions, names)
+    places = [(name, one, _accepted(one, levels)) for name, one in zip(names, motions, strict=True)]
     for i, j in _pairs(motions):
         # an absorber hangs on one place; between two its force would have nothing to stand on
-        places.append((f"{names[i]}-{names[j]}", motions[i].less(motions[j]), _ACCEPTS[motions[i].nature] - {"mass"}))
-    places += [(f"{name} level", one, frozenset({"flow"})) for name, one in _levels(system, motions, names)]
+        places.append((f"{names[i]}-{names[j]}", motions[i].less(motions[j]), _accepted(motions[i], levels) - {"mass"}))
+    places += [(name, one, frozenset({"flow"})) for name, one in levels]
     ports: list[Port] = []
     columns: list[FloatArray] = [np.zeros((n_states, 0))]
     n_columns = 0
@@ -194,17 +195,11 @@ def _ports(
     return tuple(ports), forces, np.array([motion.direct for motion in motions]) @ forces
 
 
-def _levels(
-    system: ContinuousSystem, motions: tuple[OutputMotion, ...], names: tuple[str, ...]
-) -> list[tuple[str, OutputMotion]]:
-    """Displacements of a plant whose poles are all real, as levels that flows move: it may be one of several tanks."""
-    if (np.linalg.eigvals(system.A).imag != 0).any():
-        return []
-    return [
-        (name, replace(one, nature="flow", velocity=None, driven=row))
-        for name, one, row in zip(names, motions, system.C, strict=True)
-        if one.nature == "mechanical" and not one.direct.any()
-    ]
+def _accepted(motion: OutputMotion, levels: tuple[tuple[str, OutputMotion], ...]) -> frozenset[str]:
+    """What may act where an output is; where it may be a level and its unit is no length, no mechanical law may."""
+    if motion.nature == "mechanical" and levels and not is_length(motion.unit):
+        return frozenset({"force"})
+    return _ACCEPTS[motion.nature]
 
 
 def _free_directions(motions: tuple[OutputMotion, ...], n_states: int) -> FloatArray:

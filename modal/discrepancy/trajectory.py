@@ -15,6 +15,7 @@ from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.banded import band_of, solve_band
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import drive_inputs
+from modal.discrepancy.effects.effect import jumps
 from modal.discrepancy.linearisation import Linearisation, linearise
 from modal.discrepancy.scheme import Scheme
 from okid.arrays import FloatArray
@@ -32,13 +33,17 @@ ITERATIONS = 25
 NEAR_ITERATIONS = 10
 """Newton iterations from a trajectory that is near already: a trial step that needs more is taken for too long."""
 LADDER = (0.3, 0.1, 0.03, 0.012, 0.005, 0.002)
+MEMORY_RISE = 30.0
 SMALLEST_SHARE = 0.1
 """Smallest share of a Newton step that is tried."""
 
 FIRST_WINDOW, SMALLEST_WINDOW, LARGEST_WINDOW = 64, 4, 256
 """Steps of a window in the march."""
 
-BUDGET: dict[str, float] = {"far": 120.0, "near": 15.0}
+GROW_AFTER = 3
+"""Windows in a row that must converge after one that did not, before windows grow again: each failure is wasted."""
+
+BUDGET: dict[str, float] = {"far": 400.0, "near": 10.0}
 """Evaluations of the whole trajectory that a march may cost."""
 OVERHEAD = 200
 """What an evaluation of a window costs besides its times, in times."""
@@ -107,22 +112,35 @@ def simulate_states(
     def about(trial: FloatArray, width: float) -> Linearisation:
         return linearise(assembly, unknowns, driven, scheme, trial, smoothing=width, gain=gain)
 
-    found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS)
+    rise = allowed_rise(assembly)
+    found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS, rise)
     if found is None:
-        marched = _march(assembly, unknowns, driven, scheme, states, smoothing, BUDGET[start], gain)
-        found = None if marched is None else _newton(about, marched, smoothing, NEAR_ITERATIONS)
+        marched = _march(
+            assembly, unknowns, driven, scheme, states, smoothing=smoothing, budget=BUDGET[start], gain=gain
+        )
+        found = None if marched is None else _newton(about, marched, smoothing, NEAR_ITERATIONS, rise)
     if found is None and start == "far":
-        found = _softened(about, states, smoothing)
+        found = _softened(about, states, smoothing, rise)
     if found is None:
         return None
     return Trajectory(linearisation=found, band=band_of(found.transitions()), drive=driven)
 
 
-def _softened(about: About, states: FloatArray, smoothing: float) -> Linearisation | None:
+def allowed_rise(assembly: Assembly) -> float:
+    """Factor by which a Newton step may raise the defect.
+
+    A law with memory is piecewise linear: full steps settle one piece after the other although the defect rises on the
+    way. Beside a law that jumps they do not settle.
+    """
+    effects = [assembly.placements[i].effect for i in assembly.forces]
+    return MEMORY_RISE if assembly.n_memory and not any(jumps(effect) for effect in effects) else 1.0
+
+
+def _softened(about: About, states: FloatArray, smoothing: float, rise: float) -> Linearisation | None:
     """Soften sharp laws until Newton's method converges, then sharpen them step by step."""
     found: Linearisation | None = None
     for width in (*(step for step in LADDER if step > smoothing), smoothing):
-        softer = _newton(about, states, width, ITERATIONS)
+        softer = _newton(about, states, width, ITERATIONS, rise)
         if softer is None and found is not None:
             return None
         if softer is not None:
@@ -136,6 +154,7 @@ def _march(
     driven: Drive,
     scheme: Scheme,
     states: FloatArray,
+    *,
     smoothing: float,
     budget: float,
     gain: FloatArray | None,
@@ -144,12 +163,12 @@ def _march(
 
     `budget` is in evaluations of the whole trajectory.
     """
-    spent = 0.0
+    spent, rise = 0.0, allowed_rise(assembly)
     found = states.copy()
     for record, first in enumerate(driven.firsts[:-1]):
         found[first] = unknowns.local[record, list(assembly.initial)]
     longest = int(np.diff(driven.firsts).max())
-    position, width = 0, FIRST_WINDOW
+    position, width, solved_in_a_row = 0, FIRST_WINDOW, GROW_AFTER
     while position < longest - 1:
         window, index, which = driven.window(position, position + width + 1)
         initial = found[index[list(window.firsts[:-1])]]
@@ -161,28 +180,30 @@ def _march(
             return linearise(assembly, some, window, scheme, trial, smoothing=wide, gain=gain, initial=initial)  # noqa: B023 - used within this turn of the loop
 
         held = np.repeat(initial, np.diff(window.firsts), axis=0)
-        solved = _newton(about, found[index], smoothing, NEAR_ITERATIONS) or _newton(
-            about, held, smoothing, NEAR_ITERATIONS
+        solved = _newton(about, found[index], smoothing, NEAR_ITERATIONS, rise) or _newton(
+            about, held, smoothing, NEAR_ITERATIONS, rise
         )
         if solved is None:
-            width //= 2
+            width, solved_in_a_row = width // 2, 0
             if width < SMALLEST_WINDOW or spent > budget:
                 return None
             continue
         found[index] = solved.states
-        position, width = position + width, min(2 * width, LARGEST_WINDOW)
+        position, solved_in_a_row = position + width, solved_in_a_row + 1
+        if solved_in_a_row >= GROW_AFTER:
+            width = min(2 * width, LARGEST_WINDOW)
     return found
 
 
-def _newton(about: About, states: FloatArray, width: float, iterations: int) -> Linearisation | None:
+def _newton(about: About, states: FloatArray, width: float, iterations: int, rise: float) -> Linearisation | None:
     """Newton's method; None where it does not converge or a step has no unique end."""
     try:
-        return _iterated(about, states, width, iterations)
+        return _iterated(about, states, width, iterations, rise)
     except np.linalg.LinAlgError:
         return None
 
 
-def _iterated(about: About, states: FloatArray, width: float, iterations: int) -> Linearisation | None:
+def _iterated(about: About, states: FloatArray, width: float, iterations: int, rise: float) -> Linearisation | None:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         current = about(states, width)
         miss = _miss(current)
@@ -197,7 +218,7 @@ def _iterated(about: About, states: FloatArray, width: float, iterations: int) -
             share = 1.0
             trial = about(current.states + step, width)
             trial_miss = _miss(trial)
-            while not trial_miss < max(miss, TOLERANCE * size) and share > SMALLEST_SHARE:
+            while not trial_miss < max(rise * miss, TOLERANCE * size) and share > SMALLEST_SHARE:
                 share /= 2.0
                 trial = about(current.states + share * step, width)
                 trial_miss = _miss(trial)

@@ -1,61 +1,36 @@
-"""Find what a simulation lacks against measured records: floor, calibration, location, search, decision, in one call."""
+"""Find what a simulation lacks against measured records: floor, calibration, location, search, decision in one call."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from modal.discrepancy.advice import advise, circumstances_of
 from modal.discrepancy.catalogue import CATALOGUE
-from modal.discrepancy.checks import check_plant, check_records
+from modal.discrepancy.checks import check_records
 from modal.discrepancy.decision import Decision, decide_nodes
 from modal.discrepancy.diagnosis import Diagnosis, Step
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
-from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import covariance
 from modal.discrepancy.findings import findings_of, hypothesis_of
-from modal.discrepancy.gap import measure_gap
-from modal.discrepancy.given import Given, given_model, placed_assembly, returned_model
+from modal.discrepancy.given import given_model, returned_model
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.limits import detection_limits
-from modal.discrepancy.locate import Location, locate
-from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
-from modal.discrepancy.search import FINER, Node, Task, calibrated_node, node_of, on_other_floor, search
+from modal.discrepancy.locate import Location
+from modal.discrepancy.nodes import Node
+from modal.discrepancy.search import search
+from modal.discrepancy.setup import Progress, Setup, locate_gap, prepare_setup, roots, simulated_outputs, uncovered
 from modal.discrepancy.stages import calibrated_parameters
-from modal.discrepancy.steps import steps_per_sample
 from modal.structure import SensorKind
+from modal.threads import one_blas_thread
 from okid.arrays import FloatArray
-from okid.errors import NumericalError
 from okid.record import Record
 
-__all__ = ["Progress", "diagnose"]
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share that is done (0 to 1)."""
+__all__ = ["Progress", "diagnose", "diagnosis_of"]
 
 
 def _silent(what: str, share: float) -> None:
     del what, share
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Setup:
-    """Everything that the stages work on.
-
-    Attributes:
-        given: The model.
-        fit: Records to fit.
-        held_out: Held-out records.
-        floor: Noise floor of both, in this order.
-        task: The search's task.
-    """
-
-    given: Given
-    fit: tuple[Record, ...]
-    held_out: tuple[Record, ...]
-    floor: NoiseFloor
-    task: Task
 
 
 def diagnose(
@@ -95,7 +70,26 @@ def diagnose(
         Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
-    report = _silent if progress is None else progress
+    with one_blas_thread():
+        return _diagnosed(
+            model,
+            fit,
+            held_out,
+            catalogue=catalogue,
+            sensor_kind=sensor_kind,
+            report=_silent if progress is None else progress,
+        )
+
+
+def _diagnosed(
+    model: Any,
+    fit: Record | Sequence[Record],
+    held_out: Record | Sequence[Record],
+    *,
+    catalogue: Mapping[str, Effect],
+    sensor_kind: SensorKind | Sequence[SensorKind] | None,
+    report: Progress,
+) -> Diagnosis:
     fits, helds, notes = check_records(fit, held_out)
     if callable(model) and not hasattr(model, "A"):
         from modal.discrepancy.black_box import diagnose_callable
@@ -111,129 +105,33 @@ def diagnose(
     report("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, fits, root)
     decision = decide_nodes(nodes, setup.task, circumstances=circumstances)
-    return _diagnosis(setup, as_given, nodes, decision, location, circumstances, notes)
+    return diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=notes)
 
 
-def prepare_setup(
-    given: Given,
-    fit: tuple[Record, ...],
-    held_out: tuple[Record, ...],
-    catalogue: Mapping[str, Effect],
-    report: Progress,
-    floor: NoiseFloor | None = None,
-) -> Setup:
-    """Noise floor and drives."""
-    check_plant(given.plant, given.linear, [*fit, *held_out])
-    report("noise floor", 0.0)
-    known = noise_floor([*fit, *held_out]) if floor is None else floor
-    steps = steps_per_sample(given.plant, given.linear, [*fit, *held_out])
-    drive = drive_of(fit, steps)
-    n_fit = len(fit)
-
-    def held(upsampling: int) -> Problem:
-        return Problem(
-            drive=drive_of(held_out, upsampling, reference=drive.reference),
-            floor=known.variance[n_fit:],
-            free_common=False,
-        )
-
-    task = Task(
-        fit=Problem(drive=drive, floor=known.variance[:n_fit]),
-        held_out=held(steps),
-        fine_fit=Problem(drive=drive_of(fit, FINER * steps), floor=known.variance[:n_fit]),
-        fine_held_out=held(FINER * steps),
-        upsampling=steps,
-        catalogue=catalogue,
-        report=report,
-    )
-    return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
-
-
-def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Setup, tuple[Node, ...], Node]:
-    """The floor, lower where the best model's residual shows less noise than the records did; then the search goes on.
-
-    Accelerometers under friction or impacts hide their noise below what the motion does; only a model that explains
-    the motion uncovers it.
-    """
-    best = min(nodes, key=lambda node: node.held_out_level)
-    if best.held_out is None:
-        return setup, nodes, as_given
-    records = (*setup.fit, *setup.held_out)
-    outputs = (*simulated_outputs(best.fitted, setup.fit), *simulated_outputs(best.held_out, setup.held_out))
-    left = [record.outputs - simulated for record, simulated in zip(records, outputs, strict=True)]
-    lower = lowered_floor(setup.floor, records, left)
-    ratio = setup.floor.variance / lower.variance
-    if float(ratio.max()) <= 1.0:
-        return setup, nodes, as_given
-    found = prepare_setup(setup.given, setup.fit, setup.held_out, setup.task.catalogue, setup.task.report, lower)
-    n_fit = len(setup.fit)
-    scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
-    given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
-    return found, search(scaled[0], found.task, scaled), given
-
-
-def roots(setup: Setup) -> tuple[Node, Node]:
-    """The model as given, only initial states fitted; and calibrated.
-
-    Raises:
-        NumericalError: If the model cannot be simulated along the records.
-    """
-    given, task = setup.given, setup.task
-    task.report("calibrating the linear parameters", 0.02)
-    assembly, unknowns = placed_assembly(given.plant, given.linear, given.effects, task.fit.drive, task.catalogue)
-    start = simulate_at(assembly, unknowns, task.fit)
-    if start is None:
-        raise NumericalError(
-            "the model could not be simulated along the records to fit: its motion grows without bound; check the units "
-            "of the inputs and the signs of its effects"
-        )
-    still = Problem(drive=task.fit.drive, floor=task.fit.floor, free_common=False)
-    return node_of(estimate(start, still, iterations=6), task), calibrated_node(start, task)
-
-
-def locate_gap(setup: Setup, root: Node) -> Location:
-    """Where the calibrated linear model and the records disagree."""
-    from modal.discrepancy.level_modes import level_modes
-    from modal.discrepancy.lines import measure_lines
-
-    setup.task.report("locating the gap", 0.05)
-    gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
-    return locate(gap, level_modes(setup.fit), measure_lines(setup.fit))
-
-
-def simulated_records(records: Sequence[Record], fitted: Estimate) -> list[Record]:
-    """The records with the model's outputs."""
-    return [
-        Record(
-            record.inputs,
-            outputs,
-            record.dt,
-            input_names=record.input_names,
-            output_names=record.output_names,
-            input_units=record.input_units,
-            output_units=record.output_units,
-            input_hold=record.input_hold,
-            name=record.name,
-        )
-        for record, outputs in zip(records, simulated_outputs(fitted, records), strict=True)
-    ]
-
-
-def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[FloatArray, ...]:
-    """The model's outputs along each record."""
-    firsts = np.concatenate([[0], np.cumsum([record.n_samples for record in records])])
-    return tuple(fitted.trajectory.outputs[a:b] for a, b in zip(firsts[:-1], firsts[1:], strict=True))
-
-
-def _diagnosis(
+def diagnosis_of(
     setup: Setup,
     as_given: Node,
     nodes: Sequence[Node],
     decision: Decision,
+    *,
     location: Location,
     circumstances: frozenset[Any],
     notes: tuple[str, ...],
 ) -> Diagnosis:
+    """Put a decision into words, numbers and an updated model.
+
+    Args:
+        setup: Model, records and floor.
+        as_given: The model as given along the records.
+        nodes: All models that were fitted, the calibrated one first.
+        decision: What was decided.
+        location: Where the two disagree.
+        circumstances: For the table of ambiguities.
+        notes: What the reader must know of the records.
+
+    Returns:
+        The diagnosis.
+    """
     root, best, task = nodes[0], decision.node, setup.task
     problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
     spread = covariance(best.fitted, problem)
@@ -244,7 +142,9 @@ def _diagnosis(
     before, after = _rmse(as_given, setup), _rmse(best, setup)
     return Diagnosis(
         status=decision.status,
-        findings=findings_of(decision, root, task, setup.given.plant, deviations, circumstances),
+        findings=findings_of(
+            decision, root, task, setup.given.plant, deviations=deviations, circumstances=circumstances
+        ),
         model=returned_model(setup.given, best.fitted.assembly, best.fitted.unknowns, deviations),
         noise_floor=setup.floor,
         gap_before=before,
@@ -253,24 +153,37 @@ def _diagnosis(
         calibrated=calibrated,
         bounds_hit=hits,
         detection_limits=detection_limits(best.coarse, task, setup.given.plant),
-        advice=advise(decision, setup.given.plant, setup.fit, circumstances),
+        advice=advise(decision, setup.fit, circumstances),
         location=location,
         steps=_steps(as_given, root, nodes, best, setup.held_out),
         hypotheses=tuple(hypothesis_of(node, root, task) for node in ranked),
         laws=law_curves(best.fitted, problem, setup.given.plant, spread),
         fit=setup.fit,
         held_out=setup.held_out,
-        warnings=(*notes, *_bound_words(hits), *decision.reasons),
+        warnings=(*notes, *_bound_words(hits), *_gain_words(decision, circumstances), *decision.reasons),
     )
+
+
+def _gain_words(decision: Decision, circumstances: frozenset[Any]) -> tuple[str, ...]:
+    """A gain that stands for the scale of the whole model scales every force found beside it."""
+    gains = [key for key, _ in decision.node.effects if key in {"input_gain", "sensor_gain"}]
+    if not gains or "one_dof" not in circumstances:
+        return ()
+    words = (
+        f"{gains[0]} cannot be told from a wrong mass or inertia: forces and stiffnesses found beside it are right "
+        "only up to that factor; check the mass"
+    )
+    return (words,)
 
 
 def _bound_words(hits: tuple[str, ...]) -> tuple[str, ...]:
     if not hits:
         return ()
-    return (
+    words = (
         f"{', '.join(hits)} sits on its bound: the model that was given is further off than its tolerances allow, or "
-        "what is missing is not in the catalogue; check the nominal values",
+        "what is missing is not in the catalogue; check the nominal values"
     )
+    return (words,)
 
 
 def _rmse(node: Node, setup: Setup) -> FloatArray:

@@ -1,1 +1,1 @@
-"""Runnable examples: the struck mass, from which everything starts, and the tower of `modal-report demo`."""
+"""Runnable examples: the struck mass, the tower of `modal-report demo`, and two stories of a missing effect."""

@@ -166,10 +166,17 @@ def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:
             "found": one is found,
             "fit": times_text(times_floor(one.fit_level)),
             "held_out": times_text(times_floor(one.held_out_level)),
-            "behind": f"{best - one.log_likelihood:,.0f}" if one.log_likelihood < best else "best",
+            "behind": _behind(best - one.log_likelihood),
         }
         for one in diagnosis.hypotheses[:MOST_HYPOTHESES]
     ]
+
+
+def _behind(gap: float) -> str:
+    """2 ln L behind the best; a dash where it is not known."""
+    if not np.isfinite(gap):
+        return "–"
+    return f"{gap:,.0f}" if gap > 0.0 else "best"
 
 
 def _calibrated(diagnosis: Diagnosis) -> list[dict[str, object]]:

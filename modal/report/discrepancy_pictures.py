@@ -38,7 +38,7 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
     shown = worst_outputs(first, MOST_OUTPUTS)
     most = "output" if len(shown) == 1 else f"{len(shown)} outputs"
     which = "" if len(shown) == len(first.output_names) else f" Shown: the {most} with the largest gap."
-    worst = int(np.argmax(first.in_floors.mean(axis=1)))
+    worst = int(np.argmax(np.nan_to_num(first.in_floors.mean(axis=1))))
     name = shorten(visible(record_name(first.measured[worst], worst)), 60)
     record = f" Held-out record {name!r}." if len(first.measured) > 1 else ""
     states = _states(stages)

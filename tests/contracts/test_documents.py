@@ -27,7 +27,7 @@ def modal_report(*arguments, cwd):
 
 def test_every_command_of_the_readme_exists(readme, repository):
     commands = set(re.findall(r"modal-report +([a-z]+)", readme))
-    assert {"run", "demo"} <= commands
+    assert {"run", "demo", "gap"} <= commands
     for command in commands:
         result = modal_report(command, "--help", cwd=repository)
         assert result.returncode == 0, result.stderr

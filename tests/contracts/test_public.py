@@ -26,6 +26,14 @@ POSITIONAL = {
     "modal.log_identification": ["identification", "recording"],
     "modal.save_recording": ["result", "path"],
     "modal.write_report": ["result", "folder"],
+    "modal.log_diagnosis": ["diagnosis", "recording"],
+    "modal.StructuralModel": ["mass", "damping", "stiffness"],
+    "modal.StructuralModel.chain": ["masses", "stiffnesses", "dampings"],
+    "modal.simulate": ["model", "record_or_inputs"],
+    "modal.read_model": ["path"],
+    "modal.write_model": ["model", "path"],
+    "modal.discrepancy.diagnose": ["model", "fit", "held_out"],
+    "modal.discrepancy.register": ["effect"],
 }
 """Positional arguments as DESIGN.md writes them: scripts outside this repository call exactly these."""
 
@@ -38,6 +46,9 @@ KEYWORDS = {
     "era.realise": {"order"},
     "era.simulate": {"initial_state"},
     "modal.identify": {"observer_order", "ridge", "order"},
+    "modal.StructuralModel": {"force_map", "sensor_map", "sensor_kind", "elements", "base_motion"},
+    "modal.StructuralModel.chain": {"force_dofs", "sensor_dofs", "sensor_kind"},
+    "modal.discrepancy.diagnose": {"catalogue"},
 }
 ATTRIBUTES = {
     "okid.MarkovParameters": {"system", "gain", "dt"},
@@ -54,7 +65,22 @@ ATTRIBUTES = {
         *("participation", "amplitude_coherence", "phase_collinearity", "emac_output", "emac_input", "emac"),
         *("cmi", "msv", "mpd", "repeatability", "probability", "verdict", "damping_resolved", "reason"),
     },
+    "modal.StructuralModel": {"chain", "with_effect", "equations", "save", "load", "natural_frequencies"},
+    "modal.PlantModel": {"with_effect", "equations", "save", "load"},
+    "modal.discrepancy.Diagnosis": {
+        *("status", "findings", "model", "noise_floor", "gap_before", "gap_after", "closed", "calibrated"),
+        *("bounds_hit", "detection_limits", "advice"),
+    },
+    "modal.discrepancy.Finding": {"effect", "where", "parameters", "evidence", "runner_up", "ambiguous_with"},
 }
+
+CATALOGUE = {
+    *("cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness", "gap_spring", "coulomb_friction"),
+    *("quadratic_drag", "bouc_wen_hysteresis", "sine_softening", "slack_in_hysteresis", "constant_force"),
+    *("time_varying_stiffness", "missing_mode", "input_delay", "input_saturation", "input_gain", "sensor_bias"),
+    *("sensor_gain", "periodic_disturbance", "power_law_flow", "overflow"),
+}
+"""Keys of the catalogue as DESIGN.md writes them."""
 FUNCTIONS, TYPES = public_functions(), public_types()
 
 
@@ -79,9 +105,16 @@ def documented(text):
     return {name.strip() for entry in entries for name in entry.split(",")}
 
 
+def named(name):
+    """The public thing, or the attribute of one, of a dotted name."""
+    table = public_table()
+    owner, _, attribute = name.rpartition(".")
+    return table[name] if name in table else getattr(table[owner], attribute)
+
+
 @pytest.mark.parametrize("name", sorted(POSITIONAL))
 def test_a_script_can_call_it_as_the_design_says(name):
-    function = public_table()[name]
+    function = named(name)
     given = parameters(function)
     positional = [p.name for p in given if p.kind is not p.KEYWORD_ONLY and p.default is EMPTY]
     assert positional == POSITIONAL[name]
@@ -92,6 +125,14 @@ def test_a_script_can_call_it_as_the_design_says(name):
 def test_a_type_has_the_attributes_of_the_design(name):
     kind = public_table()[name]
     assert ATTRIBUTES[name] <= {field.name for field in dataclasses.fields(kind)} | set(dir(kind))
+
+
+def test_the_catalogue_has_the_keys_of_the_design_and_cannot_be_changed():
+    catalogue = public_table()["modal.discrepancy.CATALOGUE"]
+    assert set(catalogue) == CATALOGUE
+    assert all(effect.key == key for key, effect in catalogue.items())
+    with pytest.raises(TypeError):
+        catalogue["mine"] = catalogue["cubic_stiffness"]
 
 
 def test_the_tables_hold_what_they_name():

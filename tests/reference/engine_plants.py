@@ -34,7 +34,7 @@ VALUES = {
     "sensor_bias": (0.1, 0.02),
     "sensor_gain": (1.15,),
     "periodic_disturbance": (0.6, 1.3, 0.4),
-    "power_law_flow": (3.0, 0.6),
+    "power_law_flow": (3.0, 0.6, 4.0),
     "overflow": (20.0, 0.12),
 }
 """For motions of about 0.2 m: every law shows, none rules."""

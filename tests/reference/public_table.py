@@ -6,6 +6,7 @@ import pkgutil
 from dataclasses import is_dataclass
 
 PACKAGES = ("okid", "era", "modal")
+TABLES = (*PACKAGES, "modal.discrepancy")
 
 
 def module_names():
@@ -21,9 +22,9 @@ def module_names():
 
 
 def public_table():
-    """{"okid.Record": object} of everything in the `__all__` of the three packages."""
+    """{"okid.Record": object} of everything in the `__all__` of the three packages and of `modal.discrepancy`."""
     table = {}
-    for package in PACKAGES:
+    for package in TABLES:
         root = importlib.import_module(package)
         table |= {f"{package}.{name}": getattr(root, name) for name in getattr(root, "__all__", ())}
     return table

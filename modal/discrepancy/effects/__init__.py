@@ -1,1 +1,1 @@
-""""""
+"""The effects of the catalogue, one a file."""

@@ -17,9 +17,11 @@ from okid.arrays import FloatArray
 
 __all__ = ["Flow", "bouc_wen_flow"]
 
-N_STEPS = 10
-"""Runge-Kutta steps of a stretch: the state is then right to 4e-5 for n up to 10 and to 2e-6 for n up to 3, however
-long the stretch."""
+MOST_STEPS = 10
+"""Runge-Kutta steps of a long stretch: the state is then right to 4e-5 for n up to 10 and to 2e-6 for n up to 3,
+however long the stretch."""
+SHORT, FEW_STEPS = 0.25, 4
+"""A stretch up to this share of the yield displacement needs no more than this number of steps."""
 GROWTH = 1.5
 """Power of the number of a step to which the steps reach."""
 SETTLED = 36.0
@@ -54,10 +56,11 @@ def bouc_wen_flow(state: FloatArray, stretch: FloatArray, n: FloatArray) -> Flow
     unloading = np.minimum(stretch, np.maximum(-state, 0.0))
     loading = np.minimum(stretch - unloading, SETTLED)
     start = -np.log1p(-np.clip(state, 0.0, 1.0 - np.exp(-SETTLED)))
-    q, by_n = start, np.zeros_like(start)
-    for share in np.diff((np.arange(N_STEPS + 1) / N_STEPS) ** GROWTH):
-        q, by_n = _runge_kutta(q, by_n, loading * share, n)
     loads = stretch > unloading
+    q, by_n = start.copy(), np.zeros_like(start)
+    exponent = np.broadcast_to(n, start.shape)
+    for n_steps, kind in ((FEW_STEPS, loads & (loading <= SHORT)), (MOST_STEPS, loads & (loading > SHORT))):
+        q[kind], by_n[kind] = _loaded(start[kind], loading[kind], exponent[kind], n_steps)
     left, rate = np.exp(-q), _rate(q, n)[0]
     return Flow(
         value=np.where(loads, -np.expm1(-q), state + unloading),
@@ -65,6 +68,14 @@ def bouc_wen_flow(state: FloatArray, stretch: FloatArray, n: FloatArray) -> Flow
         by_stretch=np.where(loads | (state >= 0.0), left * rate, 1.0),
         by_exponent=np.where(loads, left * by_n, 0.0),
     )
+
+
+def _loaded(start: FloatArray, loading: FloatArray, n: FloatArray, n_steps: int) -> tuple[FloatArray, FloatArray]:
+    """State variable q after loading and its derivative by n."""
+    q, by_n = start, np.zeros_like(start)
+    for share in np.diff((np.arange(n_steps + 1) / n_steps) ** GROWTH):
+        q, by_n = _runge_kutta(q, by_n, loading * share, n)
+    return q, by_n
 
 
 def _rate(q: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from modal.discrepancy.effects.motion import Force, Memory, Motion, StepForce
 from okid.arrays import FloatArray
 
 __all__ = [
@@ -58,101 +59,6 @@ class ParameterKind:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Motion:
-    """Motion at a port, at n samples of one or several records laid end to end.
-
-    Attributes:
-        displacement: (n,); zeros where the port has none.
-        velocity: (n,); zeros where the port has none.
-        time: (n,) [s] since the start of each record.
-        memory: (n, n_memory) states of the effect itself.
-        displacement_scale: Standard deviation of the displacement over the records to fit, for smoothing and starts.
-        velocity_scale: Likewise of the velocity.
-        stiffness: Linear stiffness at the port (1.0 where it is not known).
-        mass: Mass at the port (1.0 where it is not known).
-        smoothing: Width over which sharp laws (sign, contact) are smoothed, as a share of the scale, for all samples
-            or (n,) for each (a quiet record has a smaller width); 0: sharp.
-    """
-
-    displacement: FloatArray
-    velocity: FloatArray
-    time: FloatArray
-    memory: FloatArray
-    displacement_scale: float
-    velocity_scale: float
-    stiffness: float = 1.0
-    mass: float = 1.0
-    smoothing: float | FloatArray = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Force:
-    """A force law and its derivatives, each over n samples.
-
-    Attributes:
-        value: (n,).
-        by_displacement: (n,).
-        by_velocity: (n,).
-        by_memory: (n, n_memory).
-        by_parameter: (n, n_parameters).
-    """
-
-    value: FloatArray
-    by_displacement: FloatArray
-    by_velocity: FloatArray
-    by_memory: FloatArray
-    by_parameter: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StepForce:
-    """The straight line that stands for a force over each step, for laws that jump within it.
-
-    Attributes:
-        start: (n,) value at the start of the step.
-        end: (n,) value at its end.
-        start_by_before: (n,) derivative of `start` by the velocity at the start of the step.
-        start_by_after: (n,) derivative of `start` by the velocity at its end.
-        end_by_before: (n,) derivative of `end` by the velocity at the start.
-        end_by_after: (n,) derivative of `end` by the velocity at the end.
-        start_by_parameter: (n, n_parameters).
-        end_by_parameter: (n, n_parameters).
-    """
-
-    start: FloatArray
-    end: FloatArray
-    start_by_before: FloatArray
-    start_by_after: FloatArray
-    end_by_before: FloatArray
-    end_by_after: FloatArray
-    start_by_parameter: FloatArray
-    end_by_parameter: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Memory:
-    """States of an effect one sample on, explicit in the states before and the motion before and after.
-
-    Attributes:
-        value: (n, n_memory).
-        by_memory: (n, n_memory, n_memory), by the states one sample before.
-        by_displacement_before: (n, n_memory).
-        by_velocity_before: (n, n_memory).
-        by_displacement_after: (n, n_memory).
-        by_velocity_after: (n, n_memory).
-        by_parameter: (n, n_memory, n_parameters).
-    """
-
-    value: FloatArray
-    by_memory: FloatArray
-    by_displacement_before: FloatArray
-    by_velocity_before: FloatArray
-    by_displacement_after: FloatArray
-    by_velocity_after: FloatArray
-    by_parameter: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Situation:
     """What an effect may look at to propose values to start from.
 
@@ -195,13 +101,22 @@ class Effect:
         """Values to start from: one tuple for each shape worth a try, amplitudes of 1 (they enter linearly)."""
         raise NotImplementedError
 
+    def known_values(self, length_unit: str) -> tuple[float | None, ...]:  # noqa: ARG002 - for laws of angles
+        """Value of each parameter that is known before any data, where the port's displacement has this unit.
+
+        A parameter that is found at its known value was predicted, not fitted, and counts for nothing in a comparison
+        with laws that have a free one.
+        """
+        return (None,) * len(self.parameters)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceEffect(Effect):
     """A force that the motion at a port calls up.
 
     Class attributes:
-        needs: What the law reads ("displacement", "velocity", "stiffness"); a port without it is no place for the effect.
+        needs: What the law reads ("displacement", "velocity", "stiffness"); a port without it is no place for the
+            effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         n_memory: Number of states of its own.
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
@@ -220,7 +135,10 @@ class ForceEffect(Effect):
         raise NotImplementedError
 
     def step_force(self, values: Values, before: Motion, after: Motion) -> StepForce | None:  # noqa: ARG002 - most laws have none
-        """The line that stands for the force over each step; None (most laws): the line between its values at the ends."""
+        """The line that stands for the force over each step.
+
+        None (most laws): the line between its values at the ends.
+        """
         return None
 
     def screen_columns(self, values: Values, motion: Motion) -> FloatArray:

@@ -97,9 +97,7 @@ def jump_line(before: FloatArray, after: FloatArray, width: float | FloatArray) 
     mean_after = np.where(near, 0.5 * slope_middle, (value_after - mean) / rise)
     half, area = (F1 + F0) / 2.0, (S1 - S0) / rise
     moment = np.where(near, slope_middle * (after - before) / 12.0, (half - area) / rise)
-    moment_before = np.where(
-        near, -slope_middle / 12.0, (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise
-    )
+    moment_before = np.where(near, -slope_middle / 12.0, (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise)
     moment_after = np.where(near, slope_middle / 12.0, (value_after / 2.0 - (half + F1 - 2.0 * area) / rise) / rise)
     return JumpLine(
         start=mean - 6.0 * moment,

@@ -17,6 +17,9 @@ OFF_PEAK = 1.0 / 3.0
 """The highest peak is also tried this share of a spectral line 1 / longest to either side: a peak is known to half a
 line only, where a sine that is off by half a line loses 59 % of its power and one off by a sixth of a line 9 %."""
 
+FEWEST_PERIODS = 3.0
+"""A sine with fewer periods in the longest record bends like a drift: nothing shows that it repeats."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeriodicDisturbance(ForceEffect):
@@ -63,8 +66,9 @@ class PeriodicDisturbance(ForceEffect):
     acts_at = "force"
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
-        """The highest peaks of the residual, and the two sides of the highest."""
-        peaks = situation.residual_frequencies[:N_PEAKS]
+        """The highest peaks of the residual that are no drift, and the two sides of the highest."""
+        slowest = FEWEST_PERIODS / situation.longest if situation.longest > 0.0 else 0.0
+        peaks = tuple(peak for peak in situation.residual_frequencies if peak >= slowest)[:N_PEAKS]
         step = OFF_PEAK / situation.longest if situation.longest > 0.0 else 0.0
         sides = (peaks[0] - step, peaks[0] + step) if peaks and step > 0.0 else ()
         return tuple((1.0, frequency, 0.0) for frequency in (*peaks, *sides) if frequency > 0.0)

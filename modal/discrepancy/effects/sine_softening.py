@@ -53,6 +53,10 @@ class SineSoftening(ForceEffect):
     signature = "odd lines; the resonance falls with the square of the level, the damping stays"
     reference = "Nelson, Olsson 1986, doi 10.1119/1.14703"
 
+    def known_values(self, length_unit: str) -> tuple[float | None, ...]:
+        """One radian, where the displacement is an angle."""
+        return ({"rad": 1.0, "deg": 180.0 / np.pi}.get(length_unit),)
+
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
         """One start for each length scale, about as long as the motion and longer."""
         largest = float(np.max(np.abs(situation.motion.displacement), initial=0.0)) or 1.0

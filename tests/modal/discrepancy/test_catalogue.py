@@ -28,7 +28,7 @@ CONTRACT = {  # keys and parameter names that scripts outside read, in the order
     "sensor_bias": {"offset", "slope"},
     "sensor_gain": {"gain"},
     "periodic_disturbance": {"amplitude", "frequency", "phase"},
-    "power_law_flow": {"coefficient", "exponent"},
+    "power_law_flow": {"coefficient", "exponent", "linear"},
     "overflow": {"rate", "limit"},
 }
 
@@ -95,10 +95,10 @@ def test_a_registered_effect_stands_in_a_new_catalogue_only():
     with pytest.raises(TypeError):
         mine["another"] = Quintic()
     with pytest.raises(InvalidDataError, match=r"already holds an effect 'quintic_stiffness'; give yours another key"):
-        register(Quintic(), mine)
+        register(Quintic(), catalogue=mine)
     with pytest.raises(InvalidDataError, match="already holds"):
         register(CubicStiffness())
-    assert list(register(Quintic(), {})) == ["quintic_stiffness"]
+    assert list(register(Quintic(), catalogue={})) == ["quintic_stiffness"]
 
 
 def test_every_effect_is_of_one_kind():

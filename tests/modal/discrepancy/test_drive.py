@@ -75,7 +75,7 @@ def test_records_lie_end_to_end():
     assert drive.firsts == (0, 88, 146)
     assert drive.row_firsts == (0, 30, 50)
     assert np.array_equal(drive.rows, np.r_[np.arange(0, 88, 3), np.arange(88, 146, 3)])
-    assert np.array_equal(drive.time[88:], np.arange(58) * DT / 3)
+    assert np.allclose(drive.time[88:], np.arange(58) * DT / 3, atol=1e-12)
     assert np.array_equal(drive.sample[drive.rows[30:], 0], second[:, 0])
     assert np.array_equal(np.argwhere(~drive.present), [[34, 1]])
     assert drive.outputs[34, 1] == 0.0
@@ -100,15 +100,37 @@ def test_free_decays_have_the_level_of_their_outputs():
     assert drive.level[-1] / drive.level[0] == pytest.approx(2.0)
 
 
-def test_a_window_is_the_drive_of_a_part():
-    u = np.random.default_rng(5).standard_normal((30, 1))
-    drive = drive_of([record(u, "linear"), record(u[:12], "linear")])
-    window, index, which = drive.window(8, 15)
-    assert np.array_equal(index, np.r_[8:15, 38:42])
+@pytest.mark.parametrize("upsampling", [1, 3])
+def test_a_window_is_the_drive_of_a_part(upsampling):
+    rng = np.random.default_rng(5)
+    u, y = rng.standard_normal((2, 30, 1))
+    y[10] = np.nan
+    records = [record(u, "linear", outputs=y), record(u[:12], "linear", outputs=y[:12] * 2)]
+    drive = drive_of(records, upsampling)
+    begin, end = 8 * upsampling, 15 * upsampling
+    window, index, which = drive.window(begin, end)
+    second = drive.firsts[1]
+    expected = np.r_[begin:end, second + begin : min(second + end, drive.n_times)]
+    assert np.array_equal(index, expected)
     assert np.array_equal(which, [0, 1])
-    assert window.firsts == (0, 7, 11)
-    assert np.array_equal(window.start, drive.start[index])
-    assert not window.present.any()
-    window, index, which = drive.window(12, 40)
+    assert window.firsts == (0, end - begin, len(expected))
+    for name in ("start", "end", "sample", "time", "level"):
+        assert np.array_equal(getattr(window, name), getattr(drive, name)[index])
+    assert np.allclose(window.time[window.rows[:7]], np.arange(8, 15) * DT, atol=1e-12)
+    assert np.array_equal(
+        window.outputs[:, 0], np.r_[y[8:10, 0], 0.0, y[11:15, 0], 2 * y[8:10, 0], 0.0, 2 * y[11:12, 0]]
+    )
+    assert np.array_equal(np.flatnonzero(~window.present), [2, 9])
+    assert window.row_firsts == (0, 7, 11)
+    _, index, which = drive.window(12 * upsampling, 400)
     assert np.array_equal(which, [0])
-    assert np.array_equal(index, np.arange(12, 30))
+    assert np.array_equal(index, np.arange(12 * upsampling, drive.firsts[1]))
+
+
+def test_a_silent_record_counts_as_one_of_the_common_level():
+    """A decay from an initial deflection: with the level of its input, zero, friction could not be smoothed."""
+    u = np.random.default_rng(5).standard_normal((30, 1))
+    drive = drive_of([record(u, "linear"), record(0 * u, "linear")])
+    assert np.allclose(drive.level[30:], 1.0)
+    assert np.all(np.isfinite(drive.level))
+    assert np.allclose(drive_of([record(0 * u, "linear")]).level, 1.0)

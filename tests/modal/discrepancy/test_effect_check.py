@@ -186,7 +186,9 @@ class Squared(InputEffect):
 
 def test_an_input_without_derivatives_of_its_own_gets_differences():
     drive = np.linspace(-1.0, 1.0, 9)
-    start, end, sample = register(Squared(), {})["mine"].by_parameter([0.3], drive, 2.0 * drive, 3.0 * drive, 0.1)
+    start, end, sample = register(Squared(), catalogue={})["mine"].by_parameter(
+        [0.3], drive, 2.0 * drive, 3.0 * drive, 0.1
+    )
     for found, at in ((start, 2.0 * drive), (end, 3.0 * drive), (sample, drive)):
         np.testing.assert_allclose(found, [at * np.abs(at)], rtol=1e-6, atol=1e-9)
 
@@ -220,11 +222,11 @@ def test_an_input_without_derivatives_of_its_own_gets_differences():
 )
 def test_a_fault_is_found_and_said_in_one_sentence(effect, words):
     with pytest.raises(InvalidDataError) as caught:
-        register(effect, {})
+        register(effect, catalogue={})
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_the_faultless_ones_pass():
     for effect in (Spring(), ConstantForce(), MissingMode(), SensorGain(), InputGain()):
-        assert register(effect, {})[effect.key] is effect
+        assert register(effect, catalogue={})[effect.key] is effect

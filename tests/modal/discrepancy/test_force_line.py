@@ -22,7 +22,15 @@ def line_of(key, path, smoothing=0.005):
     effect, port = item.force_and_port
     values = VALUES[key]
     line = force_line(
-        effect, values, port, motion, one_on(motion), effect.force(values, motion), drive.dt, n_states=4, n_all=4,
+        effect,
+        values,
+        port,
+        motion,
+        one_on(motion),
+        force=effect.force(values, motion),
+        dt=drive.dt,
+        n_states=4,
+        n_all=4,
         memory=slice(4, 4),
     )
     nodes, weights = np.polynomial.legendre.leggauss(400)
@@ -42,7 +50,6 @@ def test_a_smooth_law_has_its_mean_to_fourth_order(key):
     line, mean, _ = line_of(key, np.polynomial.Polynomial([0.1, 1.2, -1.0, -0.4]))
 
     assert np.abs(mean_of(line)[:39] - mean).max() < 1e-4 * np.abs(mean).max()
-
 
 
 def mean_of(line):

@@ -57,7 +57,7 @@ def test_agreement_is_a_matter_of_the_floor(factor, agrees):
 
 def test_where_they_agree_nothing_else_is_said():
     gap = made(lambda level, run, rng: 0.0)
-    location = locate(gap, level_modes(gap.measured), measure_lines(gap.measured))
+    location = locate(gap, modes=level_modes(gap.measured), lines=measure_lines(gap.measured))
     assert [statement.subject for statement in location.statements] == ["size"]
     assert location.output_shares.tolist() == [0.0]
 
@@ -265,7 +265,7 @@ def location_of(law):
     seen = runs[law] + sigma[:, np.newaxis] * rng.standard_normal(runs[law].shape)
     measured, simulated = ([Record(u, y, DT) for u, y in zip(force, ys, strict=True)] for ys in (seen, runs[no_force]))
     gap = measure_gap(measured, simulated, sigma**2)
-    return locate(gap, level_modes(measured), measure_lines(measured))
+    return locate(gap, modes=level_modes(measured), lines=measure_lines(measured))
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ class Whole:
             self.drive,
             self.trajectory,
             self.scheme,
-            self.slopes,
+            slopes=self.slopes,
             gain=self.gain,
             **options,
         )

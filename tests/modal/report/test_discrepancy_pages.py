@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
@@ -193,6 +194,30 @@ def test_pictures_say_which_outputs_and_records_they_show(diagnosis, monkeypatch
     assert "drawn as the loop" not in captions["laws"]
     monkeypatch.setattr("modal.report.discrepancy_pictures.MOST_OUTPUTS", 1)
     assert "Shown: the output with the largest gap." in draw_diagnosis(diagnosis)["histories"].caption
+
+
+def test_missing_samples_are_no_hole_in_the_page(diagnosis):
+    outputs = np.array(diagnosis.held_out[0].outputs)
+    outputs[100:300, 0] = np.nan
+    gappy = replace(diagnosis, held_out=(replace(diagnosis.held_out[0], outputs=outputs), diagnosis.held_out[1]))
+    text = page_of(gappy)
+    assert not re.search(r"\bnan\b", " ".join(Tags(text).words))
+    assert text.count("<svg") == 6
+
+
+def test_a_model_that_ran_away_is_told(diagnosis):
+    first = replace(diagnosis.steps[0], simulated=(), held_out_level=np.inf, fit_level=np.inf)
+    lost = replace(diagnosis.hypotheses[-1], held_out_level=np.inf, log_likelihood=-np.inf)
+    found = replace(
+        diagnosis,
+        steps=(first, *diagnosis.steps[1:]),
+        hypotheses=(*diagnosis.hypotheses[:-1], lost),
+        gap_before=np.full_like(diagnosis.gap_before, np.inf),
+    )
+    words = " ".join(Tags(page_of(found)).words)
+    assert "unbounded with the model as given" in " ".join(words.split())
+    assert not re.search(r"\b(nan|inf)\b", words)
+    assert not re.search(r"\b(nan|inf)\b", diagnosis_markdown(found, Provenance()))
 
 
 def test_pictures_of_nothing_found(diagnosis_of):

@@ -32,34 +32,52 @@ def random_level(seed, n=40):
     return 3.0 * np.random.default_rng(seed).standard_normal(n)
 
 
-@given(seed=seeds, coefficient=rates, exponent=exponents, smoothing=st.sampled_from([0.05, 0.3]))
-def test_power_law_derivatives_agree_with_differences(seed, coefficient, exponent, smoothing):
+lines = st.floats(0.0, 10.0)
+
+
+@given(seed=seeds, coefficient=rates, exponent=exponents, linear=lines, smoothing=st.sampled_from([0.05, 0.3]))
+def test_power_law_derivatives_agree_with_differences(seed, coefficient, exponent, linear, smoothing):
     motion = tank(random_level(seed), smoothing=smoothing)
-    assert max(force_disagreement(PowerLawFlow(), [coefficient, exponent], motion).values()) < 1e-5
+    assert max(force_disagreement(PowerLawFlow(), [coefficient, exponent, linear], motion).values()) < 1e-5
 
 
-@given(seed=seeds, coefficient=rates, exponent=exponents, scale=st.floats(0.1, 10.0))
-def test_without_smoothing_the_flow_is_the_power_law_less_the_line(seed, coefficient, exponent, scale):
+@given(seed=seeds, coefficient=rates, exponent=exponents, linear=lines, scale=st.floats(0.1, 10.0))
+def test_without_smoothing_the_flow_is_the_power_law_less_the_line_on_any_record(
+    seed, coefficient, exponent, linear, scale
+):
     level = random_level(seed)
-    flow = PowerLawFlow().force([coefficient, exponent], tank(level, scale=scale)).value
-    expected = [coefficient * (np.sign(h) * abs(h) ** exponent * scale ** (1 - exponent) - h) for h in level]
-    np.testing.assert_allclose(flow, expected, rtol=1e-9, atol=1e-9 * coefficient * scale)
+    flow = PowerLawFlow().force([coefficient, exponent, linear], tank(level, scale=scale)).value
+    expected = [coefficient * np.sign(h) * abs(h) ** exponent - linear * h for h in level]
+    np.testing.assert_allclose(flow, expected, rtol=1e-9, atol=1e-9 * (coefficient + linear))
 
 
 @given(seed=seeds, coefficient=rates, smoothing=st.sampled_from([0.0, 0.1]))
-def test_an_exponent_of_one_is_the_linear_model_itself(seed, coefficient, smoothing):
-    flow = PowerLawFlow().force([coefficient, 1.0], tank(random_level(seed), smoothing=smoothing))
+def test_an_exponent_of_one_is_a_linear_outflow(seed, coefficient, smoothing):
+    flow = PowerLawFlow().force([coefficient, 1.0, coefficient], tank(random_level(seed), smoothing=smoothing))
     np.testing.assert_allclose(flow.value, 0.0, atol=1e-10 * coefficient)
 
 
 @given(seed=seeds, exponent=exponents, smoothing=st.sampled_from([0.0, 0.1]))
-def test_the_power_law_is_odd_and_has_the_unit_of_the_level(seed, exponent, smoothing):
+def test_the_power_law_is_odd_and_the_same_in_every_unit(seed, exponent, smoothing):
     level = random_level(seed)
-    flow = PowerLawFlow().force([2.0, exponent], tank(level, smoothing=smoothing)).value
-    mirrored = PowerLawFlow().force([2.0, exponent], tank(-level, smoothing=smoothing)).value
-    in_millimetres = PowerLawFlow().force([2.0, exponent], tank(1000.0 * level, smoothing=smoothing)).value
+    flow = PowerLawFlow().force([2.0, exponent, 0.3], tank(level, smoothing=smoothing)).value
+    mirrored = PowerLawFlow().force([2.0, exponent, 0.3], tank(-level, smoothing=smoothing)).value
+    # a flow of 2 at 1 m counted in millimetres is 2000 at 1000 mm: 2000 / 1000^exponent at 1 mm
+    values = [2.0 * 1000.0 ** (1.0 - exponent), exponent, 0.3]
+    in_millimetres = PowerLawFlow().force(values, tank(1000.0 * level, smoothing=smoothing)).value
     np.testing.assert_allclose(mirrored, -flow, rtol=1e-12)
     np.testing.assert_allclose(in_millimetres, 1000.0 * flow, rtol=1e-9, atol=1e-9)
+
+
+@given(seed=seeds, weight=st.floats(0.1, 10.0))
+def test_the_screen_scales_the_power_and_its_line_together(seed, weight):
+    motion = tank(np.abs(random_level(seed)))
+    for start in PowerLawFlow().starts(Situation(motion=motion, residual_frequencies=(), dt=1.0, longest=40.0)):
+        column = PowerLawFlow().screen_columns(start, motion)[:, 0]
+        whole = PowerLawFlow().force(PowerLawFlow().from_screen(start, [weight]), motion).value
+        np.testing.assert_allclose(whole, weight * column, rtol=1e-9, atol=1e-12)
+        assert abs(column @ motion.displacement) < 1e-9 * np.sum(motion.displacement**2)  # the nearest line is out
+        assert PowerLawFlow().from_screen(start, [-weight])[0] == 0.0
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.01])
@@ -67,7 +85,7 @@ def test_the_power_law_is_odd_and_has_the_unit_of_the_level(seed, exponent, smoo
 @pytest.mark.parametrize("scale", [0.0, 1e-9, 1.0, 1e9])
 def test_empty_and_huge_levels_give_finite_flows_and_slopes(smoothing, exponent, scale):
     level = np.array([0.0, 1e-300, -1e-300, 1e-12, 1.0, 1e40, -1e40, 1e200])
-    flow = PowerLawFlow().force([1.0, exponent], tank(level, scale=scale, smoothing=smoothing))
+    flow = PowerLawFlow().force([1.0, exponent, 1.0], tank(level, scale=scale, smoothing=smoothing))
     for part in (flow.value, flow.by_displacement, flow.by_velocity, flow.by_parameter):
         assert np.all(np.isfinite(part))
     assert flow.value[0] == 0.0

@@ -80,6 +80,13 @@ def test_a_sine_anywhere_within_the_line_of_the_highest_peak_is_met_by_a_start()
         assert max(kept) > 0.9
 
 
+def test_what_has_hardly_three_periods_in_a_record_is_a_drift():
+    situation = Situation(motion=motion(), residual_frequencies=(0.4, 0.8, 2.0), dt=0.01, longest=4.0)
+    frequencies = [frequency for _, frequency, _ in PeriodicDisturbance().starts(situation)]
+    assert min(frequencies) > 0.7
+    assert 2.0 in frequencies
+
+
 def test_without_peaks_there_is_no_start():
     situation = Situation(motion=motion(), residual_frequencies=(), dt=0.01, longest=1.0)
     assert PeriodicDisturbance().starts(situation) == ()

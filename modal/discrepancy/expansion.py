@@ -1,0 +1,212 @@
+"""Try every effect beside a model: screen, fit in observer form, let the promising ones run free, sharpen the best."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.assembly import Assembly, Unknowns
+from modal.discrepancy.estimation import Estimate, estimate, simulate_at
+from modal.discrepancy.nodes import Node, Task, node_of, polished
+from modal.discrepancy.observer import observer_gain
+from modal.discrepancy.screen import Candidate, screen_candidates
+from modal.discrepancy.settling import settled_stiffness
+from modal.discrepancy.trajectory import SHARP
+from okid.arrays import FloatArray
+
+__all__ = ["ENOUGH", "expand"]
+
+ENOUGH = 1.2
+"""Held-out mean square, in units of the floor, below which no further effect is looked for without good cause."""
+
+WORTH_A_TRY = 0.1
+"""Beside a model that explains the data, effects are tried only where the screen promises a fall by this share."""
+
+PLACES, SHAPES = 2, 2
+LEAST_SHARE = 0.1
+"""A candidate is followed while it takes away at least this share of what the best one takes away."""
+
+RUNS = 8
+FINALISTS = 5
+NEAR = 20.0
+POLISHED = 1.5
+REACH = 10.0
+"""Once a finalist explains the data, others are sharpened whose cost is within this factor of its own."""
+RIVAL = 3.0
+"""Once a model explains the data, others are followed whose cost in observer form is within this factor of the best."""
+
+STRENGTHS = (1.0, 0.5, 0.2)
+"""Shares of a first guess of an effect's strength that are tried until the model can be simulated."""
+SOFT, SOFTER = 0.03, 0.1
+
+
+def expand(node: Node, task: Task) -> list[Node]:
+    """Models with one effect more."""
+    observed = _observed(node.coarse, task)
+    candidates = _promising(screen_candidates(observed, task.fit, task.catalogue))
+    if not candidates:
+        return []
+    worth = max(candidate.fall for candidate in candidates)
+    if node.held_out_level <= ENOUGH and worth < WORTH_A_TRY:
+        return []
+    observations = [_observed_fit(node, observed, candidate, task) for candidate in candidates]
+    fitted = _worth([fit for fit in observations if fit is not None], observed)
+    finalists = _leading(_free_runs(_leading(fitted, RUNS), task, _softness(node, SOFT)), FINALISTS)
+    return _judged(finalists, task)
+
+
+def _judged(finalists: Sequence[Estimate], task: Task) -> list[Node]:
+    """Finalists sharpened and judged on held-out records; once one explains the data, only those in its reach.
+
+    What needs a finer grid gets it where it is among the best, because it costs several times as much.
+    """
+    found: list[Node] = []
+    for fit in finalists:
+        explaining = [node for node in found if node.held_out_level <= ENOUGH]
+        if explaining and fit.cost > REACH * min(node.coarse.cost for node in explaining):
+            continue
+        found.append(node_of(_sharpened(fit, task, iterations=6 if found else 12), task))
+    lowest = min((node.coarse.cost for node in found), default=0.0)
+    return [polished(node, task) if node.coarse.cost <= POLISHED * lowest else node for node in found]
+
+
+def _observed(fitted: Estimate, task: Task) -> Estimate:
+    """The model in observer form along the records; as it is where it needs no correction."""
+    gain = observer_gain(fitted, task.fit, task.upsampling)
+    if gain is None:
+        return fitted
+    found = simulate_at(
+        fitted.assembly,
+        fitted.unknowns,
+        task.fit,
+        states=fitted.trajectory.states,
+        gain=gain,
+        smoothing=fitted.smoothing,
+    )
+    return fitted if found is None else found
+
+
+def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best places of each effect, the best shapes of each place."""
+    kept: list[Candidate] = []
+    least = LEAST_SHARE * max((candidate.fall for candidate in candidates), default=0.0)
+    for candidate in candidates:
+        if candidate.fall < least:
+            break
+        same_effect = [other for other in kept if other.key == candidate.key]
+        same_place = [other for other in same_effect if other.where == candidate.where]
+        places = {other.where for other in same_effect}
+        if len(same_place) < SHAPES and (candidate.where in places or len(places) < PLACES):
+            kept.append(candidate)
+    return kept
+
+
+def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:
+    assembly = replace(start.assembly, placements=(*start.assembly.placements, candidate.placement))
+    common = np.concatenate([start.unknowns.common, candidate.common])
+    memory = np.zeros((len(candidate.local), candidate.placement.n_memory))
+    local = np.concatenate([start.unknowns.local, memory, candidate.local], axis=1)
+    lower, upper = assembly.bounds()
+    return assembly, Unknowns(common=np.clip(common, lower, upper), local=local)
+
+
+def _observed_fit(node: Node, observed: Estimate, candidate: Candidate, task: Task) -> Estimate | None:
+    """Fit one candidate in observer form."""
+    assembly, unknowns = _with(node.coarse, candidate)
+    if node.coarse.at_bounds[: assembly.n_linear].any():
+        unknowns.common[: assembly.n_linear] = assembly.plant.nominal
+    states = _widened(observed, candidate)
+    start = _within_reach(assembly, unknowns, task, states, gain=observed.gain, smoothing=_softness(node, SOFTER))
+    return None if start is None else estimate(start, task.fit, iterations=3)
+
+
+def _within_reach(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    task: Task,
+    states: FloatArray,
+    *,
+    smoothing: float,
+    gain: FloatArray | None = None,
+) -> Estimate | None:
+    """The model with its last effect as strong as it can be simulated: a first guess may let the motion escape."""
+    last = len(assembly.placements) - 1
+    effect, begin = assembly.placements[last].effect, assembly.common_of(last).start
+    strengths = [
+        (begin + position, effect.neutral[j])
+        for position, j in enumerate(assembly.placements[last].common)
+        if effect.parameters[j].role == "amplitude"
+    ]
+    for share in STRENGTHS if strengths else STRENGTHS[:1]:
+        common = unknowns.common.copy()
+        for index, neutral in strengths:
+            common[index] = neutral + share * (common[index] - neutral)
+        tried = Unknowns(common=common, local=unknowns.local)
+        start: Literal["far", "near"] = "far" if share == 1.0 and gain is None else "near"
+        found = simulate_at(assembly, tried, task.fit, states=states, gain=gain, smoothing=smoothing, start=start)
+        if found is not None:
+            return found
+    return None
+
+
+def _softness(node: Node, softness: float) -> float:
+    """Smoothing of a first fit: soft beside a linear model, sharp where an effect is there already that may need it."""
+    return SHARP if node.effects else softness
+
+
+def _free_runs(fits: Sequence[Estimate], task: Task, smoothing: float) -> list[Estimate]:
+    """Free runs, the most promising first; once one explains the data, only its close rivals are followed."""
+    found: list[Estimate] = []
+    for fit in fits:
+        explained = any(run.level <= ENOUGH for run in found)
+        if explained and fit.cost > RIVAL * fits[0].cost:
+            break
+        run = _free_run(fit, task, smoothing)
+        found += [] if run is None else [run]
+    return found
+
+
+def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
+    """Let a model that was fitted in observer form run free, and fit it a little."""
+    start = _within_reach(fit.assembly, fit.unknowns, task, fit.trajectory.states, smoothing=smoothing)
+    return None if start is None else estimate(start, task.fit, iterations=3)
+
+
+def _widened(observed: Estimate, candidate: Candidate) -> FloatArray:
+    states = observed.trajectory.states
+    extra = getattr(candidate.placement.effect, "n_memory", 0)
+    return np.concatenate([states, np.zeros((len(states), extra))], axis=1)
+
+
+def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
+    """The fits that win a good share of what the best one wins over the model without the effect."""
+    most = max((observed.cost - fit.cost for fit in fits), default=0.0)
+    return [fit for fit in fits if observed.cost - fit.cost >= LEAST_SHARE * most]
+
+
+def _leading(fits: Sequence[Estimate], most: int) -> list[Estimate]:
+    """The best fit of each effect at each place; of these the best ones, and of each family the best within reach."""
+    ranked = sorted(fits, key=lambda fit: fit.cost)
+    kept: list[Estimate] = []
+    for fit in ranked:
+        item = fit.assembly.placements[-1]
+        twins = [other.assembly.placements[-1] for other in kept]
+        if any(twin.effect.key == item.effect.key and twin.where == item.where for twin in twins):
+            continue
+        lone = all(twin.effect.family != item.effect.family for twin in twins)
+        if (len(kept) < most or lone) and fit.cost <= NEAR * ranked[0].cost:
+            kept.append(fit)
+    return kept
+
+
+def _sharpened(fit: Estimate, task: Task, *, iterations: int) -> Estimate:
+    start = simulate_at(fit.assembly, fit.unknowns, task.fit, states=fit.trajectory.states, smoothing=SHARP)
+    if start is None:
+        return fit
+    fitted = estimate(start, task.fit, iterations=iterations, standstill=3e-3)
+    settled = settled_stiffness(fitted)
+    if settled is None:
+        return fitted
+    again = simulate_at(*settled, task.fit, states=fitted.trajectory.states, smoothing=SHARP)
+    return fitted if again is None else estimate(again, task.fit, iterations=6)

@@ -1,0 +1,98 @@
+"""What cannot be told apart in these data, and the experiment that would tell."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from engine_plants import two_masses
+from engine_records import experiment, nominal
+
+from modal.discrepancy.advice import advise, circumstances_of
+from modal.discrepancy.decision import Decision
+from modal.discrepancy.drive import drive_of
+from modal.discrepancy.structural_plant import structural_plant
+
+
+def root_with(plant, records, states=None):
+    drive = drive_of(records)
+    if states is None:
+        states = np.random.default_rng(0).standard_normal((drive.n_times, plant.n_states))
+    trajectory = SimpleNamespace(states=states, drive=drive)
+    return SimpleNamespace(coarse=SimpleNamespace(trajectory=trajectory))
+
+
+def records():
+    fit, _, _ = experiment(None, n_samples=100)
+    return fit
+
+
+def test_one_mass_with_one_sensor():
+    plant = structural_plant(nominal())
+    found = circumstances_of(plant, records(), root_with(plant, records()))
+    assert {"always", "one_dof", "one_output"} <= found
+    assert not {"one_level", "one_way"} & found
+
+
+def test_records_of_one_level():
+    plant = structural_plant(nominal())
+    first = records()[0]
+    assert "one_level" in circumstances_of(plant, [first], root_with(plant, [first]))
+    same = [first, replace(first, inputs=1.1 * first.inputs)]
+    assert "one_level" in circumstances_of(plant, same, root_with(plant, same))
+
+
+def test_a_shaft_that_turns_one_way():
+    plant = structural_plant(nominal())
+    drive = drive_of(records())
+    forward = np.stack([np.zeros(drive.n_times), 3.0 + np.sin(np.arange(drive.n_times))], axis=1)
+    assert "one_way" in circumstances_of(plant, records(), root_with(plant, records(), forward))
+
+
+def test_two_masses_with_three_sensors_are_told_apart():
+    from engine_plants import some_records
+
+    plant = two_masses()
+    found = circumstances_of(plant, some_records(plant), root_with(plant, some_records(plant)))
+    assert not {"one_dof", "one_output"} & found
+
+
+def decision(status, effects=(), runners=None, margins=None):
+    node = SimpleNamespace(effects=effects)
+    return Decision(
+        status=status,
+        node=node,
+        runners=runners or (None,) * len(effects),
+        margins=margins or (np.inf,) * len(effects),
+        reasons=(),
+    )
+
+
+def test_ambiguous_effects_are_told_with_what_separates_them():
+    one = decision("named", (("input_gain", "input_0"),))
+    apart = advise(one, records(), frozenset({"always"}))
+    assert not [words for words in apart if "sensor_gain" in words]
+    together = advise(one, records(), frozenset({"always", "one_dof"}))
+    assert any("sensor_gain" in words and "second output" in words for words in together)
+
+
+def test_a_runner_up_that_is_close_gets_its_experiment():
+    runner = SimpleNamespace(effects=(("quadratic_drag", "element_0"),))
+    one = decision("unresolved", (("coulomb_friction", "element_0"),), (runner,), (5.0,))
+    assert any(
+        "quadratic_drag" in words and "level" in words for words in advise(one, records(), frozenset({"always"}))
+    )
+    settled = decision("named", (("coulomb_friction", "element_0"),), (runner,), (5000.0,))
+    assert not [words for words in advise(settled, records(), frozenset({"always"})) if "quadratic_drag" in words]
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [("none", "stronger level than that of level 3"), ("unresolved", "register an effect of your own")],
+)
+def test_nothing_found(status, words):
+    found = advise(decision(status), records(), frozenset({"always"}))
+    assert any(words in one for one in found)
+    assert len(set(found)) == len(found)
+    one_level = advise(decision(status), records(), frozenset({"always", "one_level"}))
+    assert any("second level" in one for one in one_level)

@@ -1,0 +1,116 @@
+"""Model and records that do not belong together get one sentence each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine_plants import some_records, two_masses
+
+from modal.discrepancy.checks import check_plant, check_records
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.record import Record
+
+
+def records():
+    first, second = some_records(two_masses(), lengths=(60, 50))
+    (third,) = some_records(two_masses(), lengths=(55,), levels=(2.0,), seed=9)
+    return first, second, third
+
+
+def refuses(words, call):
+    with pytest.raises((InvalidDataError, InsufficientDataError), match=words) as caught:
+        call()
+    text = str(caught.value)
+    assert "\n" not in text
+    assert not text.endswith(".") or text.count(". ") == 0
+    assert 40 < len(text) < 300
+
+
+def test_good_records_pass():
+    first, second, third = records()
+    assert check_records([first, second], third) == ((first, second), (third,), ())
+    assert check_records(first, [second]) == ((first,), (second,), ())
+
+
+def test_there_must_be_records_of_both_kinds():
+    first, *_ = records()
+    refuses("no record to fit", lambda: check_records([], first))
+    refuses("no held-out record", lambda: check_records(first, []))
+
+
+def test_the_same_record_in_both_proves_nothing():
+    first, second, _ = records()
+    refuses("run 0 is also among the records to fit", lambda: check_records([first, second], first))
+    refuses("proves nothing", lambda: check_records([first, second], replace(first, name="copy")))
+
+
+def test_records_must_be_alike():
+    first, second, third = records()
+    narrow = Record(first.inputs[:, :1], first.outputs, first.dt)
+    refuses(
+        "2 inputs and 3 outputs against 1 and 3",
+        lambda: check_records([replace(first, input_hold="zero_order"), narrow], third),
+    )
+    refuses("time step: 0.02 s against 0.03 s", lambda: check_records([first, replace(second, dt=0.03)], third))
+    refuses("time step", lambda: check_records(first, replace(third, dt=0.0200001)))
+    refuses("linear against zero_order", lambda: check_records(first, replace(third, input_hold="zero_order")))
+    metres, inches = (replace(one, output_units=(unit, "m/s", "m")) for one, unit in ((first, "m"), (third, "in")))
+    refuses("units of their outputs: m, m/s, m against in", lambda: check_records(metres, inches))
+    assert check_records(metres, third)
+
+
+def test_one_level_only_is_said():
+    first, _, third = records()
+    size, like = (np.sqrt(np.var(one.inputs, axis=0).sum()) for one in (first, third))
+
+    def said(ratio):
+        return check_records(first, replace(third, inputs=third.inputs * ratio * size / like))[2]
+
+    assert said(0.7) == said(1.3) == ()
+    for ratio in (0.85, 1.2):
+        (note,) = said(ratio)
+        assert "one level" in note
+        assert "second level" in note
+
+
+def test_the_plant_must_have_the_records_channels_and_units():
+    plant, (first, *_) = two_masses(), records()
+    check_plant(plant, plant.nominal, [first])
+    refuses(
+        "2 inputs and 3 outputs, the records have 1 and 3",
+        lambda: check_plant(
+            plant, plant.nominal, [replace(first, inputs=first.inputs[:, :1], input_names=("a",), input_units=("",))]
+        ),
+    )
+    refuses(
+        "2 inputs and 3 outputs, the records have 2 and 2",
+        lambda: check_plant(
+            plant,
+            plant.nominal,
+            [replace(first, outputs=first.outputs[:, :2], output_names=("a", "b"), output_units=("", ""))],
+        ),
+    )
+    mm = replace(first, output_units=("mm", "m/s", "m/s^2"))
+    refuses("in m and the record's in mm", lambda: check_plant(plant, plant.nominal, [mm]))
+    check_plant(plant, plant.nominal, [replace(first, output_units=("m", "m/s", "m / s²"))])
+
+
+def test_an_unstable_plant_is_refused():
+    plant, (first, *_) = two_masses(), records()
+    refuses("unstable", lambda: check_plant(plant, np.array([90.0, -3.0]), [first]))
+    refuses("unstable", lambda: check_plant(plant, np.array([-90.0, 1.0]), [first]))
+
+
+def test_a_mass_that_drifts_freely_is_not_unstable():
+    plant, (first, *_) = two_masses(), records()
+    check_plant(plant, np.array([0.0, 0.0]), [first])
+
+
+def test_too_few_values():
+    plant, (first, *_) = two_masses(), records()
+    short = replace(first, inputs=first.inputs[:9], outputs=first.outputs[:9])
+    refuses(
+        "27 measured values are too few for 6 linear parameters and initial states; pass at least 30",
+        lambda: check_plant(plant, plant.nominal, [short]),
+    )
+    check_plant(plant, plant.nominal, [replace(first, inputs=first.inputs[:10], outputs=first.outputs[:10])])

@@ -1,0 +1,121 @@
+"""Rules of decision on both sides, on made-up models with given errors."""
+
+import numpy as np
+import pytest
+from made_up_nodes import N, made_up, made_up_task
+
+from modal.discrepancy import decision
+from modal.discrepancy.decision import decide_nodes
+from modal.discrepancy.nodes import counts, log_likelihood_gain
+
+
+@pytest.fixture(scope="module")
+def task():
+    return made_up_task()
+
+
+def test_the_gain_is_that_of_two_variances(task):
+    before, after = made_up(4.0), made_up(2.0, "cubic_stiffness", fit=1.0)
+    assert log_likelihood_gain(before, after, task) == pytest.approx(N * np.log(4.0) + N * np.log(2.0))
+    assert log_likelihood_gain(made_up(2.0), made_up(0.1), task) == pytest.approx(2 * N * np.log(4.0))  # floor / 2
+    assert log_likelihood_gain(before, made_up(None), task) == -np.inf
+
+
+def test_a_step_counts_when_error_and_likelihood_both_say_so(task):
+    root = made_up(2.0)
+    assert counts(root, made_up(1.79, "cubic_stiffness"), task)
+    assert not counts(root, made_up(1.81, "cubic_stiffness"), task)
+    assert not counts(root, made_up(1.5, "cubic_stiffness", fit=2.7), task)  # the records to fit got worse
+    assert not counts(root, made_up(None, "cubic_stiffness"), task)
+
+
+def test_named(task):
+    best = made_up(1.02, "cubic_stiffness")
+    found = decide_nodes([made_up(50.0), made_up(3.0, "quadratic_drag"), best], task)
+    assert found.status == "named"
+    assert found.node is best
+    assert found.reasons == ()
+    assert found.runners[0].effects == (("quadratic_drag", "ground"),)
+    assert found.margins[0] == pytest.approx(2 * N * np.log(3.0 / 1.02))
+
+
+def test_none(task):
+    root = made_up(1.1)
+    found = decide_nodes([root, made_up(1.05, "cubic_stiffness")], task)
+    assert (found.status, found.node) == ("none", root)
+    assert found.runners == found.margins == found.reasons == ()
+
+
+def test_a_gap_that_nothing_closes_is_unresolved(task):
+    root = made_up(5.0)
+    found = decide_nodes([root, made_up(4.9, "cubic_stiffness"), made_up(None, "gap_spring")], task)
+    assert (found.status, found.node) == ("unresolved", root)
+    assert "no effect" in found.reasons[0]
+
+
+@pytest.mark.parametrize(("level", "status"), [(1.49, "named"), (1.51, "unresolved")])
+def test_a_name_needs_the_floor(task, level, status):
+    found = decide_nodes([made_up(50.0), made_up(level, "cubic_stiffness")], task)
+    assert found.status == status
+    assert bool(found.reasons) == (status == "unresolved")
+    assert all("1.51" in reason and "1.5" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(
+    ("rival", "status"), [(1.02 * np.exp(31 / 2 / N), "named"), (1.02 * np.exp(25 / 2 / N), "unresolved")]
+)
+def test_a_name_needs_a_lead(task, rival, status):
+    nodes = [made_up(50.0), made_up(1.02, "gap_spring"), made_up(rival, ("cubic_stiffness", "ground"))]
+    if status == "named":
+        # gap_spring has two parameters more, which cost 2 ln(2 N): take a rival that loses by more than that
+        nodes[2] = made_up(1.02 * np.exp(60 / 2 / N), "cubic_stiffness")
+    found = decide_nodes(nodes, task)
+    assert found.status == status
+    if status == "unresolved":
+        assert "nearly as well" in found.reasons[0]
+
+
+def test_the_same_effect_at_another_place_needs_a_lead_too(task):
+    nodes = [made_up(50.0), made_up(1.02, "cubic_stiffness"), made_up(1.021, ("cubic_stiffness", "between"))]
+    found = decide_nodes(nodes, task)
+    assert found.status == "unresolved"
+    assert "between" in found.reasons[0]
+
+
+def test_a_rival_that_cannot_be_told_apart_by_structure_does_not_block(task):
+    nodes = [made_up(50.0), made_up(1.02, ("input_gain", "push")), made_up(1.0201, ("sensor_gain", "place"))]
+    assert decide_nodes(nodes, task).status == "unresolved"
+    one = decide_nodes(nodes, task, circumstances=frozenset({"always", "one_dof"}))
+    assert one.status == "named"
+    assert one.runners[0].effects == (("sensor_gain", "place"),)
+
+
+def test_fewer_effects_that_do_as_well_are_preferred(task, monkeypatch):
+    monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(50.0))
+    one = made_up(1.05, "cubic_stiffness")
+    two = made_up(1.0, "cubic_stiffness", "quadratic_drag")
+    found = decide_nodes([made_up(50.0), two, one], task)
+    assert found.node is one
+
+
+def test_an_effect_that_does_not_earn_its_place_is_dropped(task, monkeypatch):
+    alone = made_up(1.05, "cubic_stiffness")
+    monkeypatch.setattr(
+        decision, "without", lambda node, i, task: alone if node.effects[i][0] == "quadratic_drag" else made_up(40.0)
+    )
+    found = decide_nodes([made_up(50.0), made_up(1.0, "cubic_stiffness", "quadratic_drag")], task)
+    assert found.node is alone
+    monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(40.0, "cubic_stiffness"))
+    found = decide_nodes([made_up(50.0), made_up(1.0, "cubic_stiffness", "quadratic_drag")], task)
+    assert len(found.node.effects) == 2
+    assert len(found.runners) == len(found.margins) == 2
+    assert found.margins == (np.inf, np.inf)
+
+
+def test_every_effect_has_the_runner_that_lacks_it(task, monkeypatch):
+    monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(40.0))
+    both = made_up(1.0, "cubic_stiffness", "quadratic_drag")
+    first, second = made_up(3.0, "cubic_stiffness"), made_up(5.0, "quadratic_drag")
+    found = decide_nodes([made_up(50.0), first, second, both], task)
+    assert found.runners == (second, first)
+    assert found.status == "named"

@@ -1,0 +1,244 @@
+"""Simulated trajectories against exact linear ones, a Runge-Kutta loop and SciPy's integrators."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.signal
+from engine_plants import some_records, two_masses, with_effects
+from nonlinear_chain import run_chain
+
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.drive import drive_of
+from modal.discrepancy.plant import plant_matrices
+from modal.discrepancy.scheme import scheme_and_slopes
+from modal.discrepancy.structural_plant import structural_plant
+from modal.discrepancy.trajectory import resting_states, simulate_states
+from modal.structure import StructuralModel
+from okid.record import Record
+
+MASS, STIFFNESS, DAMPING, DT = 1.0, 100.0, 1.0, 0.04
+"""1.6 Hz, 5 % damped, 16 samples a period."""
+
+
+def oscillator(
+    key,
+    values,
+    inputs,
+    upsampling=1,
+    *,
+    scale=(0.1, 1.0),
+    masses=(MASS,),
+    start=None,
+    hold="zero_order",
+    mass_port="element_0",
+):
+    """One mass on a spring with an effect: simulate it; None where that fails."""
+    model = StructuralModel.chain(
+        masses, [STIFFNESS] * len(masses), [DAMPING] * len(masses), force_dofs=[0], sensor_dofs=[0]
+    )
+    plant = structural_plant(model)
+    record = Record(inputs, np.zeros((len(inputs), 1)), DT, input_hold=hold)
+    drive = drive_of([record], upsampling)
+    item = place(plant, CATALOGUE[key], mass_port, displacement_scale=scale[0], velocity_scale=scale[1])
+    assembly = assemble(plant, [item])
+    unknowns = initial_unknowns(assembly, 1)
+    common, local = unknowns.common.copy(), unknowns.local.copy()
+    common[assembly.common_of(0)] = values
+    if start is not None:
+        local[0, : plant.n_states] = start
+    scheme, _ = scheme_and_slopes(plant, common[: assembly.n_linear], drive.dt)
+    return simulate_states(
+        assembly, Unknowns(common=common, local=local), drive, scheme, resting_states(assembly, drive)
+    )
+
+
+def slow_noise(n, seed, size):
+    """Held noise below half the resonance and about it, (n, 1)."""
+    rng = np.random.default_rng(seed)
+    noise = np.convolve(rng.standard_normal(n + 20), np.hanning(9), mode="same")[10 : n + 10]
+    return size * (noise / noise.std())[:, None]
+
+
+# --- linear ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("upsampling", [1, 4])
+@pytest.mark.parametrize("hold", ["zero_order", "linear"])
+def test_a_linear_plant_is_exact(hold, upsampling):
+    plant = two_masses()
+    records = some_records(plant, lengths=(70, 53), dt=0.05, hold=hold)
+    drive = drive_of(records, upsampling)
+    assembly, unknowns = with_effects(plant, [], 2)
+    linear = np.array([97.0, 1.3])
+    unknowns = replace(unknowns, common=linear)
+    scheme, _ = scheme_and_slopes(plant, linear, drive.dt)
+    found = simulate_states(assembly, unknowns, drive, scheme, resting_states(assembly, drive))
+    m = plant_matrices(plant, linear)
+    for record, rows in zip(records, (drive.rows_of(0), drive.rows_of(1)), strict=True):
+        i = 0 if rows.start == 0 else 1
+        t = np.arange(record.n_samples) * record.dt
+        _, y, x = scipy.signal.lsim((m.A, m.B, m.C, m.D), record.inputs, t, unknowns.local[i], interp=hold == "linear")
+        size = np.abs(y).max()
+        assert np.abs(found.outputs[rows] - y).max() < 1e-10 * size
+        assert np.abs(found.states[drive.rows[rows]] - x).max() < 1e-10 * size
+
+
+def test_an_observer_follows_its_own_recursion():
+    plant = two_masses()
+    drive = drive_of(some_records(plant, missing=0.2), 3)
+    assembly, unknowns = with_effects(plant, [], 2)
+    scheme, _ = scheme_and_slopes(plant, unknowns.common, drive.dt)
+    gain = np.random.default_rng(0).standard_normal((4, 3)) * [0.05, 0.02, 0.0005]
+    found = simulate_states(assembly, unknowns, drive, scheme, resting_states(assembly, drive), gain=gain)
+    rows = {int(k): r for r, k in enumerate(drive.rows)}
+    for record in range(2):
+        x = unknowns.local[record].copy()
+        for k in range(drive.firsts[record], drive.firsts[record + 1]):
+            assert np.allclose(found.states[k], x, atol=1e-11)
+            correction = np.zeros(4)
+            if k in rows:
+                y = scheme.C @ x + scheme.D @ drive.sample[k]
+                assert np.allclose(found.outputs[rows[k]], y, atol=1e-10)
+                correction = gain @ np.where(drive.present[rows[k]], drive.outputs[rows[k]] - y, 0.0)
+            x = scheme.Ad @ x + scheme.B0 @ drive.start[k] + scheme.B1 @ drive.end[k] + correction
+
+
+# --- nonlinear -------------------------------------------------------------------------------------------------------
+
+SMOOTH = {
+    "cubic_stiffness": ((1500.0,), lambda d, v, t: 1500.0 * d**3),
+    "quadratic_stiffness": ((150.0,), lambda d, v, t: 150.0 * d**2),
+    "sine_softening": ((0.3,), lambda d, v, t: STIFFNESS * (0.3 * np.sin(d / 0.3) - d)),
+    "time_varying_stiffness": ((6.0,), lambda d, v, t: 6.0 * t * d),
+    "periodic_disturbance": (None, lambda d, v, t: 2.0 * np.sin(2 * np.pi * 1.1 * t) + 0 * d),
+}
+
+
+@pytest.mark.parametrize("key", list(SMOOTH))
+def test_smooth_laws_converge_with_the_fourth_power_of_the_step(key):
+    values, law = SMOOTH[key]
+    inputs = slow_noise(120, 4, 4.0)
+    if values is None:
+        values = (2.0, 1.1)
+    truth = run_chain([MASS], [STIFFNESS], [DAMPING], inputs.T, DT, law=law, n_steps=60)[0, :, 0]
+    errors = []
+    for upsampling in (1, 2, 4):
+        found = oscillator(key, values, inputs, upsampling)
+        errors.append(np.sqrt(np.mean((found.outputs[:, 0] - truth) ** 2)) / truth.std())
+    assert errors[0] < 3e-3
+    assert errors[0] / errors[1] > 2**3.5, errors
+    assert errors[1] / errors[2] > 2**3.5, errors
+
+
+def test_drag_converges_with_the_third_power_at_least():
+    """c v |v| bends where the velocity is zero."""
+    inputs = slow_noise(120, 4, 4.0)
+    truth = run_chain([MASS], [STIFFNESS], [DAMPING], inputs.T, DT, law=lambda d, v, t: 3.0 * v * np.abs(v), n_steps=60)
+    errors = [
+        np.abs(oscillator("quadratic_drag", (3.0,), inputs, n).outputs[:, 0] - truth[0, :, 0]).max() for n in (1, 2, 4)
+    ]
+    assert errors[0] < 2e-3 * truth.std()
+    assert errors[0] / errors[2] > 4**2.5
+
+
+def test_an_absorber_is_a_second_mass():
+    ratio, frequency, damping = 0.1, 1.8, 0.05
+    hung, w = ratio * MASS, 2 * np.pi * frequency
+    inputs = slow_noise(150, 7, 3.0)
+    truth = run_chain(
+        [MASS, hung], [STIFFNESS, hung * w**2], [DAMPING, 2 * hung * damping * w], inputs.T, DT, n_steps=40
+    )
+    found = oscillator("missing_mode", (ratio, frequency, damping), inputs, 4)
+    assert np.abs(found.outputs[:, 0] - truth[0, :, 0]).max() < 1e-4 * truth[0, :, 0].std()
+
+
+def test_hysteresis_against_scipy():
+    a, limit, n = 60.0, 0.05, 1.6
+    inputs = slow_noise(60, 5, 4.0)
+
+    def slope(t, s, u):
+        d, v, z = s
+        turn = 1.0 - (1.0 + np.sign(v * z)) / 2 * np.abs(z / limit) ** n
+        return [v, (u - STIFFNESS * d - DAMPING * v - a * z) / MASS, v * turn]
+
+    s, truth = np.zeros(3), []
+    for u in inputs[:, 0]:
+        truth.append(s[0])
+        s = scipy.integrate.solve_ivp(slope, (0, DT), s, args=(u,), rtol=1e-9, atol=1e-11).y[:, -1]
+    found = oscillator("bouc_wen_hysteresis", (a, limit, n), inputs, 4)
+    assert np.abs(found.outputs[:, 0] - truth).max() < 2e-3 * np.std(truth)
+
+
+def test_a_pinned_cubic_against_scipy():
+    """Free decay from a large deflection, no input at all that could hide a fault of the law."""
+    truth = scipy.integrate.solve_ivp(
+        lambda t, s: [s[1], -STIFFNESS * s[0] - DAMPING * s[1] - 4000.0 * s[0] ** 3],
+        (0, 3.96), [0.3, 0.0], t_eval=np.arange(100) * DT, rtol=1e-10, atol=1e-12,
+    ).y[0]  # fmt: skip
+    found = oscillator("cubic_stiffness", (4000.0,), np.zeros((100, 1)), 8, start=[0.3, 0.0])
+    assert np.abs(found.outputs[:, 0] - truth).max() < 1e-3 * np.abs(truth).max()
+
+
+# --- convergence -----------------------------------------------------------------------------------------------------
+
+
+CUBIC = STIFFNESS / 0.17**2
+"""As stiff as the spring at one standard deviation of the linear motion."""
+COLD = {
+    "stops": ("gap_spring", (0.0, 3 * STIFFNESS, 0.05), lambda d, v, t: 3 * STIFFNESS * (d - np.clip(d, -0.05, 0.05))),
+    "freeplay": ("gap_spring", (-STIFFNESS, 0.0, 0.03), lambda d, v, t: -STIFFNESS * np.clip(d, -0.03, 0.03)),
+    "k3 sigma^2 = k": ("cubic_stiffness", (CUBIC,), lambda d, v, t: CUBIC * d**3),
+    "strong friction": ("coulomb_friction", (4.0,), lambda d, v, t: 4.0 * v / np.hypot(v, 0.0025)),
+}
+
+
+@pytest.mark.parametrize("name", list(COLD))
+def test_strong_laws_converge_from_rest(name):
+    """Every step's defect is gone, and the start of the motion, before chaos can part them, is the true one."""
+    key, values, law = COLD[name]
+    inputs = slow_noise(500, 11, 6.0)
+    found = oscillator(key, values, inputs, 3)
+    assert found is not None
+    assert np.abs(found.linearisation.defect).max() < 1e-7 * np.abs(found.states).max()
+    truth = run_chain([MASS], [STIFFNESS], [DAMPING], inputs[:40].T, DT, law=law, n_steps=400)[0, :, 0]
+    assert np.abs(found.outputs[:40, 0] - truth).max() < 0.05 * truth.std(), name
+
+
+def test_a_motion_that_escapes_gives_none():
+    inputs = slow_noise(200, 3, 8.0)
+    assert oscillator("cubic_stiffness", (-STIFFNESS / 0.1**2,), inputs) is None
+
+
+def test_it_is_deterministic_and_independent_of_the_start():
+    plant = two_masses()
+    drive = drive_of(some_records(plant), 2)
+    keys = ["cubic_stiffness", "bouc_wen_hysteresis", "coulomb_friction", "input_delay"]
+    assembly, unknowns = with_effects(plant, keys, 2)
+    scheme, _ = scheme_and_slopes(plant, unknowns.common[: assembly.n_linear], drive.dt)
+    rest = resting_states(assembly, drive)
+    first, second = (simulate_states(assembly, unknowns, drive, scheme, rest) for _ in range(2))
+    assert np.array_equal(first.states, second.states)
+    elsewhere = 0.1 * np.random.default_rng(0).standard_normal(rest.shape)
+    third = simulate_states(assembly, unknowns, drive, scheme, elsewhere)
+    near = simulate_states(assembly, unknowns, drive, scheme, first.states, start="near")
+    size = np.abs(first.states).max()
+    assert np.abs(third.states - first.states).max() < 1e-7 * size
+    assert np.abs(near.states - first.states).max() < 1e-7 * size
+    assert not rest.any()
+
+
+def test_a_plant_without_states_is_its_law():
+    from engine_plants import VALUES, imposed_motion
+
+    plant = imposed_motion()
+    records = some_records(plant)
+    drive = drive_of(records)
+    assembly, unknowns = with_effects(plant, ["cubic_stiffness"], 2)
+    scheme, _ = scheme_and_slopes(plant, unknowns.common[:1], drive.dt)
+    found = simulate_states(assembly, unknowns, drive, scheme, resting_states(assembly, drive))
+    u = np.concatenate([record.inputs for record in records])
+    expected = 3.0 * u[:, 0] + 0.5 * u[:, 1] + 0.2 * u[:, 2] + VALUES["cubic_stiffness"][0] * u[:, 0] ** 3
+    assert np.allclose(found.outputs[:, 0], expected)
