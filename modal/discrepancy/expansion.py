@@ -143,7 +143,7 @@ def _within_reach(
         for index, neutral in strengths:
             common[index] = neutral + share * (common[index] - neutral)
         tried = Unknowns(common=common, local=unknowns.local)
-        start: Literal["far", "near"] = "far" if share == 1.0 and gain is None else "near"
+        start: Literal["far", "near"] = "far" if share == 1.0 else "near"
         found = simulate_at(assembly, tried, task.fit, states=states, gain=gain, smoothing=smoothing, start=start)
         if found is not None:
             return found
