@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.estimation import Problem, covariance
-from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, without
+from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, sureness, without
 
 __all__ = ["Decision", "decide_nodes"]
 
@@ -24,6 +24,8 @@ SAME = 1.05
 """Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
 
 CLOSE_COMPANY = 30.0
+LEAST_SURE = 5.0
+"""Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
 SURE = 3.0
 SHARP_SHARE = 0.05
 """A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
@@ -149,8 +151,11 @@ def _strongest(nodes: Sequence[Node], root: Node, task: Task) -> Node | None:
 def _pruned(best: Node, root: Node, task: Task) -> Node:
     """The model without effects that it does not need."""
     while len(best.effects) > 1:
+        sure = sureness(best, task)
         smaller = [without(best, i, task) for i in range(len(best.effects))]
-        needless = [node for node in smaller if not counts(node, best, task)]
+        needless = [
+            node for node, z in zip(smaller, sure, strict=True) if not counts(node, best, task) or z < LEAST_SURE
+        ]
         if not needless:
             return best
         best = min(needless, key=lambda node: node.held_out_level)

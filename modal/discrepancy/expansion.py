@@ -30,6 +30,9 @@ LEAST_SHARE = 0.1
 RUNS = 8
 FINALISTS = 5
 NEAR = 20.0
+FIRST_ITERATIONS, LAST_ITERATIONS = 15, 6
+STANDSTILL = {FIRST_ITERATIONS: 3e-4, LAST_ITERATIONS: 3e-3}
+"""The most promising finalist is fitted longest; a fit ends when an iteration gains less than this share."""
 POLISHED = 1.5
 REACH = 10.0
 """Once a finalist explains the data, others are sharpened whose cost is within this factor of its own."""
@@ -66,7 +69,7 @@ def _judged(finalists: Sequence[Estimate], task: Task) -> list[Node]:
         explaining = [node for node in found if node.held_out_level <= ENOUGH]
         if explaining and fit.cost > REACH * min(node.coarse.cost for node in explaining):
             continue
-        found.append(node_of(_sharpened(fit, task, iterations=6 if found else 12), task))
+        found.append(node_of(_sharpened(fit, task, iterations=LAST_ITERATIONS if found else FIRST_ITERATIONS), task))
     lowest = min((node.coarse.cost for node in found), default=0.0)
     return [polished(node, task) if node.coarse.cost <= POLISHED * lowest else node for node in found]
 
@@ -204,7 +207,7 @@ def _sharpened(fit: Estimate, task: Task, *, iterations: int) -> Estimate:
     start = simulate_at(fit.assembly, fit.unknowns, task.fit, states=fit.trajectory.states, smoothing=SHARP)
     if start is None:
         return fit
-    fitted = estimate(start, task.fit, iterations=iterations, standstill=3e-3)
+    fitted = estimate(start, task.fit, iterations=iterations, standstill=STANDSTILL[iterations])
     settled = settled_stiffness(fitted)
     if settled is None:
         return fitted

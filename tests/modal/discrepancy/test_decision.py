@@ -98,7 +98,19 @@ def test_fewer_effects_that_do_as_well_are_preferred(task, monkeypatch):
     assert found.node is one
 
 
+@pytest.mark.parametrize(("z", "n_effects"), [(4.9, 1), (5.1, 2)])
+def test_an_effect_within_five_deviations_of_none_is_dropped(task, monkeypatch, z, n_effects):
+    alone = made_up(1.4, "cubic_stiffness")
+    monkeypatch.setattr(
+        decision, "without", lambda node, i, task: alone if node.effects[i][0] == "quadratic_drag" else made_up(40.0)
+    )
+    monkeypatch.setattr(decision, "sureness", lambda node, task: [60.0, z])
+    found = decide_nodes([made_up(50.0), made_up(1.0, "cubic_stiffness", "quadratic_drag")], task)
+    assert len(found.node.effects) == n_effects
+
+
 def test_an_effect_that_does_not_earn_its_place_is_dropped(task, monkeypatch):
+    monkeypatch.setattr(decision, "sureness", lambda node, task: [np.inf] * len(node.effects))
     alone = made_up(1.05, "cubic_stiffness")
     monkeypatch.setattr(
         decision, "without", lambda node, i, task: alone if node.effects[i][0] == "quadratic_drag" else made_up(40.0)
@@ -113,6 +125,7 @@ def test_an_effect_that_does_not_earn_its_place_is_dropped(task, monkeypatch):
 
 
 def test_every_effect_has_the_runner_that_lacks_it(task, monkeypatch):
+    monkeypatch.setattr(decision, "sureness", lambda node, task: [np.inf] * len(node.effects))
     monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(40.0))
     both = made_up(1.0, "cubic_stiffness", "quadratic_drag")
     first, second = made_up(3.0, "cubic_stiffness"), made_up(5.0, "quadratic_drag")
