@@ -9,13 +9,15 @@ from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["check_plant", "check_records"]
+__all__ = ["check_lengths", "check_plant", "check_records"]
 
 SAME_LEVEL = 1.25
 """Records whose inputs differ by less than this factor are of one level."""
 
 RADIUS = 1e-6
 FEWEST_PER_UNKNOWN = 5
+FEWEST_SAMPLES, FEWEST_PER_STATE = 64, 10
+"""Samples that every record must have: a shorter one proves nothing, its initial state alone fits it."""
 
 
 def check_records(
@@ -134,6 +136,12 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"the model's {kind} is in {different[0][0]} and the record's in {different[0][1]}; convert one of them"
             )
     if plant.n_states:
+        slowest = float(np.abs(np.linalg.eigvals(plant_matrices(plant, linear).A)).min()) / (2.0 * np.pi)
+        if slowest > 0.5 / first.dt:
+            raise InvalidDataError(
+                f"the slowest pole of the model is at {slowest:.4g} Hz, above half the sampling frequency of the "
+                f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
+            )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
         if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), 1e-300) + 1e-9 / first.dt:
             raise InvalidDataError(
@@ -147,6 +155,25 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
             f"{values} measured values are too few for {unknowns} linear parameters and initial states; pass at least "
             f"{FEWEST_PER_UNKNOWN * unknowns}"
         )
+
+
+def check_lengths(plant: Plant, records: Sequence[Record]) -> None:
+    """Whether each record is long enough to prove anything.
+
+    Args:
+        plant: The plant.
+        records: Records to fit and held out.
+
+    Raises:
+        InsufficientDataError: A record that is too short.
+    """
+    least = max(FEWEST_SAMPLES, FEWEST_PER_STATE * plant.n_states)
+    for record in records:
+        if record.n_samples < least:
+            raise InsufficientDataError(
+                f"record {record.name or 'without a name'} has {record.n_samples} samples; a diagnosis with "
+                f"{plant.n_states} states needs at least {least} in each record"
+            )
 
 
 def _plain(unit: str) -> str:

@@ -6,7 +6,7 @@ another effect or place, other than those that by structure cannot be told apart
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.estimation import Problem, covariance
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, sureness, without
 
-__all__ = ["Decision", "decide_nodes"]
+__all__ = ["Decision", "decide_nodes", "doubted_units"]
 
 NEAR_FLOOR = 1.5
 """Held-out mean square, in units of the noise floor, up to which a model explains the data."""
@@ -24,6 +24,8 @@ SAME = 1.05
 """Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
 
 CLOSE_COMPANY = 30.0
+PLAUSIBLE_GAIN = (0.3, 3.0)
+"""Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
 LEAST_SURE = 5.0
 """Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
 SURE = 3.0
@@ -67,7 +69,7 @@ def decide_nodes(
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
     if best is root:
-        if root.held_out_level <= NEAR_FLOOR:
+        if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
             return Decision(status="none", node=root, runners=(), margins=(), reasons=())
         return Decision(
             status="unresolved",
@@ -92,7 +94,8 @@ def decide_nodes(
         margins.append(float(margin))
         if runner is not None and margin < CLOSE_COMPANY and not _ambiguous(effect, runner, circumstances):
             named = " and ".join(f"{key} at {where}" for key, where in runner.effects)
-            reasons.append(f"{named} explains the data nearly as well (2 ln L lower by {margin:.0f} only)")
+            how = f"nearly as well (2 ln L lower by {margin:.0f} only)" if margin >= 0.0 else "no worse"
+            reasons.append(f"{named} explains the data {how}")
     if best.held_out_level > NEAR_FLOOR:
         reasons.append(
             f"the held-out mean square is still {best.held_out_level:.2f} times the noise floor (limit {NEAR_FLOOR:g})"
@@ -160,6 +163,21 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
     return best if best is root or counts(root, best, task) else root
+
+
+def doubted_units(decision: Decision) -> Decision:
+    """The decision, not firm where a gain far from one was found: that is a wrong unit rather than an effect."""
+    assembly = decision.node.coarse.assembly
+    reasons = list(decision.reasons)
+    for i, item in enumerate(assembly.placements):
+        if item.effect.key in {"input_gain", "sensor_gain"}:
+            gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
+            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
+                words = f"a gain of {gain:.4g} at {item.where} looks like a wrong unit: check the units of the records"
+                reasons.append(words)
+    if len(reasons) == len(decision.reasons):
+        return decision
+    return replace(decision, status="unresolved", reasons=tuple(reasons))
 
 
 def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:

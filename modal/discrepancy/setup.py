@@ -1,12 +1,12 @@
 """The ground of a diagnosis: plant, noise floor, drives, and the model before any effect is tried."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.checks import check_plant
+from modal.discrepancy.checks import check_lengths, check_plant
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
@@ -31,6 +31,9 @@ __all__ = [
     "simulated_records",
     "uncovered",
 ]
+
+FOLLOWED = 3e-4
+"""Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done (0 to 1)."""
@@ -66,8 +69,9 @@ def prepare_setup(
 ) -> Setup:
     """Noise floor and drives."""
     check_plant(given.plant, given.linear, [*fit, *held_out])
+    check_lengths(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)
-    known = noise_floor([*fit, *held_out]) if floor is None else floor
+    known = _followed(noise_floor([*fit, *held_out]) if floor is None else floor, [*fit, *held_out])
     steps = steps_per_sample(given.plant, given.linear, [*fit, *held_out])
     drive = drive_of(fit, steps)
     n_fit = len(fit)
@@ -89,6 +93,12 @@ def prepare_setup(
         report=report,
     )
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
+
+
+def _followed(floor: NoiseFloor, records: Sequence[Record]) -> NoiseFloor:
+    """The floor, but no lower than a simulation can follow: data without noise are those of another integrator."""
+    sizes = np.array([np.nanvar(record.outputs, axis=0) for record in records])
+    return replace(floor, variance=np.maximum(floor.variance, FOLLOWED**2 * sizes))
 
 
 def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Setup, tuple[Node, ...], Node]:

@@ -8,7 +8,7 @@ import numpy as np
 from modal.discrepancy.advice import advise, circumstances_of
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.checks import check_records
-from modal.discrepancy.decision import Decision, decide_nodes
+from modal.discrepancy.decision import Decision, decide_nodes, doubted_units
 from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import covariance
@@ -24,6 +24,7 @@ from modal.discrepancy.stages import calibrated_parameters
 from modal.structure import SensorKind
 from modal.threads import one_blas_thread
 from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
 from okid.record import Record
 
 __all__ = ["Progress", "diagnose", "diagnosis_of"]
@@ -90,6 +91,11 @@ def _diagnosed(
     sensor_kind: SensorKind | Sequence[SensorKind] | None,
     report: Progress,
 ) -> Diagnosis:
+    if not isinstance(catalogue, Mapping):
+        raise InvalidDataError(
+            f"the catalogue is a mapping from keys to effects and a {type(catalogue).__name__} was given; pass e.g. "
+            "{key: CATALOGUE[key] for key in keys}"
+        )
     fits, helds, notes = check_records(fit, held_out)
     if callable(model) and not hasattr(model, "A"):
         from modal.discrepancy.black_box import diagnose_callable
@@ -104,7 +110,7 @@ def _diagnosed(
     setup, nodes, as_given = uncovered(setup, nodes, as_given)
     report("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, fits, root)
-    decision = decide_nodes(nodes, setup.task, circumstances=circumstances)
+    decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
     return diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=notes)
 
 

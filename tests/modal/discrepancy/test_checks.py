@@ -114,3 +114,18 @@ def test_too_few_values():
         lambda: check_plant(plant, plant.nominal, [short]),
     )
     check_plant(plant, plant.nominal, [replace(first, inputs=first.inputs[:10], outputs=first.outputs[:10])])
+
+
+@pytest.mark.parametrize(("n_samples", "refused"), [(63, True), (64, False)])
+def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
+    from modal.discrepancy.checks import check_lengths
+    from modal.discrepancy.structural_plant import structural_plant
+    from modal.structure import StructuralModel
+
+    plant = structural_plant(StructuralModel.chain([1.0], [400.0], [0.6], force_dofs=[0], sensor_dofs=[0]))
+    record = Record(np.ones(n_samples), np.arange(n_samples, dtype=float), 0.02)
+    if refused:
+        with pytest.raises(InsufficientDataError, match="has 63 samples; a diagnosis with 2 states needs at least 64"):
+            check_lengths(plant, [record])
+    else:
+        check_lengths(plant, [record])

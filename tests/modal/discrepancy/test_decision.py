@@ -132,3 +132,12 @@ def test_every_effect_has_the_runner_that_lacks_it(task, monkeypatch):
     found = decide_nodes([made_up(50.0), first, second, both], task)
     assert found.runners == (second, first)
     assert found.status == "named"
+
+
+def test_nothing_is_missing_only_where_the_fitted_records_agree_too(task):
+    from dataclasses import replace
+
+    root = made_up(1.0)
+    bad = replace(root, fitted=made_up(58.0).held_out)
+    assert decide_nodes([root], task).status == "none"
+    assert decide_nodes([bad], task).status == "unresolved"

@@ -159,7 +159,7 @@ def test_a_state_space_model():
 
 
 def test_what_cannot_be_diagnosed_is_refused_in_a_sentence():
-    fit, held_out, _ = experiment(None, n_samples=60)
+    fit, held_out, _ = experiment(None, n_samples=80)
     with pytest.raises(InvalidDataError, match="held-out"):
         diagnose(nominal(), fit, [])
     with pytest.raises(InvalidDataError, match="a model is a StructuralModel"):
