@@ -65,7 +65,9 @@ def check_records(
 
 
 def _same(one: Record, other: Record) -> bool:
-    return one.outputs.shape == other.outputs.shape and np.array_equal(one.outputs, other.outputs, equal_nan=True)
+    if one.outputs.shape != other.outputs.shape or not np.array_equal(one.inputs, other.inputs):
+        return False
+    return np.array_equal(one.outputs, other.outputs, equal_nan=True)
 
 
 def _check_alike(records: Sequence[Record]) -> None:
@@ -107,7 +109,7 @@ def _level_notes(fits: Sequence[Record], helds: Sequence[Record]) -> tuple[str, 
 
 def _level(record: Record) -> float:
     signals = record.inputs if record.n_inputs else record.outputs
-    return float(np.sqrt(np.nansum(np.nanvar(signals, axis=0))))
+    return float(np.sqrt(np.nansum(np.nanmean(signals**2, axis=0))))
 
 
 def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> None:

@@ -79,6 +79,12 @@ def decide_nodes(
             reasons=("no effect of the catalogue brings the held-out error down by a tenth",),
         )
     best = _pruned(best, root, task)
+    equals = [node for node in earned if len(node.effects) == len(best.effects)]
+    equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
+    if len(equals) > 1:
+        best = max(
+            [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
+        )
     if best is root:
         return Decision(status="none", node=root, runners=(), margins=(), reasons=())
     runners, margins, reasons = [], [], []

@@ -32,7 +32,8 @@ FINALISTS = 5
 NEAR = 20.0
 FIRST_ITERATIONS, LAST_ITERATIONS = 15, 6
 STANDSTILL = {FIRST_ITERATIONS: 3e-4, LAST_ITERATIONS: 3e-3}
-"""The most promising finalist is fitted longest; a fit ends when an iteration gains less than this share."""
+"""The most promising finalist and its close rivals are fitted longest; a fit ends when an iteration gains less than
+this share."""
 POLISHED = 1.5
 REACH = 10.0
 """Once a finalist explains the data, others are sharpened whose cost is within this factor of its own."""
@@ -69,7 +70,8 @@ def _judged(finalists: Sequence[Estimate], task: Task) -> list[Node]:
         explaining = [node for node in found if node.held_out_level <= ENOUGH]
         if explaining and fit.cost > REACH * min(node.coarse.cost for node in explaining):
             continue
-        found.append(node_of(_sharpened(fit, task, iterations=LAST_ITERATIONS if found else FIRST_ITERATIONS), task))
+        iterations = FIRST_ITERATIONS if fit.cost <= RIVAL * finalists[0].cost else LAST_ITERATIONS
+        found.append(node_of(_sharpened(fit, task, iterations=iterations), task))
     lowest = min((node.coarse.cost for node in found), default=0.0)
     return [polished(node, task) if node.coarse.cost <= POLISHED * lowest else node for node in found]
 

@@ -89,9 +89,7 @@ def _evidence(decision: Decision, root: Node, task: Task, i: int, margin: float)
     gain = log_likelihood_gain(root, node, task)
     before, after = max(root.held_out_level - 1.0, 1e-12), max(node.held_out_level - 1.0, 0.0)
     closed = 1.0 - after / before if np.isfinite(before) else 1.0
-    lead = (
-        "no other hypothesis comes near" if not np.isfinite(margin) else f"it leads the next by 2 ln L = {margin:.0f}"
-    )
+    lead = "no other hypothesis comes near" if not np.isfinite(margin) else _lead(margin)
     also = " (with the other effects)" if len(node.effects) - len(root.effects) > 1 else ""
     words = (
         f"the held-out mean square falls from {root.held_out_level:.4g} to {node.held_out_level:.3g} times the noise "
@@ -99,6 +97,12 @@ def _evidence(decision: Decision, root: Node, task: Task, i: int, margin: float)
     )
     del i
     return Evidence(closed=float(np.clip(closed, -np.inf, 1.0)), log_likelihood=gain, margin=margin, words=words)
+
+
+def _lead(margin: float) -> str:
+    if margin >= 0.0:
+        return f"it leads the next by 2 ln L = {margin:.0f}"
+    return f"another hypothesis is more likely by 2 ln L = {-margin:.0f}"
 
 
 def _others(effect: str, circumstances: frozenset[Circumstance]) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ def test_records_must_be_alike():
 
 def test_one_level_only_is_said():
     first, _, third = records()
-    size, like = (np.sqrt(np.var(one.inputs, axis=0).sum()) for one in (first, third))
+    size, like = (np.sqrt(np.mean(one.inputs**2, axis=0).sum()) for one in (first, third))
 
     def said(ratio):
         return check_records(first, replace(third, inputs=third.inputs * ratio * size / like))[2]
