@@ -13,8 +13,6 @@ from okid.record import Record
 
 __all__ = ["advise", "circumstances_of"]
 
-SMALL_SHARE = 0.3
-
 
 def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
     """What holds of the plant and its records, for the table of ambiguities.

@@ -16,7 +16,7 @@ from modal.discrepancy.advice import circumstances_of
 from modal.discrepancy.callable_identification import LinearPart, identify_callable, quietest, relative_miss
 from modal.discrepancy.callable_model import Simulator, check_deterministic, run_callable
 from modal.discrepancy.corrected_callable import along_plant
-from modal.discrepancy.decision import decide_nodes
+from modal.discrepancy.decision import decide_nodes, doubted_units
 from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.gap import measure_gap
@@ -110,7 +110,7 @@ def diagnose_callable(
     runs = replace(runs, floor=floor.variance)
     progress("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
-    decision = decide_nodes(nodes, setup.task, circumstances=circumstances)
+    decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
     said = (*notes, *_nonlinear(misses, records, len(fits)))
     found = diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=said)
     progress("proving it with the callable itself", 0.95)

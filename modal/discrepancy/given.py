@@ -18,6 +18,7 @@ from modal.discrepancy.placed import PlacedEffect
 from modal.discrepancy.plant import Plant
 from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.scheme import scheme_and_slopes
+from modal.discrepancy.static_plant import static_plant_of_records
 from modal.discrepancy.structural_parameters import updated_structure
 from modal.discrepancy.structural_plant import structural_plant
 from modal.discrepancy.trajectory import resting_states, simulate_states
@@ -68,7 +69,8 @@ def given_model(
         plant = structural_plant(model)
         return Given(model=model, plant=plant, linear=plant.nominal, effects=model.effects)
     if isinstance(model, PlantModel):
-        return Given(model=model, plant=model.plant, linear=model.linear, effects=model.effects)
+        plant = static_plant_of_records(model.plant, records)
+        return Given(model=model, plant=plant, linear=model.linear, effects=model.effects)
     if not all(hasattr(model, name) for name in "ABCD"):
         raise InvalidDataError(
             f"a model is a StructuralModel, a state space (control.StateSpace, era.Realisation) or a callable that "

@@ -129,3 +129,15 @@ def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
             check_lengths(plant, [record])
     else:
         check_lengths(plant, [record])
+
+
+def test_a_model_beyond_the_sampling_frequency_is_refused():
+    from modal.discrepancy.structural_plant import structural_plant
+    from modal.structure import StructuralModel
+
+    model = StructuralModel.chain([1.0], [400.0], [0.6], force_dofs=[0], sensor_dofs=[0])  # 3.18 Hz
+    plant = structural_plant(model)
+    record = Record(np.ones(100), np.arange(100, dtype=float), 0.15)  # half the sampling frequency: 3.33 Hz
+    check_plant(plant, plant.nominal, [record])
+    with pytest.raises(InvalidDataError, match="above half the sampling frequency of the records"):
+        check_plant(plant, plant.nominal, [replace(record, dt=0.16)])

@@ -141,3 +141,20 @@ def test_nothing_is_missing_only_where_the_fitted_records_agree_too(task):
     bad = replace(root, fitted=made_up(58.0).held_out)
     assert decide_nodes([root], task).status == "none"
     assert decide_nodes([bad], task).status == "unresolved"
+
+
+@pytest.mark.parametrize(
+    ("gain", "status"), [(0.85, "named"), (2.9, "named"), (1000.0, "unresolved"), (0.0174, "unresolved")]
+)
+def test_a_gain_like_a_wrong_unit_is_never_firm(gain, status):
+    from types import SimpleNamespace
+
+    from modal.discrepancy.decision import Decision, doubted_units
+
+    item = SimpleNamespace(effect=SimpleNamespace(key="input_gain"), where="input_0")
+    assembly = SimpleNamespace(placements=(item,), common_of=lambda _: slice(0, 1))
+    coarse = SimpleNamespace(assembly=assembly, unknowns=SimpleNamespace(common=np.array([gain])))
+    decision = Decision(status="named", node=SimpleNamespace(coarse=coarse), runners=(), margins=(), reasons=())
+    found = doubted_units(decision)
+    assert found.status == status
+    assert bool(found.reasons) == (status == "unresolved")

@@ -167,3 +167,9 @@ def test_what_cannot_be_diagnosed_is_refused_in_a_sentence():
     wild = nominal().with_effect("cubic_stiffness", "element_0", k3=-1e7)
     with pytest.raises(NumericalError, match="could not be simulated"):
         diagnose(wild, fit, held_out)
+
+
+def test_a_catalogue_is_a_mapping():
+    fit, held_out, _ = experiment(None, n_samples=80)
+    with pytest.raises(InvalidDataError, match="the catalogue is a mapping from keys to effects and a list was given"):
+        diagnose(nominal(), fit, held_out, catalogue=["cubic_stiffness"])
