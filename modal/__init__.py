@@ -8,16 +8,23 @@ import importlib.util
 import warnings
 
 from modal import discrepancy
+from modal.acceptance import check_limits
+from modal.comparison import compare_results
+from modal.comparison_source import read_result
 from modal.discrepancy.plant_model import PlantModel
 from modal.elements import Element
 from modal.extraction import extract_modes
+from modal.geometry import Geometry, Sensor
+from modal.geometry_file import read_geometry
 from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
 from modal.mode import ModalModel, Mode
 from modal.model_file import read_model, write_model
 from modal.pipeline import identify
+from modal.quality import check_quality
 from modal.recording import log_diagnosis, log_identification, save_recording
 from modal.report import write_report
 from modal.simulation import simulate
+from modal.specification import read_specification
 from modal.storage import load
 from modal.structure import StructuralModel
 from modal.uncertainty import Uncertainty
@@ -26,21 +33,29 @@ __all__ = [
     "Choice",
     "Element",
     "Fit",
+    "Geometry",
     "Identification",
     "ModalModel",
     "Mode",
     "OrderEvidence",
     "PlantModel",
+    "Sensor",
     "StabilisationPoint",
     "StructuralModel",
     "Uncertainty",
+    "check_limits",
+    "check_quality",
+    "compare_results",
     "discrepancy",
     "extract_modes",
     "identify",
     "load",
     "log_diagnosis",
     "log_identification",
+    "read_geometry",
     "read_model",
+    "read_result",
+    "read_specification",
     "save_recording",
     "simulate",
     "write_model",

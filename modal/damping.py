@@ -4,12 +4,16 @@ Nearly all modes that are accepted in error are true modes with a damping ratio 
 observer, by a ridge, or by noise.
 """
 
+import math
+
 from modal.mode import Mode
 
 __all__ = ["damping_doubt"]
 
 SPREAD = 0.1
 """Relative standard deviation above which a damping ratio is not to be quoted."""
+MOST_SPREAD = 1000
+"""Per cent of a damping ratio, beyond which a standard deviation says nothing but that nothing is known."""
 BIASING_RIDGE = 1e-2
 """Ridge that biases damping when no output-error refinement follows."""
 HALVES_APART = 0.5
@@ -46,7 +50,8 @@ def damping_doubt(
     size = abs(damping)
     furthest = max(observers, key=lambda other: abs(other - damping), default=damping)
     if mode.damping_ratio_std > SPREAD * size:
-        why = f"its standard deviation is {100 * mode.damping_ratio_std / size:.0f} % of it"
+        share = 100 * mode.damping_ratio_std / size if size else math.inf
+        why = f"its standard deviation is {f'{share:.0f}' if share <= MOST_SPREAD else f'over {MOST_SPREAD}'} % of it"
     elif span < 1 and not _agree(damping, (*halves, *observers)):
         why = f"the observer spans only {span:.2g} of its period"
     elif ridge >= BIASING_RIDGE:

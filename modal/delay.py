@@ -218,7 +218,8 @@ def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
         reduced = scipy.linalg.solve_triangular(np.linalg.cholesky(own), leading, lower=True)
         statistic = np.cumsum(np.einsum("ko,op,kp->k", reduced, weight, reduced))
         n_empty = int(np.argmax(statistic > bounds)) if (statistic > bounds).any() else order + 1
-        noise = np.sqrt(np.diag(own) * np.trace(np.atleast_2d(fit.residual_covariance)))
+        left = max(0.0, float(np.trace(np.atleast_2d(fit.residual_covariance))))  # an exact fit leaves rounding
+        noise = np.sqrt(np.diag(own) * left)
         upper = np.linalg.norm(leading, axis=1) + 2.0 * noise
         hidden = (upper > EMPTY * sizes[:, j].max())[:n_empty].any()
         empty[j] = 0 if hidden and n_empty <= order else n_empty

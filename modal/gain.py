@@ -121,6 +121,11 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
         line = "an undamped line that the input does not drive" if undamped else "the input does not drive it"
         return (f"{line} (held-out gain negative){': periodic disturbance?' if mode.kind == 'oscillatory' else ''}",)
     if undamped and not gain >= UNDAMPED_GAIN:
-        share = -100 * np.expm1(mode.pole.real * duration)
-        return (f"an undamped line, which decays by only {share:.2g} % over {duration:.4g} s: periodic disturbance?",)
+        if -mode.pole.real * duration < LEAST_DECAY:
+            share = -100 * np.expm1(mode.pole.real * duration)
+            how = f"an undamped line, which decays by only {share:.2g} % over {duration:.4g} s"
+        else:
+            share = -100 * np.expm1(-decay)
+            how = f"perhaps an undamped line: its decay over {duration:.4g} s may be as little as {share:.2g} %"
+        return (f"{how}: periodic disturbance?",)
     return ()

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from rich.console import Console
 
 from modal.job import FileSource, Reading, own_warnings, progress_bar
-from modal.report.provenance import Provenance
+from modal.job_setup import refuse_other_report, refuse_pdf, refuse_sources
+from modal.report.provenance import Provenance, fingerprints
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 
@@ -37,6 +38,7 @@ class GapJob:
         catalogue: keys of the effects to try; all unless given.
         folder: for the report.
         existing: "refuse" to touch a report that is there, or "replace" it.
+        extras: "pdf" prints the report into a file too.
     """
 
     model: Path
@@ -49,6 +51,12 @@ class GapJob:
     catalogue: list[str] | None
     folder: Path
     existing: Literal["refuse", "replace"]
+    extras: frozenset[Literal["live", "pdf"]] = frozenset()
+
+    @property
+    def pdf(self) -> Path | None:
+        """Where the printed report goes."""
+        return self.folder / "report.pdf" if "pdf" in self.extras else None
 
     def provenance(self) -> Provenance:
         """How to do the same again; without the folder, so that it does not change the report."""
@@ -71,10 +79,17 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
     """
     from modal.discrepancy.workflow import diagnose
     from modal.model_file import read_model
-    from modal.report.discrepancy_writing import refuse_existing_diagnosis, write_diagnosis
+    from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
     from modal.terminal_discrepancy import show_diagnosis
 
     refuse_existing_diagnosis(job.folder, job.existing)
+    if job.pdf is not None:
+        refuse_pdf(job.pdf, job.existing)
+    refuse_other_report(job.folder, "modes.csv")
+    refuse_sources(
+        (*DiagnosisFiles.in_folder(job.folder), *([] if job.pdf is None else [job.pdf])),
+        (job.model, *job.fit, *job.held_out),
+    )
     catalogue = chosen_effects(job.catalogue)
     _check_apart(job)
     with progress_bar() as tell, own_warnings() as heard:
@@ -82,6 +97,7 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
         model = read_model(job.model)
         tell("reading the records", 0.01)
         fit, held_out, remarks = read_sides(job, model)
+        files_read = fingerprints((job.model, *job.fit, *job.held_out))
         found = diagnose(
             model,
             fit,
@@ -91,8 +107,17 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
         )
         tell("writing the report and the recording", 0.92)
         remarks = (*remarks, *(text for text in heard if text not in found.warnings))
-        provenance = replace(job.provenance(), remarks=remarks)
+        provenance = replace(job.provenance(), remarks=remarks, files=files_read)
         files = write_diagnosis(found, job.folder, existing=job.existing, provenance=provenance)
+        if job.existing == "replace":  # what an earlier report left and this one does not have
+            (job.folder / "report.pdf").unlink(missing_ok=True)
+            if files.model is None:
+                (job.folder / "model.json").unlink(missing_ok=True)
+        if job.pdf is not None:
+            from modal.report.pdf import write_pdf
+
+            tell("printing the report", 0.97)
+            write_pdf(files.html, job.pdf)
     console = Console(highlight=False)
     show_diagnosis(console, found, remarks=remarks)
     return found, files, console
@@ -148,7 +173,8 @@ def _own_names(model: Any, what: Literal["inputs", "outputs"], job: GapJob) -> l
 
 
 def _check_apart(job: GapJob) -> None:
-    both = sorted({str(path) for path in job.fit} & {str(path) for path in job.held_out})
+    fitted = {path.resolve() for path in job.fit}
+    both = sorted({str(path) for path in job.held_out if path.resolve() in fitted})
     if both:
         raise InvalidDataError(
             f"{', '.join(both)} is given to fit and as held out; the proof needs records that were not fitted to."

@@ -10,33 +10,68 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
-from modal.report.provenance import Provenance
+from modal.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
+from modal.live_view import live_view
+from modal.progress import Progress, progress_bar
+from modal.report.provenance import Provenance, fingerprints
 from okid.errors import IdentificationWarning
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
+    from modal.acceptance import LimitOutcome
+    from modal.geometry import Geometry
     from modal.identification import Identification
     from modal.report import ReportFiles
 
-__all__ = ["FileSource", "Job", "Reading", "carry_out", "own_warnings", "progress_bar", "read_demo"]
+__all__ = [
+    "FileSource",
+    "Finished",
+    "Job",
+    "Progress",
+    "Reading",
+    "carry_out",
+    "own_warnings",
+    "progress_bar",
+    "read_demo",
+]
 
 Auto = Literal["auto"]
-Progress = Callable[[str, float], None]
 Reading = tuple[tuple[Record, ...], tuple[str, ...]]
 """Records, and remarks on what was done to their units."""
 
 DEMO_SEED = 2
+WRITING_FROM = 0.75
+"""Share of the work that reading and identification are, about: with a record of a minute, writing is half of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Job:
-    """What to do with the records, wherever they come from."""
+    """What to do with the records, wherever they come from.
+
+    Attributes:
+        folder: for the report.
+        existing: "refuse" to touch a report that is there, or "replace" it.
+        observer_order: past samples of the observer.
+        ridge: of the observer fit.
+        order: of the model.
+        test: file of what no measured file knows; None where there is none.
+        geometry: file of nodes, lines and sensors; None: that of the test file, if it has one.
+        extras: "live" shows the work in a viewer while it goes on, "pdf" prints the report into a file too.
+    """
 
     folder: Path
     existing: Literal["refuse", "replace"]
     observer_order: int | Auto = "auto"
     ridge: float | Auto = "auto"
     order: int | Auto = "auto"
+    test: Path | None = None
+    geometry: Path | None = None
+    extras: frozenset[Literal["live", "pdf"]] = frozenset()
+
+    @property
+    def pdf(self) -> Path | None:
+        """Where the printed report goes."""
+        return self.folder / "report.pdf" if "pdf" in self.extras else None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -72,7 +107,30 @@ class FileSource:
         words += ["--hold", self.hold] if self.hold != "band_limited" else []
         for option, value in (("--observer-order", job.observer_order), ("--ridge", job.ridge), ("--order", job.order)):
             words += [option, str(value)] if value != "auto" else []
-        return Provenance(command=shlex.join(words), sources=tuple(map(str, self.files)), dt=self.dt)
+        for option, path in (("--test", job.test), ("--geometry", job.geometry)):
+            words += [option, str(path)] if path is not None else []
+        besides = tuple(str(path) for path in (job.test, job.geometry) if path is not None)
+        sources = tuple(map(str, self.files))
+        return Provenance(command=shlex.join(words), sources=sources, besides=besides, dt=self.dt)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Finished:
+    """What a run came to.
+
+    Attributes:
+        result: of `modal.identify`.
+        files: of the report.
+        pdf: the printed report, None where it was not asked for.
+        limits: what became of each limit of the test file; empty where there is none.
+        console: to go on printing to.
+    """
+
+    result: "Identification"
+    files: "ReportFiles"
+    pdf: Path | None
+    limits: "tuple[LimitOutcome, ...]"
+    console: Console
 
 
 def read_demo() -> Reading:
@@ -85,44 +143,75 @@ def read_demo() -> Reading:
 
 
 def carry_out(
-    job: Job, read: Callable[[], Reading], *, provenance: Provenance
-) -> "tuple[Identification, ReportFiles, Console]":
-    """Read, identify, write, print what was found; the report is complete before a word of it is printed."""
+    job: Job, read: Callable[[], Reading], *, provenance: Provenance, geometry: "Geometry | None" = None
+) -> Finished:
+    """Read, identify, write, print what was found; the report is complete before a word of it is printed.
+
+    Args:
+        job: what to do.
+        read: gives the records.
+        provenance: where they come from; hashes of its sources and remarks are added.
+        geometry: of the structure, where the job names no file of one.
+
+    Raises:
+        InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
+        InsufficientDataError: records that are too short or too poor.
+    """
+    from modal.acceptance import check_limits
     from modal.pipeline import identify
-    from modal.report import write_report
-    from modal.report.writing import refuse_existing
+    from modal.quality.check import check_quality
+    from modal.report import ReportFiles, write_report
     from modal.terminal import show_result
 
-    refuse_existing(job.folder, job.existing)
-    with progress_bar() as tell, own_warnings() as heard:
+    specification, named = prepare(job)
+    geometry = geometry if named is None else named
+    refuse_other_report(job.folder, "findings.csv")
+    refuse_sources(
+        (*ReportFiles.in_folder(job.folder), *([] if job.pdf is None else [job.pdf])),
+        map(Path, (*provenance.sources, *provenance.besides)),
+    )
+    unseen: list[str] = []
+    with (
+        progress_bar() as tell,
+        own_warnings() as heard,
+        live_view(wanted="live" in job.extras, tell=unseen.append) as viewer,
+    ):
         tell("reading", 0.0)
         records, remarks = read()
+        files_read = fingerprints((*provenance.sources, *provenance.besides))
+        viewer.show_records(records)
         result = identify(
             records,
             observer_order=job.observer_order,
             ridge=job.ridge,
             order=job.order,
-            progress=lambda what, share: tell(what, 0.03 + 0.87 * share),
+            progress=_both(viewer.show_progress, lambda what, share: tell(what, 0.03 + (WRITING_FROM - 0.03) * share)),
         )
-        tell("writing the report and the recording", 0.9)
-        remarks = (*remarks, *heard)
-        provenance = replace(provenance, remarks=remarks)
-        files = write_report(result, job.folder, existing=job.existing, provenance=provenance)
+        tell("looking at the quality of the data", WRITING_FROM)
+        quality = check_quality(records)
+        viewer.show_result(result, geometry)
+        tell("writing the report and the recording", WRITING_FROM)
+        remarks = (*remarks, *heard, *unknown_sensors(specification, records))
+        provenance = replace(provenance, remarks=remarks, files=files_read)
+        files = write_report(
+            result,
+            job.folder,
+            existing=job.existing,
+            provenance=provenance,
+            geometry=geometry,
+            specification=specification,
+            quality=quality,
+        )
+        clear_stale(job, files)
+        if job.pdf is not None:
+            from modal.report.pdf import write_pdf
+
+            tell("printing the report", 0.95)
+            write_pdf(files.html, job.pdf)
+        limits = () if specification is None else check_limits(result, specification)
     console = Console(highlight=False)
-    show_result(console, result, remarks=remarks)
-    return result, files, console
-
-
-@contextlib.contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
+    show_result(console, result, remarks=(*remarks, *unseen), limits=limits)
+    return Finished(result=result, files=files, pdf=job.pdf, limits=limits, console=console)
 
 
 @contextlib.contextmanager
@@ -134,3 +223,11 @@ def own_warnings() -> Iterator[list[str]]:
         warnings.simplefilter("always", IdentificationWarning)
         warnings.showwarning = lambda message, *_args, **_options: texts.append(str(message))
         yield texts
+
+
+def _both(first: Progress, second: Progress) -> Progress:
+    def tell(what: str, share: float) -> None:
+        first(what, share)
+        second(what, share)
+
+    return tell

@@ -75,7 +75,7 @@ def read_model(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE)
     Raises:
         UnreadableFileError: No such file, another ending, damaged, too large, unknown keys, or values of no model.
     """
-    path = Path(path)
+    path = _path(path, UnreadableFileError)
     readers = {".toml": _read_toml, ".json": _read_json, ".npz": _read_npz}
     ending = path.suffix.lower()
     if ending not in readers and ending != ".py":
@@ -113,9 +113,10 @@ def write_model(
         The path.
 
     Raises:
-        InvalidDataError: Another ending, no folder, the file is there already, or it cannot be written.
+        InvalidDataError: No model, another ending, no folder, the file is there already, or it cannot be written.
     """
-    path = Path(path)
+    _check_model(model)
+    path = _path(path, InvalidDataError)
     if existing not in get_args(Literal["refuse", "replace"]):
         raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
     writers = {".toml": _write_toml, ".json": _write_json, ".npz": _write_npz}
@@ -135,6 +136,22 @@ def write_model(
     except OSError as error:
         raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
     return path
+
+
+def _check_model(model: object) -> None:
+    if isinstance(model, StructuralModel | PlantModel):
+        return
+    inner = isinstance(getattr(model, "model", None), StructuralModel | PlantModel)
+    remedy = "pass its .model" if inner else "make one of them first"
+    raise InvalidDataError(
+        f"write_model keeps a StructuralModel or a PlantModel, but a {type(model).__name__} was given; {remedy}."
+    )
+
+
+def _path(path: Any, error: type[UnreadableFileError | InvalidDataError]) -> Path:
+    if not isinstance(path, str | os.PathLike):
+        raise error(f"the path of a model file is text or a Path, but a {type(path).__name__} was given.")
+    return Path(path)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------

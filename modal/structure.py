@@ -9,13 +9,13 @@ Units are the user's as long as they fit together: the defaults are N, m, kg, s.
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from modal.elements import Element, chain_elements, coupled_elements, named_elements
+from modal.kept_model import KeptModel
 from modal.structure_checks import (
     as_column,
     check_base_motion,
@@ -27,7 +27,6 @@ from modal.structure_checks import (
     tolerance,
 )
 from okid.arrays import ComplexArray, FloatArray, frozen
-from okid.errors import UnreadableFileError
 
 if TYPE_CHECKING:
     from modal.discrepancy.effects.effect import Effect
@@ -43,7 +42,7 @@ _COUPLINGS: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class StructuralModel:
+class StructuralModel(KeptModel):
     """Mass, damping and stiffness with inputs, sensors, and effects that were added.
 
     Args:
@@ -102,13 +101,36 @@ class StructuralModel:
     damping_tolerance: float = 0.5
     effects: tuple["PlacedEffect", ...] = ()
 
+    if TYPE_CHECKING:  # what the fields are made from; at run time the constructor is the dataclass's own
+
+        def __init__(
+            self,
+            mass: npt.ArrayLike,
+            damping: npt.ArrayLike,
+            stiffness: npt.ArrayLike,
+            *,
+            force_map: npt.ArrayLike,
+            sensor_map: npt.ArrayLike,
+            sensor_kind: SensorKind | Sequence[SensorKind],
+            elements: Sequence[Element | tuple[int, int | None]] | None = None,
+            base_motion: npt.ArrayLike | None = None,
+            input_names: Sequence[str] = (),
+            output_names: Sequence[str] = (),
+            input_units: Sequence[str] = (),
+            output_units: Sequence[str] = (),
+            length_unit: str = "m",
+            force_unit: str = "N",
+            stiffness_tolerance: float = 0.1,
+            damping_tolerance: float = 0.5,
+            effects: Sequence["PlacedEffect"] = (),
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        mass, damping, stiffness = checked_matrices(self.mass, self.damping, self.stiffness)
-        n_dofs = len(mass)
-        set_(self, "mass", mass)
-        set_(self, "damping", damping)
-        set_(self, "stiffness", stiffness)
+        matrices = checked_matrices(self.mass, self.damping, self.stiffness)
+        for name, matrix in zip(("mass", "damping", "stiffness"), matrices, strict=True):
+            set_(self, name, matrix)
+        n_dofs, (_, damping, stiffness) = len(self.mass), matrices
         set_(self, "force_map", frozen(self.force_map, name="force_map", shape=(n_dofs, None)))
         set_(self, "sensor_map", frozen(self.sensor_map, name="sensor_map", shape=(None, n_dofs)))
         set_(self, "sensor_kind", sensor_kinds(self.sensor_kind, len(self.sensor_map)))
@@ -117,8 +139,6 @@ class StructuralModel:
         derived = coupled_elements(stiffness, damping) if self.elements is _COUPLINGS else self.elements
         set_(self, "elements", named_elements(derived, stiffness, damping))
         names = matched_names(self.input_names, self.output_names, n_inputs=self.n_inputs, n_outputs=self.n_outputs)
-        set_(self, "input_names", names[0])
-        set_(self, "output_names", names[1])
         units = default_units(
             self.input_units,
             self.output_units,
@@ -127,10 +147,11 @@ class StructuralModel:
             length_unit=self.length_unit,
             force_unit=self.force_unit,
         )
-        set_(self, "input_units", units[0])
-        set_(self, "output_units", units[1])
-        set_(self, "stiffness_tolerance", tolerance(self.stiffness_tolerance, name="stiffness_tolerance"))
-        set_(self, "damping_tolerance", tolerance(self.damping_tolerance, name="damping_tolerance"))
+        channels = ("input_names", "output_names", "input_units", "output_units")
+        for name, words in zip(channels, (*names, *units), strict=True):
+            set_(self, name, words)
+        for name in ("stiffness_tolerance", "damping_tolerance"):
+            set_(self, name, tolerance(getattr(self, name), name=name))
         set_(self, "effects", tuple(self.effects))
 
     def __repr__(self) -> str:
@@ -199,7 +220,7 @@ class StructuralModel:
             join.T @ np.diag(k) @ join,
             force_map=force_map,
             sensor_map=map_of_dofs(sensor_dofs, len(m), name="sensor_dofs"),
-            sensor_kind=sensor_kind,  # type: ignore[arg-type]  # the class takes one word too
+            sensor_kind=sensor_kind,
             elements=chain_elements(k, c),
             base_motion=base_motion,
             input_names=tuple(input_names),
@@ -264,39 +285,6 @@ class StructuralModel:
         from modal.equations import equations_of_motion
 
         return equations_of_motion(self)
-
-    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
-        """Write the model as TOML, JSON or NPZ, by the ending of the path; read it with `load`.
-
-        Args:
-            path: Of the file.
-            existing: "refuse" (an error when the file is there) or "replace".
-
-        Raises:
-            InvalidDataError: Another ending, the file is there already, or it cannot be written.
-        """
-        from modal.model_file import write_model
-
-        return write_model(self, path, existing=existing)
-
-    @classmethod
-    def load(cls, path: str | Path) -> "StructuralModel":
-        """Read a structural model from a file.
-
-        Args:
-            path: Of the file.
-
-        Raises:
-            UnreadableFileError: No such file, or one that holds no structural model.
-        """
-        from modal.model_file import read_model
-
-        model = read_model(path)
-        if not isinstance(model, cls):
-            raise UnreadableFileError(
-                f"{path} holds a {type(model).__name__}, not a structural model; read it with modal.read_model."
-            )
-        return model
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""

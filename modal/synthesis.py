@@ -21,7 +21,17 @@ from okid.record import Record
 from okid.rows import as_records, runs_of
 from okid.scalars import whole_number
 
-__all__ = ["MeasuredFrf", "continuous_residue", "frf", "measured_frf", "modal_frf"]
+__all__ = [
+    "AveragedSpectra",
+    "MeasuredFrf",
+    "averaged_spectra",
+    "continuous_residue",
+    "frf",
+    "measured_frf",
+    "measured_frf_of",
+    "modal_frf",
+    "segment_length",
+]
 
 FEWEST_AVERAGES = 8
 """Independent segments that the automatic segment length leaves, about: coherence needs several to mean something."""
@@ -138,35 +148,89 @@ def measured_frf(records: Record | Sequence[Record], *, n_per_segment: int | Non
         Bendat, Piersol, Random Data, 4th edition, 2010, chapters 7 and 9, doi 10.1002/9781118032428.
     """
     several = as_records(records)
-    n_inputs, dt = several[0].n_inputs, several[0].dt
+    n_inputs = several[0].n_inputs
     if n_inputs == 0:
         raise InvalidDataError("a measured frequency response needs records with at least one input; these have none.")
     runs = [run for record in several for run in _complete_runs(record)]
     length = (
-        _segment_length(runs) if n_per_segment is None else whole_number(n_per_segment, name="n_per_segment", least=2)
+        segment_length(several) if n_per_segment is None else whole_number(n_per_segment, name="n_per_segment", least=2)
     )
-    segments = [segment for run in runs for segment in _segments(run, length)]
-    if len(segments) < n_inputs + 1:
+    n_segments = sum(max(0, (stop - start - length) // max(1, length // 2) + 1) for _, start, stop in runs)
+    if n_segments < n_inputs + 1:
         raise InsufficientDataError(
             f"a measured frequency response of {n_inputs} inputs needs at least {n_inputs + 1} segments; the records "
-            f"hold {len(segments)} of {length} complete samples. Use a smaller n_per_segment or a longer record."
+            f"hold {n_segments} of {length} complete samples. Use a smaller n_per_segment or a longer record."
         )
-    window = np.hanning(length + 1)[:length, np.newaxis]
-    spectra = np.zeros((length // 2 + 1, segments[0].shape[1], segments[0].shape[1]), dtype=np.complex128)
-    for segment in segments:
-        spectrum: ComplexArray = np.fft.rfft(window * (segment - segment.mean(axis=0)), axis=0)
-        spectra += spectrum[:, :, np.newaxis] * spectrum[:, np.newaxis, :].conj()
-    return _estimate(np.arange(length // 2 + 1) / (length * dt), spectra, n_inputs, len(segments))
+    return measured_frf_of(averaged_spectra(several, n_per_segment=length))
 
 
-def _estimate(frequencies: FloatArray, spectra: ComplexArray, n_inputs: int, n_averages: int) -> MeasuredFrf:
-    power = np.einsum("fii->fi", spectra).real
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AveragedSpectra:
+    """Sums over half-overlapping Hann segments; the spectra of inputs with everything, of outputs with themselves.
+
+    Attributes:
+        frequencies: (n_frequencies,) [Hz].
+        inputs: (n_frequencies, n_inputs, n_inputs).
+        cross: (n_frequencies, n_outputs, n_inputs) of outputs with inputs.
+        power: (n_frequencies, n_inputs + n_outputs) of each channel with itself.
+        n_averages: number of segments.
+        to_density: factor that makes a power spectral density [unit^2/Hz] of `power`.
+    """
+
+    frequencies: FloatArray
+    inputs: ComplexArray
+    cross: ComplexArray
+    power: FloatArray
+    n_averages: int
+    to_density: float
+
+
+def averaged_spectra(records: Record | Sequence[Record], *, n_per_segment: int) -> AveragedSpectra:
+    """Welch's sums, one segment in memory at a time; a segment never spans two records or a missing sample.
+
+    Args:
+        records: of one system.
+        n_per_segment: samples a segment.
+    """
+    several = as_records(records)
+    length, n_inputs, dt = n_per_segment, several[0].n_inputs, several[0].dt
+    window = np.hanning(length + 1)[:length]
+    n_lines = length // 2 + 1
+    inputs = np.zeros((n_inputs, n_inputs, n_lines), dtype=np.complex128)
+    cross = np.zeros((several[0].n_outputs, n_inputs, n_lines), dtype=np.complex128)
+    power = np.zeros((n_inputs + several[0].n_outputs, n_lines))
+    n_averages = 0
+    for record, start, stop in [run for each in several for run in _complete_runs(each)]:
+        for first in range(start, stop - length + 1, max(1, length // 2)):
+            rows = slice(first, first + length)
+            segment = np.concatenate([record.inputs[rows].T, record.outputs[rows].T])
+            spectrum: ComplexArray = np.fft.rfft(window * (segment - segment.mean(axis=1, keepdims=True)))
+            power += spectrum.real**2 + spectrum.imag**2
+            for i in range(n_inputs):
+                against = spectrum[i].conj()
+                inputs[:, i] += spectrum[:n_inputs] * against
+                cross[:, i] += spectrum[n_inputs:] * against
+            n_averages += 1
+    return AveragedSpectra(
+        frequencies=np.arange(n_lines) / (length * dt),
+        inputs=inputs.transpose(2, 0, 1),
+        cross=cross.transpose(2, 0, 1),
+        power=power.T,
+        n_averages=n_averages,
+        to_density=2.0 * dt / (float(np.square(window).sum()) * max(1, n_averages)),
+    )
+
+
+def measured_frf_of(spectra: AveragedSpectra) -> MeasuredFrf:
+    """H1 estimate and coherences of spectra that were summed already; as `measured_frf`."""
+    n_inputs = spectra.inputs.shape[1]
+    power = spectra.power
     input_power, output_power = power[:, :n_inputs], power[:, n_inputs:]
     # Unit diagonal first, so that a rank test does not depend on units; a line without power gives nan below.
     with np.errstate(divide="ignore", invalid="ignore"):
         unit = 1 / np.sqrt(input_power)
-        uu = spectra[:, :n_inputs, :n_inputs] * unit[:, :, np.newaxis] * unit[:, np.newaxis]
-        yu = spectra[:, n_inputs:, :n_inputs] * unit[:, np.newaxis]
+        uu = spectra.inputs * unit[:, :, np.newaxis] * unit[:, np.newaxis]
+        yu = spectra.cross * unit[:, np.newaxis]
         ordinary = np.abs(yu) ** 2 / output_power[:, :, np.newaxis]
         response = np.full(yu.shape, np.nan + 0j)
         lines = np.flatnonzero(
@@ -175,31 +239,25 @@ def _estimate(frequencies: FloatArray, spectra: ComplexArray, n_inputs: int, n_a
         lines = lines[np.linalg.eigvalsh(uu[lines])[:, 0] > 1e-10] if lines.size else lines
         response[lines] = np.linalg.solve(uu[lines].transpose(0, 2, 1), yu[lines].transpose(0, 2, 1)).transpose(0, 2, 1)
         multiple = np.einsum("fqm,fqm->fq", response, yu.conj()).real / output_power
+        response = response * unit[:, np.newaxis]
     return MeasuredFrf(
-        frequencies=frequencies,
-        frf=response * unit[:, np.newaxis],
+        frequencies=spectra.frequencies,
+        frf=np.asarray(response, dtype=np.complex128),
         ordinary_coherence=np.clip(ordinary, 0.0, 1.0),
         multiple_coherence=np.clip(multiple, 0.0, 1.0),
-        n_averages=n_averages,
+        n_averages=spectra.n_averages,
     )
 
 
-def _complete_runs(record: Record) -> list[FloatArray]:
-    return [
-        np.hstack([record.inputs[start:stop], record.outputs[start:stop]])
-        for start, stop in runs_of(record.complete_rows())
-    ]
+def _complete_runs(record: Record) -> list[tuple[Record, int, int]]:
+    return [(record, start, stop) for start, stop in runs_of(record.complete_rows())]
 
 
-def _segment_length(runs: list[FloatArray]) -> int:
-    n_rows = sum(run.shape[0] for run in runs)
-    longest = max((run.shape[0] for run in runs), default=0)
-    return int(max(16, 2 ** int(np.log2(max(16, min(n_rows // FEWEST_AVERAGES, longest))))))
-
-
-def _segments(run: FloatArray, length: int) -> list[FloatArray]:
-    step = max(1, length // 2)
-    return [run[start : start + length] for start in range(0, run.shape[0] - length + 1, step)]
+def segment_length(records: Sequence[Record], *, averages: int = FEWEST_AVERAGES) -> int:
+    """Samples a segment: the power of two, 16 at least, that leaves so many segments without overlap, about."""
+    lengths = [stop - start for record in records for _, start, stop in _complete_runs(record)]
+    n_rows, longest = sum(lengths), max(lengths, default=0)
+    return int(max(16, 2 ** int(np.log2(max(16, min(n_rows // averages, longest))))))
 
 
 def _on_circle(frequencies: npt.ArrayLike, dt: float) -> ComplexArray:

@@ -5,26 +5,34 @@ Names come from files: every cell is a `Text`, never markup, and shows control c
 
 import math
 import re
+import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from modal.acceptance import LimitOutcome
 from modal.examples.demo import ModeComparison
 from modal.identification import Identification
 from modal.mode import Mode
-from modal.names import visible
+from modal.names import shorten, visible
 from modal.numbering import numbered
+from modal.report.kept_result import LARGEST_KEPT
 from modal.report.words import damping_text, data_sentences, frequency_text, headline, hertz, judge
 from modal.report.writing import ReportFiles
 
-__all__ = ["listing", "plain", "show_comparison", "show_files", "show_result"]
+__all__ = ["listing", "plain", "show_comparison", "show_files", "show_limits", "show_result"]
+
+LONGEST_NAME = 80
+"""Letters of the name of a limit, which is a stranger's text."""
 
 MOST_NOISE = 5
 """Noise poles shown in the terminal; the report has all."""
 
 _COLOURS = {"system": "green", "doubtful": "yellow", "noise": "bright_black"}
+_STATES = {"met": "green", "not met": "bold red", "cannot be told": "yellow"}
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
 
 
@@ -33,8 +41,10 @@ def plain(text: str, style: str = "") -> Text:
     return Text(visible(text), style=style)
 
 
-def show_result(console: Console, result: Identification, *, remarks: Sequence[str] = ()) -> None:
-    """Headline, mode table, fit and warnings in words."""
+def show_result(
+    console: Console, result: Identification, *, remarks: Sequence[str] = (), limits: Sequence[LimitOutcome] = ()
+) -> None:
+    """Headline, mode table, limits of acceptance, fit and warnings in words."""
     judgement = judge(result)
     console.print()
     console.print(plain(headline(result), "bold"))
@@ -45,8 +55,29 @@ def show_result(console: Console, result: Identification, *, remarks: Sequence[s
         console.print(plain(f"and {hidden} more noise {poles}, all in the report", "bright_black"))
     console.print()
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
+    show_limits(console, limits)
     listing(console, "Warnings", result.warnings, "yellow")
     listing(console, "Data", (*data_sentences(result), *remarks), "")
+
+
+def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:
+    """One line a limit of the test file, the outcome first."""
+    if not limits:
+        return
+    n_met = sum(outcome.met for outcome in limits)
+    console.print()
+    console.print(plain(f"Acceptance: {n_met} of {len(limits)} limits met", "bold"))
+    table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column("", no_wrap=True)
+    table.add_column("", ratio=1)
+    for outcome in limits:
+        table.add_row(plain(outcome.state, _STATES[outcome.state]), plain(_limit_text(outcome)))
+    console.print(table)
+
+
+def _limit_text(outcome: LimitOutcome) -> str:
+    text = f"{shorten(outcome.what, LONGEST_NAME)}: wanted {outcome.required}; found {outcome.found}"
+    return f"{text} ({outcome.reason})" if outcome.reason else text
 
 
 def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> None:
@@ -69,15 +100,25 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
     console.print(table)
 
 
-def show_files(console: Console, files: ReportFiles) -> None:
+def show_files(console: Console, files: ReportFiles, *, pdf: Path | None = None) -> None:
     """Where the report is, one line a file, so that it can be opened by a click or a copy."""
     console.print()
-    for path, what in zip(
-        files,
-        ("report to read", "the same as Markdown", "every number", "one row a pole", "to look at: rerun FILE"),
-        strict=True,
-    ):
-        console.print(plain(str(path)) + plain(f"  {what}", "bright_black"), soft_wrap=True)
+    meanings = (
+        (files.html, "report to read"),
+        (pdf, "the same on paper"),
+        (files.markdown, "the same as Markdown"),
+        (files.json, "every number"),
+        (files.csv, "one row a pole"),
+        (files.uff55, "the modes for other programs"),
+        (files.result, "the result itself, for modal.load, diff and view"),
+        (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
+    )
+    for path, meaning in meanings:
+        if path is not None:
+            console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
+    if files.result is None:
+        sentence = f"The result itself is above {LARGEST_KEPT >> 20} MiB and was not kept; diff reads report.json."
+        console.print(plain(sentence, "bright_black"))
 
 
 def _mode_table(modes: Sequence[Mode]) -> Table:

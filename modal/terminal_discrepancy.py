@@ -1,5 +1,6 @@
 """What the command prints of a diagnosis: the verdict, what is missing, before and after, and what to do next."""
 
+import shlex
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -8,7 +9,7 @@ from rich.table import Table
 from modal.discrepancy.diagnosis import Diagnosis, Finding
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import Stage, rows_of, stages_of
-from modal.report.discrepancy_values import effect_text, interval_text, times_text, value_text
+from modal.report.discrepancy_values import effect_text, found_value, interval_text, times_text
 from modal.report.writing import DiagnosisFiles
 from modal.terminal import listing, plain
 
@@ -37,10 +38,11 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
         console.print(plain("Held-out gap, times the noise floor", "bold"))
         console.print(_before_after(stages))
     limits = words.limits_sentence(diagnosis)
-    listing(console, "What could still hide", [limits] if limits else [], "")
+    hidden = words.capital(limits.removeprefix(words.COULD_HIDE))
+    listing(console, "What the data could still hide", [hidden] if limits else [], "")
     listing(console, "Next", words.next_sentences(diagnosis), "cyan")
     listing(console, "Warnings", words.read_first(diagnosis), "yellow")
-    listing(console, "Data", (*words.floor_sentences(diagnosis), *remarks), "")
+    listing(console, "Data", (*words.floor_summary(diagnosis), *remarks), "")
 
 
 def show_diagnosis_files(console: Console, files: DiagnosisFiles) -> None:
@@ -51,7 +53,7 @@ def show_diagnosis_files(console: Console, files: DiagnosisFiles) -> None:
         (files.markdown, "the same as Markdown"),
         (files.json, "every number"),
         (files.csv, "one row a parameter found"),
-        (files.recording, "to look at: rerun FILE"),
+        (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
         (files.model, "the updated model, to go on with"),
     )
     for path, meaning in meanings:
@@ -74,7 +76,7 @@ def _findings(findings: Sequence[Finding]) -> Table:
             table.add_row(
                 *(head if number == 0 else ("", "")),
                 plain(one.name),
-                plain(value_text(one.value, one.std), "bold"),
+                plain(found_value(one), "bold"),
                 plain(one.unit),
                 plain(interval_text(one.value, one.std), "bright_black"),
             )
@@ -84,7 +86,8 @@ def _findings(findings: Sequence[Finding]) -> Table:
 def _why(finding: Finding) -> str:
     name = words.capital(effect_text(finding.effect))
     evidence = words.as_sentence(finding.evidence.words)
-    return f"{name} at {finding.where} ({finding.law}): {evidence} {words.runner_up_sentence(finding)}"
+    law = f"{finding.effect}: {finding.law}"
+    return f"{name} at {finding.where} ({law}): {evidence} {words.runner_up_sentence(finding)}"
 
 
 def _before_after(stages: Sequence[Stage]) -> Table:

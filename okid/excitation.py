@@ -19,6 +19,8 @@ _SMALLEST_EIGENVALUE = 1e-13
 _POOR_CONDITION = 1e4
 _POOR_SHARE = 0.9
 """Below this share of the band the message names the band that is missing."""
+_BRIDGED = 0.01
+"""Of the whole band: a message takes bands that are closer than this for one."""
 _RANGE = 1e-6
 """60 dB: a frequency counts as excited within this factor of the largest spectral density."""
 _ROW_LIMIT = 2_000_000
@@ -175,6 +177,17 @@ def _excited(density: FloatArray) -> BoolArray:
     return excited
 
 
+def _bridged(bands: Sequence[tuple[float, float]], gap: float) -> list[tuple[float, float]]:
+    """Bands that are closer than a gap taken for one: a single line of chance between them means nothing."""
+    wide = [bands[0]]
+    for low, high in bands[1:]:
+        if low - wide[-1][1] < gap:
+            wide[-1] = (wide[-1][0], high)
+        else:
+            wide.append((low, high))
+    return wide
+
+
 def _bands(excited: BoolArray, nyquist: float) -> tuple[tuple[float, float], ...]:
     step = nyquist / (excited.size - 1)
     edges = runs_of(excited)
@@ -249,8 +262,10 @@ def _band_messages(
     for i, name in enumerate(names):
         if i in scaling.constant_inputs or shares[i] >= _POOR_SHARE or not bands[i]:
             continue
-        shown = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in bands[i][:4])
-        more = f" and {len(bands[i]) - 4} narrower bands" if len(bands[i]) > 4 else ""
+        wide = _bridged(bands[i], _BRIDGED * nyquist)
+        shown = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in wide[:4])
+        left = len(wide) - 4
+        more = f" and {left} narrower band{'s' * (left > 1)}" if left > 0 else ""
         messages.append(
             f"input {name!r} moves in {100 * shares[i]:.0f} % of the band up to {nyquist:.4g} Hz ({shown}{more}): "
             "elsewhere the response to it is not in the data."

@@ -7,6 +7,8 @@ import numpy as np
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.checks import SAME_LEVEL
 from modal.discrepancy.decision import Decision
+from modal.discrepancy.effect_names import effect_name, one_of
+from modal.discrepancy.findings import even_rivals
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.plant import Plant
 from okid.record import Record
@@ -58,20 +60,18 @@ def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[
         Sentences, the most useful first.
     """
     words: list[str] = []
-    for (effect, where), runner, margin in zip(decision.node.effects, decision.runners, decision.margins, strict=False):
-        words += [
-            f"To tell {effect} at {where} from {', '.join(row.others(effect))}: {row.separates}."
-            for row in ambiguous_with(effect, circumstances=circumstances)
-        ]
-        if runner is not None and margin < np.inf and decision.status == "unresolved":
-            others = {key for key, _ in runner.effects} - {key for key, _ in decision.node.effects}
+    by_level = False
+    for i, ((effect, where), runner) in enumerate(zip(decision.node.effects, decision.runners, strict=False)):
+        rows = ambiguous_with(effect, circumstances=circumstances, even_with=even_rivals(decision, i))
+        by_level |= any(row.circumstance == "one_level" for row in rows)
+        words += [_apart(effect, where, row.others(effect), row.separates) for row in rows]
+        if runner is not None and decision.status == "unresolved":
+            rest = [row for row in ambiguous_with(effect, circumstances=_ANY_RECORDS) if row not in rows]
+            near = sorted({key for key, _ in runner.effects} - {key for key, _ in decision.node.effects})
             words += [
-                f"To tell {effect} at {where} from {key}: {row.separates}."
-                for key in sorted(others)
-                for row in ambiguous_with(effect, circumstances=_ALL)
-                if key in row.others(effect)
+                _apart(effect, where, (key,), row.separates) for key in near for row in rest if key in row.effects
             ]
-    if "one_level" in circumstances:
+    if "one_level" in circumstances and not by_level:
         words.append("Measure at a second level, two or three times as strong: most effects are told apart by level.")
     if decision.status == "unresolved" and not decision.node.effects:
         words.append(
@@ -87,6 +87,9 @@ def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[
     return tuple(dict.fromkeys(words))
 
 
-_ALL: frozenset[Circumstance] = frozenset(
-    {"always", "one_dof", "one_output", "one_level", "one_way", "small_motion", "large_motion"}
-)
+def _apart(effect: str, where: str, others: Sequence[str], separates: str) -> str:
+    return f"To tell {effect_name(effect)} at {where} from {one_of(others)} you need {separates}."
+
+
+_ANY_RECORDS: frozenset[Circumstance] = frozenset({"one_level", "one_way", "small_motion", "large_motion"})
+"""What other records would change; the plant stays what it is."""

@@ -59,7 +59,8 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         besides=("position of the rest point",),
         circumstance="one_output",
         when="one displacement is measured: its offset is the static deflection of a constant force",
-        separates="a second output (a force moves all in the proportions of the flexibility), or an accelerometer",
+        separates="a second output with M, C, K of the structure (a force then moves all in the proportions of the "
+        "flexibility, while in a state space its direction is free), or an accelerometer",
     ),
     AmbiguityClass(
         effects=("input_delay",),
@@ -124,12 +125,16 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
 """The table of DISCREPANCY 6; margins are those of its prototypes."""
 
 
-def ambiguous_with(effect: str, *, circumstances: Collection[Circumstance] = ()) -> tuple[AmbiguityClass, ...]:
+def ambiguous_with(
+    effect: str, *, circumstances: Collection[Circumstance] = (), even_with: Collection[str] = ()
+) -> tuple[AmbiguityClass, ...]:
     """The classes in which an effect stands under the circumstances of a plant and its records.
 
     Args:
         effect: Key in the catalogue.
         circumstances: What holds ("always" need not be given).
+        even_with: Keys of effects for which the evidence is no weaker; the classes that they share with `effect` hold
+            whatever the circumstances.
 
     Returns:
         The classes in the order of the table; empty where the effect cannot be taken for another.
@@ -139,6 +144,12 @@ def ambiguous_with(effect: str, *, circumstances: Collection[Circumstance] = ())
         [('input_saturation',)]
         >>> ambiguous_with("input_gain")
         ()
+        >>> [found.others("sensor_bias")[0] for found in ambiguous_with("sensor_bias", even_with=["constant_force"])]
+        ['constant_force']
     """
-    holds = {"always", *circumstances}
-    return tuple(found for found in AMBIGUOUS if effect in found.effects and found.circumstance in holds)
+    holds, even = {"always", *circumstances}, set(even_with) - {effect}
+    return tuple(
+        found
+        for found in AMBIGUOUS
+        if effect in found.effects and (found.circumstance in holds or not even.isdisjoint(found.effects))
+    )

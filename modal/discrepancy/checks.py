@@ -101,8 +101,8 @@ def _level_notes(fits: Sequence[Record], helds: Sequence[Record]) -> tuple[str, 
     if min(sizes) > 0.0 and max(sizes) / min(sizes) >= SAME_LEVEL:
         return ()
     note = (
-        "all records are of one level: friction and drag, stops and cubic stiffness, saturation and a gain, a missing "
-        "mode and a disturbance can hardly be told apart; measure at a second level, two or three times as strong"
+        "all records are of one level, at which friction and drag, stops and cubic stiffness, saturation and a gain, "
+        "a missing mode and a disturbance look much the same"
     )
     return (note,)
 

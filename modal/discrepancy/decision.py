@@ -12,8 +12,10 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
+from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.estimation import Problem, covariance
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, sureness, without
+from modal.discrepancy.statements import number, times_floor_text
 
 __all__ = ["Decision", "decide_nodes", "doubted_units"]
 
@@ -26,6 +28,10 @@ SAME = 1.05
 CLOSE_COMPANY = 30.0
 PLAUSIBLE_GAIN = (0.3, 3.0)
 """Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
+HARDLY_FOLLOWS = 0.03
+"""Size of a gain below which a channel may as well be dead, or another one."""
+CLEAR_RISE = 3.0
+"""Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
 LEAST_SURE = 5.0
 """Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
 SURE = 3.0
@@ -69,15 +75,7 @@ def decide_nodes(
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
     if best is root:
-        if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
-            return Decision(status="none", node=root, runners=(), margins=(), reasons=())
-        return Decision(
-            status="unresolved",
-            node=root,
-            runners=(),
-            margins=(),
-            reasons=("no effect of the catalogue brings the held-out error down by a tenth",),
-        )
+        return _nothing(root)
     best = _pruned(best, root, task)
     equals = [node for node in earned if len(node.effects) == len(best.effects)]
     equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
@@ -86,7 +84,7 @@ def decide_nodes(
             [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
         )
     if best is root:
-        return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+        return _nothing(root)
     runners, margins, reasons = [], [], []
     for effect in best.effects:
         rivals = [
@@ -99,12 +97,13 @@ def decide_nodes(
         runners.append(runner)
         margins.append(float(margin))
         if runner is not None and margin < CLOSE_COMPANY and not _ambiguous(effect, runner, circumstances):
-            named = " and ".join(f"{key} at {where}" for key, where in runner.effects)
+            named = effects_at(runner.effects)
             how = f"nearly as well (2 ln L lower by {margin:.0f} only)" if margin >= 0.0 else "no worse"
             reasons.append(f"{named} explains the data {how}")
     if best.held_out_level > NEAR_FLOOR:
         reasons.append(
-            f"the held-out mean square is still {best.held_out_level:.2f} times the noise floor (limit {NEAR_FLOOR:g})"
+            f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
+            f"{times_floor_text(NEAR_FLOOR)})"
         )
     return Decision(
         status="unresolved" if reasons else "named",
@@ -113,6 +112,14 @@ def decide_nodes(
         margins=tuple(margins),
         reasons=tuple(reasons),
     )
+
+
+def _nothing(root: Node) -> Decision:
+    """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
+    if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
+        return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+    reasons = ("no effect of the catalogue brings the held-out error down by a tenth",)
+    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
 
 
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
@@ -163,12 +170,20 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
         sure = sureness(best, task)
         smaller = [without(best, i, task) for i in range(len(best.effects))]
         needless = [
-            node for node, z in zip(smaller, sure, strict=True) if not counts(node, best, task) or z < LEAST_SURE
+            node for node, z in zip(smaller, sure, strict=True) if not counts(node, best, task) or _weak(node, best, z)
         ]
         if not needless:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
     return best if best is root or counts(root, best, task) else root
+
+
+def _weak(smaller: Node, best: Node, z: float) -> bool:
+    """Whether an effect may be none by its standard deviation, and the held-out error does not clearly need it.
+
+    The size of a hard limit (a brim, a stop) is hardly known where anything large will do: only the error tells.
+    """
+    return z < LEAST_SURE and smaller.held_out_level < CLEAR_RISE * best.held_out_level
 
 
 def doubted_units(decision: Decision) -> Decision:
@@ -179,11 +194,20 @@ def doubted_units(decision: Decision) -> Decision:
         if item.effect.key in {"input_gain", "sensor_gain"}:
             gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
             if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
-                words = f"a gain of {gain:.4g} at {item.where} looks like a wrong unit: check the units of the records"
-                reasons.append(words)
+                reasons.append(_doubted_gain(gain, item.where))
     if len(reasons) == len(decision.reasons):
         return decision
     return replace(decision, status="unresolved", reasons=tuple(reasons))
+
+
+def _doubted_gain(gain: float, where: str) -> str:
+    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
+    words = f"a gain of {number(gain)} at {where} looks like"
+    if abs(gain) < HARDLY_FOLLOWS:
+        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
+    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
+        return f"{words} a turned direction: check the sign of the channel"
+    return f"{words} a wrong unit: check the units of the records"
 
 
 def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:

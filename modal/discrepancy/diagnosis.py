@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
+from modal.discrepancy.effect_names import effects_at
+from modal.discrepancy.explained import unexplained_outputs
+from modal.discrepancy.statements import listed, times_floor_text
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -87,7 +88,8 @@ class Finding:
         signature: How it shows in the data.
         evidence: What speaks for it.
         runner_up: The best hypothesis with another effect or place instead of it, None if there is none.
-        ambiguous_with: Effects that by structure cannot be told from it in these data (from a fixed table).
+        ambiguous_with: Effects that cannot be told from it in these data: by a fixed table of what is the same by
+            structure or in records such as these, and where the evidence for a member of its class is even.
     """
 
     effect: str
@@ -242,10 +244,14 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        names = " and ".join(f"{finding.effect} at {finding.where}" for finding in self.findings)
-        left = f"{np.sqrt(self.steps[-1].held_out_level):.2f} times the noise floor remain on held-out data"
+        names = effects_at([(finding.effect, finding.where) for finding in self.findings])
+        left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
+        blind = unexplained_outputs(self)
+        if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
+            return f"These data tell nothing of the model, which explains nothing of {listed(list(blind))}: {left}."
         if self.status == "none":
-            return f"No effect is missing that these data could show: {left}."
+            but = f", but the model explains nothing of {listed(list(blind))}" if blind else ""
+            return f"No effect is missing that these data could show{but}: {left}."
         if self.status == "named":
             return f"Missing: {names}; {left}."
         if not self.findings:

@@ -1,18 +1,17 @@
 """The effects found, with parameters, evidence and what they cannot be told from."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
-from modal.discrepancy.decision import Decision
+from modal.discrepancy.decision import CLOSE_COMPANY, Decision
 from modal.discrepancy.diagnosis import Evidence, Finding, Hypothesis, Parameter
 from modal.discrepancy.effect_units import parameter_units
 from modal.discrepancy.nodes import Node, Task, log_likelihood_gain
 from modal.discrepancy.plant import Plant
+from modal.discrepancy.statements import times_floor_text
 from okid.arrays import FloatArray
 
-__all__ = ["findings_of", "hypothesis_of"]
+__all__ = ["even_rivals", "findings_of", "hypothesis_of"]
 
 
 def hypothesis_of(node: Node, root: Node, task: Task) -> Hypothesis:
@@ -58,9 +57,9 @@ def findings_of(
                 parameters=_parameters(decision.node, plant, deviations, i),
                 law=item.effect.law,
                 signature=item.effect.signature,
-                evidence=_evidence(decision, root, task, i, margin),
+                evidence=_evidence(decision, root, task, margin),
                 runner_up=None if runner is None else hypothesis_of(runner, root, task),
-                ambiguous_with=_others(item.effect.key, circumstances),
+                ambiguous_with=_others(item.effect.key, circumstances, even_rivals(decision, i)),
             )
         )
     return tuple(found)
@@ -84,29 +83,33 @@ def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tup
     )
 
 
-def _evidence(decision: Decision, root: Node, task: Task, i: int, margin: float) -> Evidence:
+def even_rivals(decision: Decision, i: int) -> tuple[str, ...]:
+    """Keys of the effects that explain the data as well as effect number i of the chosen model.
+
+    Args:
+        decision: The decision.
+        i: Number of the effect in the chosen model.
+
+    Returns:
+        Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
+    """
+    runner = decision.runners[i]
+    if runner is None or decision.margins[i] >= CLOSE_COMPANY:
+        return ()
+    return tuple(dict.fromkeys(key for key, where in runner.effects if (key, where) not in decision.node.effects))
+
+
+def _evidence(decision: Decision, root: Node, task: Task, margin: float) -> Evidence:
     node = decision.node
     gain = log_likelihood_gain(root, node, task)
     before, after = max(root.held_out_level - 1.0, 1e-12), max(node.held_out_level - 1.0, 0.0)
     closed = 1.0 - after / before if np.isfinite(before) else 1.0
-    lead = "no other hypothesis comes near" if not np.isfinite(margin) else _lead(margin)
-    also = " (with the other effects)" if len(node.effects) - len(root.effects) > 1 else ""
-    words = (
-        f"the held-out mean square falls from {root.held_out_level:.4g} to {node.held_out_level:.3g} times the noise "
-        f"floor{also}; {lead}"
-    )
-    del i
+    also = ", with the other effects" if len(node.effects) - len(root.effects) > 1 else ""
+    levels = " to ".join(times_floor_text(level) for level in (root.held_out_level, node.held_out_level))
+    words = f"the held-out gap falls from {levels} times the noise floor{also}"
     return Evidence(closed=float(np.clip(closed, -np.inf, 1.0)), log_likelihood=gain, margin=margin, words=words)
 
 
-def _lead(margin: float) -> str:
-    if margin >= 0.0:
-        return f"it leads the next by 2 ln L = {margin:.0f}"
-    return f"another hypothesis is more likely by 2 ln L = {-margin:.0f}"
-
-
-def _others(effect: str, circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
-    rows: Sequence[str] = [
-        other for row in ambiguous_with(effect, circumstances=circumstances) for other in row.others(effect)
-    ]
-    return tuple(dict.fromkeys(rows))
+def _others(effect: str, circumstances: frozenset[Circumstance], even: tuple[str, ...]) -> tuple[str, ...]:
+    rows = ambiguous_with(effect, circumstances=circumstances, even_with=even)
+    return tuple(dict.fromkeys(other for row in rows for other in row.others(effect)))

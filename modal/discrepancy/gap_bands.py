@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from modal.discrepancy.statements import number
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.scalars import real_number
@@ -91,7 +92,7 @@ def resonance_bands(resonances: Sequence[float], highest: float, *, half_width: 
             high = min(high, float(np.sqrt(frequency * found[i + 1])))
         if low > reached * (1.0 + NARROWEST):
             bands.append(_between(reached, low))
-        bands.append(Band(name=f"around {frequency:.4g} Hz", low=low, high=high))
+        bands.append(Band(name=f"around {_hertz(frequency)} Hz", low=low, high=high))
         reached = high
     if reached < highest:
         bands.append(_between(reached, highest))
@@ -163,4 +164,10 @@ def line_share(n_samples: int) -> FloatArray:
 
 
 def _between(low: float, high: float) -> Band:
-    return Band(name=f"{low:.4g} to {high:.4g} Hz", low=low, high=high)
+    return Band(name=f"{_hertz(low)} to {_hertz(high)} Hz", low=low, high=high)
+
+
+def _hertz(frequency: float) -> str:
+    """Three digits, none of them an idle zero: 0.391, 2, 12.5."""
+    text = number(frequency)
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text

@@ -1,13 +1,15 @@
 """The sentences of a gap: its size, output, band, level and time, each from one rule on the numbers."""
 
+import math
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 
 from modal.discrepancy.gap import Gap
 from modal.discrepancy.gap_character import SingleLine, excess_spectrum, narrowest_interval, single_line
 from modal.discrepancy.gap_trend import LevelTrend
-from modal.discrepancy.statements import Statement, listed, part, quantity, times
+from modal.discrepancy.statements import Statement, listed, part, quantity, times, times_floor_text
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["agreement", "disagreement"]
@@ -24,18 +26,22 @@ COHERENT = 0.3
 """Share of the gap that follows the simulation, from which on it moves with the structure."""
 INCOHERENT = 0.15
 """The same up to which it does not."""
+SAME_OFFSET = 0.5
+"""Of the largest mean gap of a record, up to which the means of the records may differ and be one offset."""
+Offset = Literal["none", "one", "several"]
+"""Whether most of the gap is its mean, and whether all records have the same one."""
 LAWS = {
     "rises": "a force that grows faster than the motion (a spring that hardens or softens, drag, a limit)",
-    "falls": "friction-like, a force that grows less than the motion",
+    "falls": "a force that grows less than the motion, as of friction or of the play in a joint",
     "stays": "it scales with the excitation (a wrong parameter, gain, delay, missing mode or bilinear spring)",
 }
 
 
 def agreement(gap: Gap) -> Statement:
     """The one sentence of a gap that is nowhere above the noise."""
-    ratio = gap.in_floors
-    size = f"{ratio.max():.3g} of" if ratio.size == 1 else f"{ratio.min():.3g} to {ratio.max():.3g} of"
-    text = f"Measurement and simulation agree within the noise: the gap is {size} the floor (mean square)."
+    low, high = (times_floor_text(float(end)) for end in (gap.in_floors.min(), gap.in_floors.max()))
+    size = high if low == high else f"{low} to {high}"
+    text = f"Measurement and simulation agree within the noise: the gap is {size} times the noise floor."
     return Statement(subject="size", text=text)
 
 
@@ -68,7 +74,10 @@ def disagreement(
     if line is not None:
         yield _line(gap, output, line)
     trend = gap.output_trends[output] if alone else gap.trend
-    yield _level(gap, trend, coherent=float(coherent[output]), line=line, constant_share=constant_share)
+    if gap.n_levels > 1:  # what one level cannot tell is the advice's to say
+        kept: Offset = "one" if _one_offset(_means(gap, output)) else "several"
+        offset = kept if constant_share >= MOSTLY else "none"
+        yield _level(gap, trend, coherent=float(coherent[output]), line=line, offset=offset)
     yield from _time(gap)
 
 
@@ -80,11 +89,9 @@ def _size(gap: Gap, above: BoolArray) -> Statement:
         where += f" of {gap.measured[record].name or f'record {record + 1}'}"
     seen = gap.relative[above & np.isfinite(gap.relative)]
     reach = f"is {part(float(seen.max()))}" if seen.size == 1 else _reach(seen)
-    floors = times(float(gap.in_floors[above].max()))
-    text = (
-        f"The gap {reach} of the size of the outputs (rms) and up to {floors} the noise floor (mean square), largest "
-        f"in {where}"
-    )
+    floors = times_floor_text(float(gap.in_floors[above].max()))
+    most = "" if seen.size == 1 else "up to "
+    text = f"The gap {reach} of the size of the outputs and {most}{floors} times the noise floor, largest in {where}"
     quiet = int((~above).sum())
     if quiet:
         text += f"; in {quiet} of {above.size} outputs and records it is within the noise"
@@ -92,15 +99,34 @@ def _size(gap: Gap, above: BoolArray) -> Statement:
 
 
 def _reach(values: FloatArray) -> str:
-    return f"is {part(float(values.min()))} to {part(float(values.max()))}"
+    low, high = part(float(values.min())), part(float(values.max()))
+    return f"is {low}" if low == high else f"is {low.removesuffix(' %')} to {high}"
 
 
 def _constant(gap: Gap, output: int, share: float) -> Statement:
     unit = gap.measured[0].output_units[output]
-    means = [float(np.nanmean(residual[:, output])) for residual in gap.residuals]
-    size = quantity(means[0], unit) if len(means) == 1 else f"{quantity(min(means))} to {quantity(max(means), unit)}"
-    text = f"{part(share)} of the gap in {gap.output_names[output]} is constant, measured minus simulated {size}."
+    means = _means(gap, output)
+    kept = "constant" if _one_offset(means) else "constant within a record but not the same in all"
+    text = (
+        f"{part(share)} of the gap in {gap.output_names[output]} is {kept}, measured minus simulated "
+        f"{_range(min(means), max(means), unit)}."
+    )
     return Statement(subject="constant", text=text)
+
+
+def _means(gap: Gap, output: int) -> list[float]:
+    return [float(np.nanmean(residual[:, output])) for residual in gap.residuals]
+
+
+def _one_offset(means: Sequence[float]) -> bool:
+    """Whether all records are off by about the same: an offset is, a law that a straight line stands in for is not."""
+    return max(means) - min(means) <= SAME_OFFSET * max(abs(mean) for mean in means)
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    """Both ends, or one number where they read the same."""
+    ends = quantity(low), quantity(high)
+    return quantity(high, unit) if ends[0] == ends[1] else f"{ends[0]} to {quantity(high, unit)}"
 
 
 def _band(gap: Gap, outputs: Sequence[int], share: float) -> Statement:
@@ -127,7 +153,7 @@ def _span(low: float, high: float) -> str:
 def _line(gap: Gap, output: int, line: SingleLine) -> Statement:
     unit = gap.measured[0].output_units[output]
     low, high = float(line.amplitudes.min()), float(line.amplitudes.max())
-    size = quantity(high, unit) if len(gap.measured) == 1 else f"{quantity(low)} to {quantity(high, unit)}"
+    size = _range(low, high, unit)
     text = (
         f"{part(line.share)} of the gap in {gap.output_names[output]} is one line at {line.frequency:.4g} Hz, of "
         f"amplitude {size}, where the simulated output has {part(line.simulated_share)} of its power."
@@ -135,18 +161,11 @@ def _line(gap: Gap, output: int, line: SingleLine) -> Statement:
     return Statement(subject="line", text=text)
 
 
-def _level(
-    gap: Gap, trend: LevelTrend, *, coherent: float, line: SingleLine | None, constant_share: float
-) -> Statement:
-    if gap.n_levels < 2:
-        text = (
-            f"All records are of one level of the {gap.level_source}, so nothing tells what depends on the amplitude "
-            "from what does not."
-        )
-    elif not np.isfinite(trend.slope):
+def _level(gap: Gap, trend: LevelTrend, *, coherent: float, line: SingleLine | None, offset: Offset) -> Statement:
+    if not np.isfinite(trend.slope):
         text = _silent_levels(gap, trend)
     elif trend.same_absolute_size:
-        cause = _same_size(coherent, line, constant_share)
+        cause = _same_size(coherent, line, offset)
         text = f"The gap has the same absolute size at every level ({_slope(trend)}): {cause}."
     elif trend.direction == "unknown":
         text = f"The records do not tell whether the relative gap changes with level ({_slope(trend)})."
@@ -161,17 +180,22 @@ def _slope(trend: LevelTrend) -> str:
     return f"slope {trend.slope:+.2f} ± {trend.slope_std:.2f}"
 
 
-def _same_size(coherent: float, line: SingleLine | None, constant_share: float) -> str:
+def _same_size(coherent: float, line: SingleLine | None, offset: Offset) -> str:
     """What a gap of one size is, by whether it is one line, constant, or moves with the structure."""
-    if constant_share >= MOSTLY:
+    if offset == "one":
         return "an offset of a sensor or a constant force"
+    if offset == "several":
+        return "another rest point in each record, or a curved law that a straight one stands in for"
     if line is not None:
         return "a periodic disturbance, not a property of the structure"
     if coherent <= INCOHERENT:
         return f"a disturbance, not a property of the structure ({part(max(0.0, coherent))} of it follows the model)"
     if coherent >= COHERENT:
-        return f"friction-like, a force of one size that follows the motion ({part(coherent)} of it does)"
-    return "friction or a disturbance"
+        return (
+            f"a force of one size that follows the motion ({part(coherent)} of it does), as of friction or of the play "
+            "in a joint"
+        )
+    return "friction, play or a disturbance"
 
 
 def _silent_levels(gap: Gap, trend: LevelTrend) -> str:
@@ -192,15 +216,22 @@ def _time(gap: Gap) -> Iterator[Statement]:
     if trend is None or trend.direction == "steady":
         return
     if trend.direction == "grows":
-        text = f"The gap grows in time: its mean square rises {times(trend.end_ratio)} from start to end of a record."
+        text = (
+            f"The gap grows in time: {times(_root(trend.end_ratio))} as large at the end of a record as at the start."
+        )
     elif trend.direction == "falls":
         text = (
-            f"The gap falls in time: its mean square at the end of a record is {part(trend.end_ratio)} of that at "
-            "the start, as from a wrong initial state or a transient."
+            f"The gap falls in time: at the end of a record it is {part(_root(trend.end_ratio))} of what it is at the "
+            "start, as from a wrong initial state or a transient."
         )
     else:
         text = (
-            f"The gap is smallest in the middle of the records and {times(trend.middle_ratio)} that (mean square) "
-            "at both ends: as a parameter that drifts in time leaves after it was fitted as a constant."
+            f"The gap is smallest in the middle of the records and {times(_root(trend.middle_ratio))} as large at both "
+            "ends, as a parameter that drifts in time leaves after it was fitted as a constant."
         )
     yield Statement(subject="time", text=text)
+
+
+def _root(ratio: float) -> float:
+    """Of root mean squares, from one of mean squares."""
+    return math.sqrt(max(ratio, 0.0))

@@ -27,7 +27,7 @@ from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["Given", "given_model", "placed_assembly", "returned_model"]
+__all__ = ["Given", "given_model", "placed_assembly", "returned_model", "with_channel_names"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -66,8 +66,9 @@ def given_model(
         InvalidDataError: If it is no such model, or it and the records do not match.
     """
     if isinstance(model, StructuralModel):
-        plant = structural_plant(model)
-        return Given(model=model, plant=plant, linear=plant.nominal, effects=model.effects)
+        called = with_channel_names(model, records[0])
+        plant = structural_plant(called)
+        return Given(model=called, plant=plant, linear=plant.nominal, effects=called.effects)
     if isinstance(model, PlantModel):
         plant = static_plant_of_records(model.plant, records)
         return Given(model=model, plant=plant, linear=model.linear, effects=model.effects)
@@ -90,6 +91,31 @@ def given_model(
         output_units=first.output_units,
     )
     return Given(model=made, plant=made.plant, linear=made.linear, effects=())
+
+
+def with_channel_names(model: StructuralModel, record: Record) -> StructuralModel:
+    """The model with the record's names of inputs and outputs, where it has none of its own.
+
+    Places are then called as the person who measured calls them ("tip" rather than "output_1"), as those of a state
+    space are. Names that an element bears already, or that belong to another number of channels, are left alone.
+
+    Args:
+        model: With its own names, or with "input_0", "output_0" and so on for those that were not given.
+        record: With names.
+    """
+    taken = {element.name for element in model.elements} | {f"dof_{i}" for i in range(model.n_dofs)}
+    new: dict[str, str] = {}
+    for kind in ("input", "output"):
+        ours, theirs = getattr(model, f"{kind}_names"), getattr(record, f"{kind}_names")
+        nameless = ours == tuple(f"{kind}_{i}" for i in range(len(ours)))
+        if nameless and len(ours) == len(theirs) and not taken.intersection(theirs):
+            new |= dict(zip(ours, theirs, strict=True))
+    inputs = tuple(new.get(name, name) for name in model.input_names)
+    outputs = tuple(new.get(name, name) for name in model.output_names)
+    if all(one == other for one, other in new.items()) or len({*inputs, *outputs}) < len(inputs + outputs):
+        return model
+    effects = tuple(replace(one, where=new.get(one.where, one.where)) for one in model.effects)
+    return replace(model, effects=effects, input_names=inputs, output_names=outputs)
 
 
 def _kinds(record: Record) -> tuple[SensorKind, ...]:

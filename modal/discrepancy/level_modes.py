@@ -29,7 +29,7 @@ from okid.errors import IdentificationError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["LevelMode", "LevelModes", "Tendency", "level_modes", "tendency"]
+__all__ = ["LevelMode", "LevelModes", "Tendency", "level_modes", "measured_modes", "tendency"]
 
 Tendency = Literal["rises", "falls", "stays", "mixed", "unknown"]
 """With rising level; "mixed" where it rises and falls, "unknown" where the deviations are too large to tell."""
@@ -42,6 +42,10 @@ DAMPING_THAT_COUNTS = 0.05
 """The same of a damping ratio."""
 STAYS_WITHIN = 5.0
 """Times the change that counts, up to which a mode is said to stay."""
+HEAVY = 0.5
+"""Damping ratio above which a mode beside lighter ones belongs to the model's order rather than to the structure."""
+FASTEST_SEEN = 0.95
+"""Of the Nyquist frequency, above which no mode was measured, wherever its pole is."""
 KNOWN_TO = 0.05
 """Relative standard deviation of a frequency above which a mode counts as not found at a level."""
 
@@ -51,7 +55,7 @@ class LevelMode:
     """One mode at every level, nan where it was not found.
 
     Attributes:
-        number: by rising frequency, from 1.
+        number: by rising frequency, from 1; oscillatory modes and first-order poles are counted apart.
         kind: "oscillatory", or "real" for a first-order pole.
         frequencies: (n_levels,) |pole| / 2 pi [Hz].
         frequency_stds: (n_levels,) their standard deviations [Hz].
@@ -141,7 +145,7 @@ def level_modes(records: Record | Sequence[Record]) -> LevelModes:
     reference = fits[best]
     if reference is None:
         return nothing("the model of the most linear level could not be refined")
-    modes = _paired(best, fits, reference)
+    modes = _paired(best, fits, reference, dt=several[0].dt)
     reason = "" if modes else "no mode was found again at a second level"
     return LevelModes(levels=levels, modes=modes, left_over=left, order=reference.model.order, reason=reason)
 
@@ -190,7 +194,7 @@ def _prepared(records: Sequence[Record]) -> tuple[Record, ...]:
     return tuple(part.detrended() for record in records for part in split_at_input_gaps(record))
 
 
-def _paired(best: int, fits: Sequence[LevelFit | None], reference: LevelFit) -> tuple[LevelMode, ...]:
+def _paired(best: int, fits: Sequence[LevelFit | None], reference: LevelFit, *, dt: float) -> tuple[LevelMode, ...]:
     """The modes of the reference level, each with its continuation at the others."""
     index = _continuations(best, fits, reference)
     table = np.full((5, len(fits), len(reference.modes)), np.nan)
@@ -207,8 +211,31 @@ def _paired(best: int, fits: Sequence[LevelFit | None], reference: LevelFit) -> 
                 fit.damping_ratio_stds[own],
                 alike,
             )
-    kept = [k for k in range(len(reference.modes)) if np.isfinite(table[0, :, k]).sum() > 1]
-    return tuple(_level_mode(number, reference.modes[k], table[:, :, k]) for number, k in enumerate(kept, start=1))
+    kept = [k for k in measured_modes(reference.modes, dt) if np.isfinite(table[0, :, k]).sum() > 1]
+    kinds = [reference.modes[k].kind for k in kept]
+    numbers = [kinds[: i + 1].count(kind) for i, kind in enumerate(kinds)]
+    return tuple(
+        _level_mode(number, reference.modes[k], table[:, :, k]) for number, k in zip(numbers, kept, strict=True)
+    )
+
+
+def measured_modes(modes: Sequence[Mode], dt: float) -> list[int]:
+    """Which modes may be the structure's: no faster than the sampling, not heavily damped beside lighter ones.
+
+    Args:
+        modes: of one model.
+        dt: time step [s].
+
+    Returns:
+        Their indices.
+    """
+    light = any(mode.kind == "oscillatory" and mode.damping_ratio <= HEAVY for mode in modes)
+    return [
+        k
+        for k, mode in enumerate(modes)
+        if mode.frequency <= FASTEST_SEEN * 0.5 / dt
+        and not (light and mode.kind == "oscillatory" and mode.damping_ratio > HEAVY)
+    ]
 
 
 def _continuations(best: int, fits: Sequence[LevelFit | None], reference: LevelFit) -> IndexArray:

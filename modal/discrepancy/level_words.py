@@ -8,7 +8,7 @@ within one level already, the damping ratio of a linear model of that level says
 import numpy as np
 
 from modal.discrepancy.level_modes import LevelMode, LevelModes
-from modal.discrepancy.statements import Statement, percent
+from modal.discrepancy.statements import Statement, number, percent
 
 __all__ = ["mode_statements"]
 
@@ -45,22 +45,19 @@ def _of_mode(mode: LevelMode) -> list[str]:
         return _of_real(mode, first, last, span)
     change = float(mode.frequencies[last] / mode.frequencies[first] - 1.0)
     damping = float(mode.damping_ratios[last] - mode.damping_ratios[first])
+    name = f"mode {mode.number} ({number(float(mode.frequencies[first]))} Hz)"
     texts = []
     if mode.frequency_tendency in ("rises", "falls") and abs(change) >= MINOR * abs(damping):
         law = (
-            "a spring that hardens" if mode.frequency_tendency == "rises" else "a spring that softens, yields or slips"
+            "a spring that hardens, or play that closes"
+            if mode.frequency_tendency == "rises"
+            else "a spring that softens, yields or slips"
         )
-        texts.append(
-            f"Frequency of mode {mode.number} ({mode.frequencies[first]:.4g} Hz) {mode.frequency_tendency} by "
-            f"{percent(abs(change))} {span}: {law}."
-        )
+        texts.append(f"Frequency of {name} {mode.frequency_tendency} by {percent(abs(change))} {span}: {law}.")
     if mode.damping_tendency in ("rises", "falls") and abs(damping) >= MINOR * abs(change):
         law = "drag-like, or a loop that grows" if mode.damping_tendency == "rises" else "friction-like"
         ends = [percent(float(mode.damping_ratios[i])) for i in (first, last)]
-        texts.append(
-            f"Damping of mode {mode.number} ({mode.frequencies[first]:.4g} Hz) {mode.damping_tendency} from {ends[0]} "
-            f"to {ends[1]} {span}: {law}."
-        )
+        texts.append(f"Damping of {name} {mode.damping_tendency} from {ends[0]} to {ends[1]} {span}: {law}.")
     return texts
 
 
@@ -69,4 +66,6 @@ def _of_real(mode: LevelMode, first: int, last: int, span: str) -> list[str]:
         return []
     times = 1.0 / (2.0 * np.pi * mode.frequencies[[first, last]])
     moves, law = ("falls", "drag-like") if mode.frequency_tendency == "rises" else ("rises", "friction-like")
-    return [f"Time constant of pole {mode.number} {moves} from {times[0]:.3g} to {times[1]:.3g} s {span}: {law}."]
+    return [
+        f"Time constant of pole {mode.number} {moves} from {number(times[0])} to {number(times[1])} s {span}: {law}."
+    ]

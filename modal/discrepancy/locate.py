@@ -34,6 +34,7 @@ class Location:
         output: index of the output that holds most of the gap relative to its size.
         output_shares: (n_outputs,) share of each output, zeros where there is no gap.
         coherent: (n_outputs,) share of the gap that is coherent with the simulated output.
+        modes: frequency and damping of each mode at each level, None where they were not asked for.
     """
 
     statements: tuple[Statement, ...]
@@ -41,6 +42,7 @@ class Location:
     output: int
     output_shares: FloatArray
     coherent: FloatArray
+    modes: LevelModes | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -64,7 +66,7 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         >>> hum = 0.1 * np.sin(2 * np.pi * 12.0 * np.arange(2000) * 0.01)
         >>> simulated = Record(force, force, 0.01)
         >>> print(*locate(measure_gap(Record(force, force + noise, 0.01), simulated, 1e-4)).sentences)
-        Measurement and simulation agree within the noise: the gap is 0.999 of the floor (mean square).
+        Measurement and simulation agree within the noise: the gap is 0.999 times the noise floor.
         >>> found = locate(measure_gap(Record(force, force + hum + noise, 0.01), simulated, 1e-4))
         >>> print(found.sentences[1])
         99.9 % of the gap is between 11.97 and 12.03 Hz, as is under 1 % of the simulated motion.
@@ -79,9 +81,16 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         statements = [agreement(gap)]
     else:
         statements = list(disagreement(gap, above=above, output=output, shares=shares, coherent=coherent))
-        statements += [] if lines is None else line_statements(lines)
+        statements += [] if lines is None or not lines.measured else line_statements(lines)
         statements += [] if modes is None or modes.levels.size < 2 else mode_statements(modes)
-    return Location(statements=tuple(statements), agrees=agrees, output=output, output_shares=shares, coherent=coherent)
+    return Location(
+        statements=tuple(statements),
+        agrees=agrees,
+        output=output,
+        output_shares=shares,
+        coherent=coherent,
+        modes=modes,
+    )
 
 
 def _output_shares(gap: Gap, above: BoolArray) -> FloatArray:

@@ -31,7 +31,15 @@ SMALLEST_GAIN = 30.0
 """A step counts when the held-out mean square falls by a tenth and 2 ln L gains more than 30: over 32 cases without an
 effect none fell by a tenth, while 69 % gained more than 30."""
 
-SHARPER = (SHARP / 5.0, SHARP / 20.0)
+SHARPER = tuple(SHARP / share for share in (1.0, 2.5, 5.0, 10.0, 20.0))
+"""Small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits with a
+second effect found none, and those that did took longer."""
+ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
+"""Without an effect that it needs, a model is fitted only as far as its cost, after every four iterations, stays within
+these factors of the whole model's; an iteration that gains less than the first share ends the four."""
+NEARLY, BLUR = 2.0, 0.1
+"""What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
+smoothing."""
 DOUBTFUL = (1.1, 100.0)
 """A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
 FINE_STEPS = 4
@@ -112,13 +120,36 @@ def node_of(fitted: Estimate, task: Task) -> Node:
 
 
 def polished(node: Node, task: Task) -> Node:
-    """The node on a finer grid and sharper where a law of it jumps; as it is otherwise."""
+    """The node on a finer grid and sharper where a law of it jumps and that may matter; as it is otherwise."""
     if node.fitted is not node.coarse or not any(jumps(item.effect) for item in node.coarse.assembly.placements):
         return node
-    finer = _finer(node.coarse, task)
-    if finer is None:
+    if not _blurred(node.coarse, task.fit):
         return node
-    return Node(fitted=finer, held_out=_judged(finer, task.fine_held_out), coarse=node.coarse)
+    finer = _finer(node.coarse, node.coarse.unknowns, task.fit, task.fine_fit)
+    if finer is None or finer.cost > node.coarse.cost:
+        return node
+    held_out = None
+    if node.held_out is not None:
+        unknowns = replace(finer.unknowns, local=node.held_out.unknowns.local)
+        held_out = _finer(node.held_out, unknowns, task.held_out, task.fine_held_out)
+    if held_out is None:
+        held_out = _judged(finer, task.fine_held_out)
+    return Node(fitted=finer, held_out=held_out, coarse=node.coarse)
+
+
+def _blurred(coarse: Estimate, problem: Problem) -> bool:
+    """Whether what is left may come from smoothing: twice the smoothing leaves a good deal more."""
+    if coarse.level <= NEARLY:
+        return True
+    twice = simulate_at(
+        coarse.assembly,
+        coarse.unknowns,
+        problem,
+        states=coarse.trajectory.states,
+        smoothing=2.0 * coarse.smoothing,
+        start="near",
+    )
+    return twice is None or abs(twice.level - coarse.level) > BLUR * (coarse.level - 1.0)
 
 
 def _judged(fitted: Estimate, held_out: Problem) -> Estimate | None:
@@ -131,11 +162,18 @@ def _judged(fitted: Estimate, held_out: Problem) -> Estimate | None:
     unknowns = Unknowns(common=fitted.unknowns.common, local=local)
     start = simulate_at(assembly, unknowns, held_out, smoothing=fitted.smoothing)
     found = None if start is None else estimate(start, held_out, iterations=8)
-    if found is not None and DOUBTFUL[0] * max(fitted.level, 1.0) < found.level < DOUBTFUL[1] * max(fitted.level, 1.0):
+    if found is not None and _doubtful(found, fitted):
         again = _by_observer(found, held_out)
         if again is not None and again.cost < found.cost:
             return again
     return found
+
+
+def _doubtful(held_out: Estimate, fitted: Estimate) -> bool:
+    """Whether the held-out records' initial states may be in another basin: surely where the fit is at the floor."""
+    level = max(fitted.level, 1.0)
+    most = np.inf if level <= NEARLY else DOUBTFUL[1] * level
+    return DOUBTFUL[0] * level < held_out.level < most
 
 
 def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
@@ -177,22 +215,21 @@ def on_other_floor(node: Node, fit_ratio: FloatArray, held_out_ratio: FloatArray
     )
 
 
-def _finer(coarse: Estimate, task: Task) -> Estimate | None:
-    """The fit on the finer grid, sharper and sharper, from the coarse trajectory on."""
-    fine, before = task.fine_fit.drive, task.fit.drive
+def _finer(coarse: Estimate, unknowns: Unknowns, before: Problem, fine: Problem) -> Estimate | None:
+    """The fit on the finer grid, sharper and sharper, from the coarse trajectory on; None where a step finds none."""
+    drive = fine.drive
     states = np.concatenate(
         [
-            _between(coarse.trajectory.states[before.times_of(r)], fine.firsts[r + 1] - fine.firsts[r])
-            for r in range(fine.n_records)
+            _between(coarse.trajectory.states[before.drive.times_of(r)], drive.firsts[r + 1] - drive.firsts[r])
+            for r in range(drive.n_records)
         ]
     )
     found: Estimate | None = None
-    unknowns = coarse.unknowns
     for smoothing in SHARPER:
-        start = simulate_at(coarse.assembly, unknowns, task.fine_fit, states=states, smoothing=smoothing)
+        start = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=smoothing)
         if start is None:
-            return found
-        found = estimate(start, task.fine_fit, iterations=4)
+            return None
+        found = estimate(start, fine, iterations=4 if smoothing == SHARPER[-1] else 1)
         unknowns, states = found.unknowns, found.trajectory.states
     return found
 
@@ -227,7 +264,12 @@ def without(node: Node, placement: int, task: Task) -> Node:
     start = simulate_at(smaller, Unknowns(common=common, local=local), task.fit, smoothing=SHARP)
     if start is None:
         return Node(fitted=fitted, held_out=None, coarse=fitted)
-    return polished(node_of(estimate(start, task.fit, iterations=12), task), task)
+    rough = start
+    for far in CLEARLY:
+        rough = estimate(rough, task.fit, iterations=4, standstill=ROUGH)
+        if rough.cost > far * node.coarse.cost:
+            return node_of(rough, task)
+    return polished(node_of(estimate(rough, task.fit, iterations=12), task), task)
 
 
 def sureness(node: Node, task: Task) -> list[float]:

@@ -10,10 +10,12 @@ from era.simulation import simulate
 from modal.discrepancy.corrected_callable import CorrectedCallable
 from modal.discrepancy.decision import NEAR_FLOOR, Decision
 from modal.discrepancy.diagnosis import Diagnosis, Step
+from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.locate import Location
 from modal.discrepancy.noise_floor import NoiseFloor
 from modal.discrepancy.proof import Proof, Runs, unproved
 from modal.discrepancy.residual_model import residual_model, with_start
+from modal.discrepancy.statements import times_floor_text
 from okid.arrays import FloatArray
 
 __all__ = ["proved", "without_search"]
@@ -51,8 +53,9 @@ def proved(
     if status != "unresolved" and not enough:
         status = "unresolved"
         said = (
-            f"the callable itself, with what was found, leaves {proof.held_out_level:.2f} times the noise floor on "
-            f"held-out data (limit {NEAR_FLOOR:g}), while its linear part left {decision.node.held_out_level:.2f}"
+            f"the callable itself, with what was found, leaves {times_floor_text(proof.held_out_level)} times the "
+            f"noise floor on held-out data (limit {times_floor_text(NEAR_FLOOR)}), while its linear part left "
+            f"{times_floor_text(decision.node.held_out_level)}"
         )
         warnings = (*warnings, said)
     elif status == "unresolved" and enough and _only_rough(decision):
@@ -140,7 +143,7 @@ def _with_residual(
     advice = (f"Look for dynamics that the callable leaves out: {linear.words}.", *found.advice)
     if after.fit_level >= proof.fit_level:
         return replace(found, advice=advice)
-    instead = f", in place of {' and '.join(one.effect for one in found.findings)}" if found.findings else ""
+    instead = f", in place of {effects_at([(x.effect, x.where) for x in found.findings])}" if found.findings else ""
     return replace(
         found,
         model=model,

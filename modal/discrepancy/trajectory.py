@@ -37,13 +37,16 @@ MEMORY_RISE = 30.0
 SMALLEST_SHARE = 0.1
 """Smallest share of a Newton step that is tried."""
 
-FIRST_WINDOW, SMALLEST_WINDOW, LARGEST_WINDOW = 64, 4, 256
+FIRST_WINDOW, SMALLEST_WINDOW, LARGEST_WINDOW = 64, 1, 256
 """Steps of a window in the march."""
+
+STUBBORN_WINDOW, STUBBORN_ITERATIONS = 4, 60
+"""A window this short is iterated longer: a single step onto a law that sticks needs many short Newton steps."""
 
 GROW_AFTER = 3
 """Windows in a row that must converge after one that did not, before windows grow again: each failure is wasted."""
 
-BUDGET: dict[str, float] = {"far": 400.0, "near": 10.0}
+BUDGET: dict[str, float] = {"far": 300.0, "near": 10.0}
 """Evaluations of the whole trajectory that a march may cost."""
 OVERHEAD = 200
 """What an evaluation of a window costs besides its times, in times."""
@@ -180,8 +183,9 @@ def _march(
             return linearise(assembly, some, window, scheme, trial, smoothing=wide, gain=gain, initial=initial)  # noqa: B023 - used within this turn of the loop
 
         held = np.repeat(initial, np.diff(window.firsts), axis=0)
-        solved = _newton(about, found[index], smoothing, NEAR_ITERATIONS, rise) or _newton(
-            about, held, smoothing, NEAR_ITERATIONS, rise
+        iterations = NEAR_ITERATIONS if width > STUBBORN_WINDOW else STUBBORN_ITERATIONS
+        solved = _newton(about, found[index], smoothing, iterations, rise) or _newton(
+            about, held, smoothing, iterations, rise
         )
         if solved is None:
             width, solved_in_a_row = width // 2, 0

@@ -7,13 +7,16 @@ import numpy as np
 
 from modal.discrepancy.advice import advise, circumstances_of
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.cautions import with_cautions
 from modal.discrepancy.checks import check_records
 from modal.discrepancy.decision import Decision, decide_nodes, doubted_units
 from modal.discrepancy.diagnosis import Diagnosis, Step
+from modal.discrepancy.effect_names import effect_name
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import covariance
 from modal.discrepancy.findings import findings_of, hypothesis_of
 from modal.discrepancy.given import given_model, returned_model
+from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
@@ -72,7 +75,7 @@ def diagnose(
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
     with one_blas_thread():
-        return _diagnosed(
+        found = _diagnosed(
             model,
             fit,
             held_out,
@@ -80,6 +83,7 @@ def diagnose(
             sensor_kind=sensor_kind,
             report=_silent if progress is None else progress,
         )
+        return with_cautions(found)
 
 
 def _diagnosed(
@@ -141,7 +145,8 @@ def diagnosis_of(
     root, best, task = nodes[0], decision.node, setup.task
     problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
     spread = covariance(best.fitted, problem)
-    deviations = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
+    chance = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
+    deviations = np.hypot(chance, grid_error(best))
     calibrated = calibrated_parameters(best.fitted, deviations)
     hits = tuple(item.name for item in calibrated if item.at_bound)
     ranked = sorted(nodes, key=lambda node: node.held_out_level)
@@ -176,8 +181,8 @@ def _gain_words(decision: Decision, circumstances: frozenset[Any]) -> tuple[str,
     if not gains or "one_dof" not in circumstances:
         return ()
     words = (
-        f"{gains[0]} cannot be told from a wrong mass or inertia: forces and stiffnesses found beside it are right "
-        "only up to that factor; check the mass"
+        f"{effect_name(gains[0])} cannot be told from a wrong mass or inertia: forces and stiffnesses found beside it "
+        "are right only up to that factor; check the mass"
     )
     return (words,)
 

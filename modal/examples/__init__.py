@@ -1,1 +1,1 @@
-"""Runnable examples: the struck mass, the tower of `modal-report demo`, and two stories of a missing effect."""
+"""Runnable examples: the tower of `modal-report demo`, and the five stories of the gallery (modal/docs/gallery.md)."""

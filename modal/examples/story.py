@@ -4,9 +4,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.statements import times_floor_text
+from modal.report.discrepancy_values import step_text
 from modal.report.writing import write_report
 from okid.errors import IdentificationError, InvalidDataError
 
@@ -46,8 +46,10 @@ def parameter(diagnosis: Diagnosis, effect: str, name: str) -> tuple[float, floa
 
 def shrinking(diagnosis: Diagnosis) -> str:
     """How the held-out gap shrinks from step to step, a line each, in times the noise floor."""
-    width = max(len(step.name) for step in diagnosis.steps)
-    lines = (f"  {step.name:<{width}}  {np.sqrt(step.held_out_level):8.2f}" for step in diagnosis.steps)
+    names = [step_text(step.name) for step in diagnosis.steps]
+    sizes = [times_floor_text(step.held_out_level) for step in diagnosis.steps]
+    width = max(map(len, names))
+    lines = (f"  {name:<{width}}  {size:>8}" for name, size in zip(names, sizes, strict=True))
     return "\n".join(["gap on held-out data, times the noise floor:", *lines])
 
 

@@ -6,7 +6,7 @@ matplotlib lives behind this package alone, by its object interface; `pyplot` an
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
 from modal.plots.responses import frequency_responses, markov_parameters, output_spectra
-from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
+from modal.plots.shapes import assurance_matrix, geometry_picture, mode_shapes, shape_complexity
 from modal.plots.style import DARK, LIGHT, Theme, house_style
 from modal.plots.vector import svg_text
 
@@ -16,6 +16,7 @@ __all__ = [
     "Theme",
     "assurance_matrix",
     "frequency_responses",
+    "geometry_picture",
     "house_style",
     "markov_parameters",
     "measured_against_simulated",

@@ -14,7 +14,7 @@ from modal.names import plot_label
 from modal.plots.style import LIGHT, Theme, envelope, head, key, new_figure, new_panels, style_axes
 from modal.report.discrepancy_spectra import gap_density
 from modal.report.discrepancy_stages import Row, Stage
-from modal.report.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor
+from modal.report.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor, times_text
 from okid.record import Record
 
 __all__ = ["before_and_after", "gap_histories", "gap_spectra", "hypothesis_bars", "shrinking_gap"]
@@ -139,7 +139,7 @@ def hypothesis_bars(
         colour = theme.system if one is chosen else theme.noise
         width = (size if np.isfinite(size) else 1.6 * highest) - start
         axis.barh(place, width, left=start, height=0.62, color=colour, lw=0)
-        text = f"{size:.3g}" if np.isfinite(size) else "did not run through"
+        text = times_text(float(size)) if np.isfinite(size) else "did not run through"
         axis.text(start + width, place, f" {text}", va="center", fontsize=8.5, color=theme.ink)
     _plain_log(axis.xaxis)
     axis.set_xlim(start, highest * 2.2)
@@ -166,7 +166,7 @@ def shrinking_gap(steps: Sequence[Step], *, theme: Theme = LIGHT) -> Figure:
         size = times_floor(step.held_out_level)
         if np.isfinite(size):
             axis.annotate(
-                f"{size:.3g}",
+                times_text(float(size)),
                 (number, size),
                 textcoords="offset points",
                 xytext=(7, 6),

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modal.identification import OrderEvidence
+from modal.identification import OrderEvidence, StabilisationPoint
 from modal.mode import ModalModel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import LIGHT, Theme, key, new_figure
@@ -14,7 +15,13 @@ from modal.report.words import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["order_fits", "singular_values", "stabilisation_diagram"]
+__all__ = ["colour_measure", "order_fits", "pole_classes", "singular_values", "stabilisation_diagram"]
+
+MOST_POLES = 4000
+"""Poles of all orders that a stabilisation diagram draws; with more of them, only every second, third, ... order."""
+
+MOST_LEVELS = 4
+"""Lines of labels above the diagram; where modes stand closer than that, some have no label."""
 
 OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
 """Overlap with the pole that it continues: (from, below, word)."""
@@ -83,16 +90,15 @@ def stabilisation_diagram(
 
     Args:
         evidence: holds the poles of all orders; where their repeatability is not known, the colour is the overlap with
-            the pole of the next lower order.
+            the pole of the next lower order. Of very many poles every second, third, ... order is drawn.
         modes: of the chosen order; the system modes are marked above.
         measured: records whose mean output spectrum is drawn behind.
         theme: colours.
     """
     figure, axes = new_figure(1, 1, size=(10.4, 4.6), theme=theme)
     axis = axes[0][0]
-    points = [point for point in evidence.stabilisation if np.isfinite(point.frequency)]
     nyquist = 0.5 / modes.dt
-    highest = max([evidence.order, *(point.order for point in points)])
+    highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
     if measured:
         frequency, power = _mean_spectrum(measured)
         level = 10.0 * np.log10(np.maximum(power, power.max() * 1e-8))
@@ -100,24 +106,18 @@ def stabilisation_diagram(
         axis.fill_between(frequency, 0, height * highest * 0.96, color=theme.measured, alpha=0.10, lw=0)
         axis.plot(frequency, height * highest * 0.96, color=theme.measured, lw=0.8, alpha=0.45)
     colours = (theme.noise, theme.doubtful, theme.measured, theme.system)
-    measure, classes, title = colour_measure(evidence)
-    for (low, high, word), colour in zip(classes, colours, strict=True):
-        chosen = [point for point in points if low <= np.nan_to_num(getattr(point, measure)) < high]
+    for number, ((word, points), colour) in enumerate(zip(pole_classes(evidence), colours, strict=True)):
         axis.plot(
-            [point.frequency for point in chosen],
-            [point.order for point in chosen],
+            [point.frequency for point in points],
+            [point.order for point in points],
             "o",
-            ms=2.4 if low == 0.0 else 4.2,
+            ms=4.2 if number else 2.4,
             mew=0,
             color=colour,
             label=word,
         )
     axis.axhline(evidence.order, color=theme.model, lw=1.0)
-    for mode, level in zip(modes.system, _levels(modes.frequencies, 0.05 * nyquist), strict=True):
-        axis.axvline(mode.frequency, color=theme.system, lw=0.8, alpha=0.55)
-        height = highest * (1.055 + 0.05 * level)
-        label = hertz(mode.frequency)
-        axis.text(mode.frequency, height, label, color=theme.system, fontsize=8, ha="center", va="bottom")
+    _mark_modes(axis, modes, 0.05 * nyquist, highest, theme)
     axis.set_xlim(0, nyquist)
     axis.set_ylim(0, highest * 1.05)
     axis.set_xlabel("frequency [Hz]")
@@ -128,11 +128,44 @@ def stabilisation_diagram(
         frameon=False,
         fontsize=8.5,
         labelcolor=theme.muted,
-        title=title,
+        title=colour_measure(evidence)[2],
         title_fontsize=8.5,
     )
     legend.get_title().set_color(theme.muted)
     return figure
+
+
+def _mark_modes(axis: Axes, modes: ModalModel, room: float, highest: int, theme: Theme) -> None:
+    """A line for each mode of the system, its frequency above where there is room."""
+    for mode, level in zip(modes.system, _levels(modes.frequencies, room), strict=True):
+        axis.axvline(mode.frequency, color=theme.system, lw=0.8, alpha=0.55)
+        if level < MOST_LEVELS:
+            height = highest * (1.055 + 0.05 * level)
+            label = hertz(mode.frequency)
+            axis.text(mode.frequency, height, label, color=theme.system, fontsize=8, ha="center", va="bottom")
+
+
+def pole_classes(evidence: OrderEvidence) -> tuple[tuple[str, tuple[StabilisationPoint, ...]], ...]:
+    """(word, poles) of each class of the stabilisation diagram, from new to found again, as they are drawn.
+
+    Of more than `MOST_POLES` poles only every second, third, ... order is kept, the highest always.
+    """
+    points = [point for point in evidence.stabilisation if np.isfinite(point.frequency)]
+    orders = sorted({point.order for point in points}, reverse=True)
+    step = -(-len(points) // MOST_POLES)
+    kept = set(orders[:: max(1, step)])
+    measure, classes, _ = colour_measure(evidence)
+    return tuple(
+        (
+            word,
+            tuple(
+                point
+                for point in points
+                if point.order in kept and low <= np.nan_to_num(getattr(point, measure)) < high
+            ),
+        )
+        for low, high, word in classes
+    )
 
 
 def colour_measure(

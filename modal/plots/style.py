@@ -138,7 +138,7 @@ def key(axis: Axes, *, theme: Theme, where: str, columns: int = 1) -> None:
     )
 
 
-def envelope(time: FloatArray, values: FloatArray, *, n_points: int = 1600) -> tuple[FloatArray, FloatArray]:
+def envelope(time: FloatArray, values: FloatArray, *, n_points: int = 1200) -> tuple[FloatArray, FloatArray]:
     """Least and greatest value of each of `n_points / 2` stretches: a long record drawn small, its peaks kept.
 
     Example:

@@ -1,14 +1,14 @@
 """Axes of drawn plots: a range of values, and ticks where a person would put them."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import FloatArray
 
-__all__ = ["Axis", "linear_axis", "log_axis"]
+__all__ = ["SHARE_AXIS", "Axis", "linear_axis", "log_axis"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -37,6 +37,10 @@ class Axis:
         if self.scale == "log10":
             given = np.log10(np.where(given > 0, given, np.nan))
         return np.asarray((given - self.low) / (self.high - self.low))
+
+
+SHARE_AXIS: Final = Axis(title="coherence", low=0.0, high=1.04, ticks=(0.0, 0.5, 1.0), texts=("0", "0.5", "1"))
+"""Of a coherence, in a low frame."""
 
 
 def linear_axis(title: str, low: float, high: float, *, whole: bool = False) -> Axis:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.recording.blueprint import document_view, plot_view, series_view, show_whole_record
+from modal.recording.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
 from modal.recording.discrepancy_page import (
     GAP_TEXT,
     HYPOTHESES,
@@ -35,7 +36,12 @@ def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.b
     pages = [_discrepancy_page(diagnosis, plan)]
     if plan.step_gaps:
         pages.append(_steps_page(diagnosis, plan))
-    pages += [_law_page(diagnosis), _outputs_page(diagnosis, plan), _numbers_page(diagnosis, plan)]
+    pages += [
+        _law_page(diagnosis),
+        *_levels_page(diagnosis),
+        _outputs_page(diagnosis, plan),
+        _numbers_page(diagnosis, plan),
+    ]
     speed = max(plan.stop - plan.start, 1e-6) / (SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1))
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
@@ -96,6 +102,15 @@ def _law_page(diagnosis: Diagnosis) -> Any:
         return rrb.Vertical(words, name="Laws")
     grid = rrb.Grid(*views, grid_columns=1 if len(views) < 3 else 2, name="Laws over the data")
     return rrb.Horizontal(grid, words, column_shares=[1.9, 1.0], name="Laws")
+
+
+def _levels_page(diagnosis: Diagnosis) -> list[Any]:
+    """Modes against level, where they tell something; else no page."""
+    import rerun.blueprint as rrb
+
+    titles = {LEVEL_FREQUENCY: "Frequency of each mode against level", LEVEL_DAMPING: "Damping against level"}
+    views = [plot_view(pane, titles[pane]) for pane in level_panes(diagnosis)]
+    return [rrb.Horizontal(*views, name="Levels")] if views else []
 
 
 def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis, LawCurve
 from modal.recording.axis import Axis, linear_axis, log_axis
+from modal.recording.discrepancy_levels import log_level_modes
 from modal.recording.discrepancy_plan import DiscrepancyPlan
 from modal.recording.discrepancy_series import STAGE_COLOURS, log_histories, log_tables, stage_part
 from modal.recording.discrepancy_words import gap_text, law_text, verdict_text
@@ -60,6 +61,7 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
     _draw_hypotheses(diagnosis, recording)
+    log_level_modes(diagnosis, recording)
     for number, law in enumerate(diagnosis.laws):
         _log_law(recording, law, number)
     for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False):

@@ -12,9 +12,10 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.gap import Gap
-from modal.recording.levels import bucket_length, series_budget
+from modal.recording.levels import Stretch, row_budget
 from modal.recording.names import path_parts
-from modal.recording.plan import SHOWN_OUTPUTS, laid_out
+from modal.recording.plan import SHOWN_OUTPUTS
+from modal.recording.tracks import laid_out, stored_levels
 from modal.report.discrepancy_stages import Stage, gap_of, ran_through, stages_of, worst_outputs
 
 __all__ = ["DiscrepancyPlan", "planned_diagnosis"]
@@ -37,7 +38,7 @@ class DiscrepancyPlan:
         record: the held-out record with the largest gap, which plays step by step.
         starts: when each held-out record begins on the timeline [s].
         stops: when each ends [s].
-        buckets: samples a stored bucket of each record, 1 where every sample is stored.
+        levels: how finely each record is stored, stretch by stretch.
     """
 
     stages: tuple[Stage, ...]
@@ -50,7 +51,7 @@ class DiscrepancyPlan:
     record: int
     starts: tuple[float, ...]
     stops: tuple[float, ...]
-    buckets: tuple[int, ...]
+    levels: tuple[tuple[Stretch, ...], ...]
 
     @property
     def start(self) -> float:
@@ -78,8 +79,7 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     numbers = tuple(k for k, step in enumerate(diagnosis.steps) if ran_through(step))
     gaps = {stage.step: stage.gap for stage in stages}
     size = stages[0].gap.in_floors if stages else np.ones((len(records), records[0].n_outputs))
-    budget = series_budget(SERIES_PER_OUTPUT * records[0].n_outputs)
-    bucket = bucket_length(sum(record.n_samples for record in records), budget)
+    n_series = SERIES_PER_OUTPUT * records[0].n_outputs
     shown = worst_outputs(stages[0].gap, SHOWN_OUTPUTS) if stages else list(range(min(SHOWN_OUTPUTS, size.shape[1])))
     return DiscrepancyPlan(
         stages=stages,
@@ -92,5 +92,5 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
         record=int(np.argmax(np.nan_to_num(size).mean(axis=1))),
         starts=starts,
         stops=stops,
-        buckets=(bucket,) * len(records),
+        levels=stored_levels(records, row_budget(n_series, n_series)),
     )

@@ -108,6 +108,7 @@ def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[Table
         _table("hypotheses", "Hypotheses", "hypothesis", _hypotheses(diagnosis)),
         _table("gaps", "Gap by record and output", "gap", _gaps(diagnosis)),
         _table("parts", "Gap by part", "part", _parts(plan)),
+        _table("level_modes", "Modes against level", "mode_at_level", _level_modes(diagnosis)),
         _table("calibrated", "Linear parameters", "linear_parameter", _fields(diagnosis.calibrated, _CALIBRATED)),
         _table("detection_limits", "What could still hide", "limit", limits),
     )
@@ -195,6 +196,8 @@ def _hypotheses(diagnosis: Diagnosis) -> Columns:
         "effects": [effects_text(one.effects) for one in tried],
         "fit_level": [one.fit_level for one in tried],
         "held_out_level": [one.held_out_level for one in tried],
+        "fit_times_floor": [times_floor(one.fit_level) for one in tried],
+        "held_out_times_floor": [times_floor(one.held_out_level) for one in tried],
         "log_likelihood": [one.log_likelihood for one in tried],
     }
 
@@ -218,6 +221,22 @@ def _parts(plan: DiscrepancyPlan) -> Columns:
     for index, stage in enumerate(plan.stages):
         columns[f"times_floor_{stage_part(stage)[2:]}"] = [row.sizes[index] for row in rows]
     return columns
+
+
+def _level_modes(diagnosis: Diagnosis) -> Columns:
+    """Every mode at every level at which it was found, those that tell nothing as well."""
+    modes = getattr(diagnosis.location, "modes", None)
+    if modes is None:
+        return {}
+    cells = [(mode, i) for mode in modes.modes for i in np.flatnonzero(np.isfinite(mode.frequencies)).tolist()]
+    return {
+        "mode": [f"{'pole' if mode.kind == 'real' else 'mode'} {mode.number}" for mode, _ in cells],
+        "level": [float(modes.levels[i]) for _, i in cells],
+        "frequency": [float(mode.frequencies[i]) for mode, i in cells],
+        "frequency_std": [float(mode.frequency_stds[i]) for mode, i in cells],
+        "damping_ratio": [float(mode.damping_ratios[i]) for mode, i in cells],
+        "damping_ratio_std": [float(mode.damping_ratio_stds[i]) for mode, i in cells],
+    }
 
 
 def _fields(items: Iterable[object], names: tuple[str, ...]) -> Columns:

@@ -10,12 +10,12 @@ from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import rows_of
 from modal.report.discrepancy_values import (
     effect_text,
+    found_value,
     interval_text,
     size_text,
     step_text,
     times_floor,
     times_text,
-    value_text,
 )
 
 __all__ = ["gap_text", "law_text", "step_document", "verdict_text"]
@@ -43,10 +43,10 @@ def law_text(diagnosis: Diagnosis) -> str:
     parts = []
     for number, finding in enumerate(diagnosis.findings, start=1):
         name = f"{words.capital(effect_text(finding.effect))} at {finding.where}"
-        parts += [f"### {number}. {cell(name)}", f"Law: **{cell(finding.law)}**"]
+        parts += [f"### {number}. {cell(name)}", f"Law: **{cell(finding.law)}** (`{cell(finding.effect)}`)"]
         parts += bullets(
             [
-                words.as_sentence(finding.signature),
+                f"How it shows: {words.as_sentence(finding.signature)}",
                 words.as_sentence(finding.evidence.words),
                 words.runner_up_sentence(finding),
             ]
@@ -66,7 +66,7 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
             cell(name, 28),
             size_text(float(diagnosis.gap_before[i, j])),
             f"**{size_text(float(diagnosis.gap_after[i, j]))}**",
-            f"{floor[i, j]:.3g}",
+            size_text(float(floor[i, j])),
             cell(record.output_units[j], 12) if record.output_units[j] else UNKNOWN,
         ]
         for i, record in enumerate(diagnosis.held_out)
@@ -109,7 +109,7 @@ def _parameters(findings: tuple[Finding, ...]) -> str:
             cell(effect_text(finding.effect)),
             cell(finding.where, 28),
             cell(one.name),
-            f"**{value_text(one.value, one.std)}**",
+            f"**{found_value(one)}**",
             cell(one.unit, 16) if one.unit else UNKNOWN,
             interval_text(one.value, one.std),
         ]

@@ -1,4 +1,4 @@
-"""The page "Observer fit": what was measured, what the model makes of it, and what is left over."""
+"""The page "Observer fit": what the model makes of what was measured, and what is left over."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
@@ -8,10 +8,10 @@ import numpy as np
 from modal.identification import Identification
 from modal.recording.axis import linear_axis
 from modal.recording.figure import Figure, Pane, legend_share
-from modal.recording.names import label, with_unit
+from modal.recording.names import label
 from modal.recording.palette import BLUE, CYCLE, GREY, ORANGE, PALE, RED, Colour
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
-from modal.recording.series import log_sequence, log_series, time_axis
+from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import log_table
 from modal.recording.words import fit_text
 from okid.arrays import FloatArray
@@ -30,35 +30,17 @@ DRAWN_PAIRS: Final = 4
 
 
 def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
-    """Series of every channel, fit table, Markov parameters, whiteness, and where each record stands."""
+    """Predicted and simulated outputs with their residuals, fit table, Markov parameters, whiteness."""
     import rerun as rr
 
-    times = time_axis(identification.records, plan)
-    _log_inputs(identification, recording, plan, times)
-    for output, path in enumerate(plan.output_paths):
+    times = time_axis(identification.records, plan.data)
+    for output, path in enumerate(plan.fit_paths):
         _log_output(identification, recording, plan, times=times, output=output, path=path)
     document = rr.TextDocument(fit_text(identification, plan), media_type=rr.MediaType.MARKDOWN)
     recording.log(FIT_TEXT, document, static=True, strict=True)
-    _log_numbers(identification, recording, plan)
+    _log_numbers(identification, recording)
     _log_markov(identification, recording)
     _log_whiteness(identification, recording)
-
-
-def _log_inputs(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, times: FloatArray
-) -> None:
-    first = identification.records[0]
-    for i, path in enumerate(plan.input_paths):
-        log_series(
-            recording,
-            path,
-            times,
-            [record.inputs[:, i] for record in identification.records],
-            plan=plan,
-            name=with_unit(first.input_names[i], first.input_units[i]),
-            colour=CYCLE[i % len(CYCLE)],
-            interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
-        )
 
 
 def _log_output(
@@ -74,28 +56,25 @@ def _log_output(
     predicted = [record.outputs[:, output] for record in identification.predicted]
     simulated = [record.outputs[:, output] for record in identification.simulated]
     driven = identification.records[0].n_inputs > 0
-    # lines are painted in the order of their paths: measured, wide, below predicted below simulated
-    lines = [
-        ("measured", measured, "measured", BLUE, 3.0),
-        ("predicted", predicted, "one step ahead", *((PREDICTED, 1.0) if driven else (ORANGE, 1.3))),
-        ("residual/one_step", _less(measured, predicted), "less one step ahead", ONE_STEP, 1.0),
+    colour, width = (PREDICTED, 1.0) if driven else (ORANGE, 1.3)
+    models = [Line(channels=predicted, name="one step ahead", colour=colour, width=width)]
+    residuals = [
+        Line(channels=_less(measured, predicted), name="less one step ahead", colour=ONE_STEP, width=1.0),
     ]
     if driven:  # without inputs nothing runs freely: what is called simulated is one step
-        lines += [
-            ("simulated", simulated, "simulated", ORANGE, 1.3),
-            ("residual/free_run", _less(measured, simulated), "less simulated", RED, 1.0),
-        ]
-    for part, channels, name, colour, width in lines:
-        log_series(recording, f"{path}/{part}", times, channels, plan=plan, name=name, colour=colour, width=width)
+        models.append(Line(channels=simulated, name="simulated", colour=ORANGE, width=1.3))
+        left = _less(measured, simulated)
+        residuals.insert(0, Line(channels=left, name="less simulated", colour=RED, width=1.0))
+    log_lines(recording, f"{path}/model", times, models, plan=plan.data)
+    log_lines(recording, f"{path}/residual", times, residuals, plan=plan.data)
 
 
 def _less(first: list[FloatArray], second: list[FloatArray]) -> list[FloatArray]:
     return [a - b for a, b in zip(first, second, strict=True)]
 
 
-def _log_numbers(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
-    records, fit = identification.records, identification.fit
-    first = records[0]
+def _log_numbers(identification: Identification, recording: "rerun.RecordingStream") -> None:
+    fit, first = identification.fit, identification.records[0]
     outputs: dict[str, Iterable[object]] = {
         "name": first.output_names,
         "unit": first.output_units,
@@ -104,15 +83,6 @@ def _log_numbers(identification: Identification, recording: "rerun.RecordingStre
         "one_step": fit.one_step,
     }
     log_table(recording, "fit/outputs", "output", np.arange(1, first.n_outputs + 1), outputs)
-    places: dict[str, Iterable[object]] = {
-        "name": [record.name for record in records],
-        "n_samples": [record.n_samples for record in records],
-        "dt": [record.dt for record in records],
-        "start_time": [record.start_time for record in records],
-        "shown_from": plan.starts,
-        "samples_per_bucket": plan.buckets,
-    }
-    log_table(recording, "fit/records", "record", np.arange(1, len(records) + 1), places)
 
 
 def _log_markov(identification: Identification, recording: "rerun.RecordingStream") -> None:

@@ -7,8 +7,16 @@ import numpy as np
 from era.realisation import Realisation
 from modal.identification import Identification, OrderEvidence
 from modal.recording.axis import linear_axis, log_axis
+from modal.recording.evidence import Evidence
 from modal.recording.figure import Figure, Pane
-from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED, by_share
+from modal.recording.order_scrub import (
+    MODEL_ORDER,
+    is_repeatability_known,
+    log_order_texts,
+    log_poles,
+    mark_orders,
+)
+from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
 from modal.report.words import hertz
@@ -19,26 +27,45 @@ if TYPE_CHECKING:
 
 __all__ = ["ORDER_FIT", "SINGULAR_VALUES", "STABILISATION", "log_order_page"]
 
-SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 520.0, 430.0)
-ORDER_FIT: Final = Pane("order/fit/plot", 520.0, 370.0)
-STABILISATION: Final = Pane("order/stabilisation/plot", 940.0, 830.0)
+SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 480.0, 430.0)
+ORDER_FIT: Final = Pane("order/fit/plot", 480.0, 370.0)
+STABILISATION: Final = Pane("order/stabilisation/plot", 840.0, 830.0)
 RESPONSE_LINES: Final = 1024
 RESPONSE_DECADES: Final = 4.0
 TEXT_LEVELS: Final = (1.065, 1.11, 1.155)
 TEXT_WIDTH: Final = 52.0
-TIMELINE: Final = "model_order"
 
 
-def log_order_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
-    """Singular values, cross-validated fit against order, stabilisation diagram over the synthesised response."""
+def log_order_page(
+    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Evidence
+) -> None:
+    """Singular values, cross-validated fit against order, stabilisation diagram over the measured response."""
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
     _draw_singular_values(evidence, recording)
     _draw_fits(evidence, recording)
+    log_order_texts(evidence, recording, plan)
     frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, RESPONSE_LINES + 1)[1:]
     size = _response_size(identification, frequencies)
     _log_response(recording, frequencies, size)
-    _draw_stabilisation(identification, recording, plan, frequencies, size)
+    measured = _measured_size(identification, seen)
+    _draw_stabilisation(identification, recording, plan, modelled=(frequencies, size), measured=measured)
+
+
+def _measured_size(identification: Identification, seen: Evidence) -> tuple[FloatArray, FloatArray] | None:
+    """Frequencies, and the root mean square over all pairs of channels of what was measured, by their scales.
+
+    Of the responses; without inputs, of the square roots of the spectra.
+    """
+    markov, first = identification.markov, identification.records[0]
+    if seen.measured is not None:
+        scaled = np.abs(seen.measured.frf) * markov.input_scale / markov.output_scale[:, np.newaxis]
+        with np.errstate(over="ignore"):  # what is no number is left out of the plot
+            return seen.measured.frequencies[1:], np.sqrt(np.mean(scaled**2, axis=(1, 2)))[1:]
+    if first.n_inputs or not seen.density_frequencies.size:
+        return None
+    scaled = seen.quality.densities[: seen.density_frequencies.size, first.n_inputs :] / markov.output_scale**2
+    return seen.density_frequencies[1:], np.sqrt(np.mean(scaled, axis=1))[1:]
 
 
 def _response_size(identification: Identification, frequencies: FloatArray) -> FloatArray:
@@ -65,22 +92,18 @@ def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") ->
     values = evidence.singular_values
     index = np.arange(1, values.size + 1)
     kept = {"singular_value": values, "kept": index <= evidence.order}
-    log_table(recording, "order/singular_values", TIMELINE, index, kept)
+    log_table(recording, "order/singular_values", MODEL_ORDER, index, kept)
     order = np.argsort(evidence.candidate_orders, kind="stable")
     fits = {"cross_validated_fit": evidence.candidate_fits[order]}
-    log_table(recording, "order/fit", TIMELINE, evidence.candidate_orders[order], fits)
+    log_table(recording, "order/fit", MODEL_ORDER, evidence.candidate_orders[order], fits)
     orders = sorted({point.order for point in evidence.stabilisation})
     # a column of nan would say nothing, and two recordings with nan in a cell never compare equal
-    known = ("repeatability",) if _is_repeatability_known(evidence) else ()
+    known = ("repeatability",) if is_repeatability_known(evidence) else ()
     poles = {
         name: [[getattr(p, name) for p in evidence.stabilisation if p.order == order] for order in orders]
         for name in ("frequency", "damping_ratio", "overlap", "emac", *known)
     }
-    log_table(recording, "order/stabilisation", TIMELINE, orders, poles)
-
-
-def _is_repeatability_known(evidence: OrderEvidence) -> bool:
-    return any(np.isfinite(point.repeatability) for point in evidence.stabilisation)
+    log_table(recording, "order/stabilisation", MODEL_ORDER, orders, poles)
 
 
 def _log_response(recording: "rerun.RecordingStream", frequencies: FloatArray, size: FloatArray) -> None:
@@ -113,6 +136,8 @@ def _draw_singular_values(evidence: OrderEvidence, recording: "rerun.RecordingSt
     _order_line(figure, evidence.order + 0.5)
     entries = [("kept", GREEN), ("dropped", GREY), (f"order {evidence.order}", GOLD)]
     figure.legend(entries)
+    by_order = dict(enumerate(shown.tolist(), start=1))
+    mark_orders(figure, evidence, by_order)
 
 
 def _order_line(figure: Figure, at: float) -> None:
@@ -144,6 +169,7 @@ def _draw_fits(evidence: OrderEvidence, recording: "rerun.RecordingStream") -> N
     texts = [f"order {o:g}: {fit:.4f}" for o, fit in zip(orders, fits, strict=True)]
     colours = np.where((orders == evidence.order)[:, np.newaxis], GREEN, BLUE).astype(np.uint8)
     figure.points("fits", orders, shown, colours, radius=3.5, texts=texts)
+    mark_orders(figure, evidence, dict(zip(orders.tolist(), shown.tolist(), strict=True)))
     entries = [("chosen", GREEN), ("tried", BLUE)]
     if not there.all():
         figure.points("unstable", orders[~there], np.full((~there).sum(), low), RED, radius=3.5)
@@ -155,13 +181,14 @@ def _draw_stabilisation(
     identification: Identification,
     recording: "rerun.RecordingStream",
     plan: Plan,
-    frequencies: FloatArray,
-    size: FloatArray,
+    *,
+    modelled: tuple[FloatArray, FloatArray],
+    measured: tuple[FloatArray, FloatArray] | None,
 ) -> None:
+    """The poles over what was measured, or over the model's response where nothing of the kind could be."""
     evidence = identification.order_evidence
-    points = evidence.stabilisation
-    known = _is_repeatability_known(evidence)
-    highest = max([point.order for point in points], default=evidence.order)
+    frequencies = modelled[0]
+    highest = max([point.order for point in evidence.stabilisation], default=evidence.order)
     figure = Figure(
         recording=recording,
         pane=STABILISATION,
@@ -169,26 +196,16 @@ def _draw_stabilisation(
         y=linear_axis("model order", 0.0, highest * 1.2 + 1.0, whole=True),
     )
     figure.frame()
-    _draw_response(figure, frequencies, size)
+    _draw_response(figure, *(measured or modelled))
     figure.line("chosen", [0.0, frequencies[-1]], [evidence.order] * 2, GOLD, width=0.5, order=4.0)
     _draw_modes(figure, plan, highest)
-    if points:
-        texts = [
-            f"order {p.order}: {p.frequency:.5g} Hz, damping {100 * p.damping_ratio:.2g} %, overlap {p.overlap:.3f}"
-            + (f", found again {p.repeatability:.3f}" if np.isfinite(p.repeatability) else "")
-            for p in points
-        ]
-        figure.points(
-            "poles",
-            [point.frequency for point in points],
-            [point.order for point in points],
-            by_share([point.repeatability if known else point.overlap for point in points]),
-            radius=3.0,
-            texts=texts,
-        )
-    meaning = "found again from halves, other observer" if known else "overlap with the order below"
+    log_poles(figure, evidence, plan)
+    meaning = "found again" if is_repeatability_known(evidence) else "overlap with the order below"
     swatches = [(f"{meaning}: 0.95", GREEN), ("0.8", GOLD), ("0.5 and less", GREY)]
-    figure.legend([*swatches, (f"order {evidence.order}", GOLD), ("response", DIM_BLUE)])
+    response = "model's response"
+    if measured:
+        response = "measured response" if identification.records[0].n_inputs else "measured spectrum"
+    figure.legend([*swatches, (f"order {evidence.order}", GOLD), (response, DIM_BLUE)])
 
 
 def _draw_modes(figure: Figure, plan: Plan, highest: float) -> None:

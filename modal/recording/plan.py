@@ -2,96 +2,72 @@
 
 The pages and the blueprint must agree on paths, on what is shown and on the time axis; they all read it here.
 
-Several records share the timeline "time". A record keeps its own time where it starts after the one before it has
-ended (parts of one long measurement do); otherwise it is moved to follow the one before it after a short pause, which
-stays empty in every plot. The entity `fit/records` says where each one stands.
+Measured series lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their
+paths, and the measured line belongs below the others.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.numbering import numbered
-from modal.recording.levels import bucket_length, series_budget
+from modal.recording.levels import Stretch, row_budget
 from modal.recording.names import path_parts
-from okid.arrays import FloatArray
-from okid.errors import InvalidDataError
+from modal.recording.tracks import laid_out, stored_levels
 from okid.record import Record
 
-__all__ = ["SERIES_PER_OUTPUT", "Plan", "Span", "Tracks", "laid_out", "planned"]
+if TYPE_CHECKING:
+    from modal.geometry import Geometry
+
+__all__ = [
+    "DATA",
+    "SHOWN_INPUTS",
+    "SHOWN_OUTPUTS",
+    "DataPlan",
+    "Plan",
+    "planned",
+    "planned_data",
+]
+
+DATA: Final = "data"
+"""Above the measured series of an identification."""
 
 SHOWN_INPUTS: Final = 6
 SHOWN_OUTPUTS: Final = 12
 SHOWN_MODES: Final = 9
 """Views stay bounded, whatever comes; the numbers of all the others are stored as well."""
 
-LATEST: Final = 9.2e9
-"""Rerun counts time in nanoseconds, with 63 bits [s]."""
-
-SERIES_PER_OUTPUT: Final = 5  # measured, predicted, simulated, residuals of both
-
-
-class Tracks(Protocol):
-    """Where each record stands on the timeline, and how finely it is stored; see `Plan`."""
-
-    @property
-    def starts(self) -> tuple[float, ...]:
-        """When each record begins on the timeline [s]."""
-
-    @property
-    def buckets(self) -> tuple[int, ...]:
-        """Samples a stored bucket of each record."""
-
-
-class Span(Protocol):
-    """Where the timeline begins and ends; see `Plan`."""
-
-    @property
-    def start(self) -> float:
-        """Where it begins [s]."""
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
+ENTITIES_PER_OUTPUT: Final = 3  # measured; predicted with simulated; the residuals of both
+SERIES_PER_OUTPUT: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Plan:
-    """What is shown, where it is stored and when it plays.
+class DataPlan:
+    """Where the measured channels are stored and when they play.
 
     Attributes:
+        root: the entity above all of them.
         input_paths: entity of each input.
-        output_paths: entity above the series of each output.
+        output_paths: entity of each output.
         shown_outputs: outputs that have views of their own.
-        modes: every mode in the order of its number (`modal.numbering`); their position from 1 is the number used on
-            every page, in the report and on the timeline "mode".
-        shapes: numbers (from 1) of the modes whose shapes are drawn.
         shifts: seconds by which each record is moved on the timeline.
         starts: when each record begins on the timeline [s].
         stops: when each record ends on the timeline [s].
-        buckets: samples a stored bucket of each record, 1 where every sample is stored.
-        window: length of the window which follows the cursor [s].
+        levels: how finely each record is stored, stretch by stretch.
     """
 
+    root: str
     input_paths: tuple[str, ...]
     output_paths: tuple[str, ...]
     shown_outputs: tuple[int, ...]
-    modes: tuple[Mode, ...]
-    shapes: tuple[int, ...]
     shifts: tuple[float, ...]
     starts: tuple[float, ...]
     stops: tuple[float, ...]
-    buckets: tuple[int, ...]
-    window: float
-
-    @property
-    def compared(self) -> bool:
-        """Whether there are shapes to compare: several, of several outputs each."""
-        return len(self.shapes) > 1 and len(self.output_paths) > 1
+    levels: tuple[tuple[Stretch, ...], ...]
 
     @property
     def start(self) -> float:
@@ -104,61 +80,108 @@ class Plan:
         return self.stops[-1]
 
 
-def planned(identification: Identification) -> Plan:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Plan:
+    """What is shown of an identification, where it is stored and when it plays.
+
+    Attributes:
+        data: of the measured channels.
+        fit_paths: entity above what the model makes of each output.
+        modes: every mode in the order of its number (`modal.numbering`); their position from 1 is the number used on
+            every page, in the report and on the timeline "mode".
+        shapes: numbers (from 1) of the modes whose shapes are drawn.
+        window: length of the window which follows the cursor [s].
+        geometry: where the sensors are; None where nothing is known but their order.
+    """
+
+    data: DataPlan
+    fit_paths: tuple[str, ...]
+    modes: tuple[Mode, ...]
+    shapes: tuple[int, ...]
+    window: float
+    geometry: "Geometry | None" = None
+
+    @property
+    def compared(self) -> bool:
+        """Whether there are shapes to compare: several, of several outputs each."""
+        return len(self.shapes) > 1 and len(self.fit_paths) > 1
+
+    @property
+    def start(self) -> float:
+        """Where the timeline begins [s]."""
+        return self.data.start
+
+    @property
+    def stop(self) -> float:
+        """Where it ends [s]."""
+        return self.data.stop
+
+
+def planned(identification: Identification, geometry: "Geometry | None" = None) -> Plan:
     """The plan for one identification.
 
     Args:
         identification: what will be recorded.
+        geometry: where the sensors are.
 
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """
     records = identification.records
     first = records[0]
-    starts, stops = laid_out(records)
-    n_samples = sum(record.n_samples for record in records)
-    budget = series_budget(first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
-    bucket = bucket_length(n_samples, budget)
+    n_entities = first.n_inputs + ENTITIES_PER_OUTPUT * first.n_outputs
+    budget = row_budget(n_entities, first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
+    around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated, strict=True))
+    data = planned_data(records, budget=budget, around=around)
     modes = tuple(mode for _, mode in numbered(identification.modes.modes))
     return Plan(
-        input_paths=tuple(f"fit/input/{part}" for part in path_parts(first.input_names)),
-        output_paths=tuple(f"fit/output/{part}" for part in path_parts(first.output_names)),
-        shown_outputs=tuple(range(min(first.n_outputs, SHOWN_OUTPUTS))),
+        data=data,
+        fit_paths=tuple(f"fit/output/{part}" for part in path_parts(first.output_names)),
         modes=modes,
         shapes=_drawn(modes),
-        shifts=tuple(start - record.start_time for start, record in zip(starts, records, strict=True)),
-        starts=starts,
-        stops=stops,
-        buckets=(bucket,) * len(records),
-        window=_window(modes, first.dt, stops[-1] - starts[0]),
+        window=_window(modes, first.dt, data.stop - data.start),
+        geometry=geometry,
     )
 
 
-def laid_out(records: Sequence[Record]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """When each record begins and ends on the common timeline [s].
+def planned_data(
+    records: Sequence[Record], *, root: str = DATA, budget: int | None = None, around: Sequence[int] = ()
+) -> DataPlan:
+    """The plan for the measured channels alone.
+
+    Args:
+        records: with equal channels.
+        root: the entity above them.
+        budget: rows that a series may have; unless given, as many as the measured channels leave.
+        around: for each record, the sample around which every sample is stored in a long one.
 
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """
-    starts, stops = _in_turn(np.array([[r.start_time, r.start_time + (r.n_samples - 1) * r.dt] for r in records]))
-    furthest = max(abs(starts[0]), abs(stops[-1]))
-    if not furthest <= LATEST:
-        raise InvalidDataError(
-            f"a recording holds times up to {LATEST:g} s (292 years), but the records reach {furthest:.3g} s; count "
-            "time in a larger unit, so that dt is smaller."
-        )
-    return starts, stops
+    first = records[0]
+    starts, stops = laid_out(records)
+    n_channels = first.n_inputs + first.n_outputs
+    return DataPlan(
+        root=root,
+        input_paths=tuple(f"{root}/input/{part}" for part in path_parts(first.input_names)),
+        output_paths=tuple(f"{root}/output/{part}" for part in path_parts(first.output_names)),
+        shown_outputs=tuple(range(min(first.n_outputs, SHOWN_OUTPUTS))),
+        shifts=tuple(start - record.start_time for start, record in zip(starts, records, strict=True)),
+        starts=starts,
+        stops=stops,
+        levels=stored_levels(records, budget or row_budget(n_channels, n_channels), around=around),
+    )
 
 
-def _in_turn(spans: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    lengths = spans[:, 1] - spans[:, 0]
-    pause = 0.02 * float(lengths.sum())
-    starts = [float(spans[0, 0])]
-    stops = [float(spans[0, 1])]
-    for (begin, _), length in zip(spans[1:], lengths[1:], strict=True):
-        starts.append(float(begin) if begin > stops[-1] else stops[-1] + pause)
-        stops.append(starts[-1] + float(length))
-    return tuple(starts), tuple(stops)
+def _worst_sample(record: Record, simulated: Record) -> int:
+    """Where the model is furthest from what was measured, each output by its own scale; the start if nowhere."""
+    residual = np.abs(record.outputs - simulated.outputs)
+    there = np.isfinite(residual)
+    if not there.any():
+        return 0
+    residual[~there] = 0.0
+    residual /= np.where(residual.any(axis=0), residual.mean(axis=0), 1.0)
+    return int(residual.max(axis=1).argmax())
 
 
 def _drawn(modes: tuple[Mode, ...]) -> tuple[int, ...]:

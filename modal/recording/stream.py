@@ -18,24 +18,36 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["log_diagnosis", "log_identification", "save_recording"]
+    from modal.geometry import Geometry
+    from modal.quality.findings import DataQuality
+
+__all__ = ["APPLICATION", "log_diagnosis", "log_identification", "save_recording", "strict_errors"]
 
 APPLICATION: Final = "modal-report"
 
 
 def log_identification(
-    identification: Identification, recording: "rerun.RecordingStream", *, layout: Literal["send", "leave"] = "send"
+    identification: Identification,
+    recording: "rerun.RecordingStream",
+    *,
+    layout: Literal["send", "leave"] = "send",
+    geometry: "Geometry | None" = None,
+    quality: "DataQuality | None" = None,
 ) -> None:
-    """Log a whole identification into a Rerun stream: pages "Observer fit", "Order" and "Modes".
+    """Log a whole identification into a Rerun stream: "Record", "Observer fit", "Order", "Modes" and "Validation".
 
     Everything drawn is also stored as numbers: series on the timeline "time", tables on "mode", "model_order", "lag",
-    "output" and "record". Series of more than 200 000 samples (less with many channels) are stored as the smallest
-    and the largest of each bucket of samples. Views are bounded in number, what is stored is not.
+    "output", "record", "channel", "finding" and "frequency_line". Series of more than 200 000 samples (less with many
+    channels) are stored as the smallest and the largest of each bucket of samples, but for their start and what lies
+    around the largest residual (`modal.recording.levels` has the budget). Views are bounded in number, what is stored
+    is not.
 
     Args:
         identification: from `modal.identify`.
         recording: any stream of the caller: to a file, to a viewer, in memory.
         layout: "send" the blueprint as well, or "leave" the layout of the stream as it is.
+        geometry: where the sensors are; unless given, shapes are drawn as sticks.
+        quality: of the records as they were read; unless given, that of the records as used is found and shown.
 
     Raises:
         InvalidDataError: `layout` is neither of the two.
@@ -46,20 +58,26 @@ def log_identification(
         >>> log_identification(identification, stream)  # doctest: +SKIP
     """
     from modal.recording.blueprint import blueprint
+    from modal.recording.evidence import gather
     from modal.recording.fit_page import log_fit_page
     from modal.recording.modes_page import log_modes_page
     from modal.recording.order_page import log_order_page
     from modal.recording.plan import planned
+    from modal.recording.record_page import log_record_page
+    from modal.recording.validation_page import log_validation_page
 
     if layout not in {"send", "leave"}:
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
-    with _strict():
-        plan = planned(identification)
+    with strict_errors():
+        plan = planned(identification, geometry)
+        evidence = gather(identification, quality)
+        log_record_page(identification.records, recording, plan.data, evidence.quality)
         log_fit_page(identification, recording, plan)
-        log_order_page(identification, recording, plan)
+        log_order_page(identification, recording, plan, evidence)
         log_modes_page(identification, recording, plan)
+        log_validation_page(identification, recording, plan, evidence)
         if layout == "send":
-            recording.send_blueprint(blueprint(identification, plan))
+            recording.send_blueprint(blueprint(identification, plan, evidence))
 
 
 def log_diagnosis(
@@ -87,7 +105,7 @@ def log_diagnosis(
     require(diagnosis, Diagnosis, where="log_diagnosis", made_by="modal.discrepancy.diagnose")
     if layout not in {"send", "leave"}:
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
-    with _strict():
+    with strict_errors():
         plan = planned_diagnosis(diagnosis)
         log_discrepancy_page(diagnosis, recording, plan)
         log_steps_page(diagnosis, recording, plan)
@@ -100,6 +118,8 @@ def save_recording(
     path: str | os.PathLike[str],
     *,
     existing: Literal["refuse", "replace"] = "refuse",
+    geometry: "Geometry | None" = None,
+    quality: "DataQuality | None" = None,
 ) -> Path:
     """Write a Rerun recording of a result, to be opened with `rerun FILE`.
 
@@ -110,6 +130,8 @@ def save_recording(
         result: from `modal.identify`, or from `modal.discrepancy.diagnose`.
         path: of the file; the usual ending is `.rrd`.
         existing: "refuse" to touch a file that is there, or "replace" it.
+        geometry: where the sensors are, for the shapes of an identification.
+        quality: of the records of an identification as they were read; see `log_identification`.
 
     Returns:
         The path.
@@ -130,14 +152,16 @@ def save_recording(
     part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
         identity, name = _identity(result)
+        # not the name of the file: the same input gives the same recording wherever it is written
+        kind = "diagnosis" if isinstance(result, Diagnosis) else "identification"
         recording = rr.RecordingStream(APPLICATION, recording_id=identity)
         recording.set_log_time_enabled(False)
         recording.save(part)
-        recording.send_recording_name(label(name or target.stem, 60))
+        recording.send_recording_name(label(name or kind, 60))
         if isinstance(result, Diagnosis):
             log_diagnosis(result, recording)
         else:
-            log_identification(result, recording)
+            log_identification(result, recording, geometry=geometry, quality=quality)
         recording.flush(timeout_sec=600)
         recording.disconnect()
         _check_free(target, existing)
@@ -193,7 +217,7 @@ def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:
 
 
 @contextmanager
-def _strict() -> Iterator[None]:
+def strict_errors() -> Iterator[None]:
     """Errors of the SDK raise instead of leaving data out with a warning; the caller's setting comes back after."""
     import rerun as rr
 

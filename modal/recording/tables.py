@@ -5,7 +5,7 @@ one result compare equal (nan never equals nan).
 """
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     import rerun
 
 __all__ = ["log_table"]
+
+MATRIX: Final = 2
 
 
 def log_table(
@@ -30,7 +32,8 @@ def log_table(
         path: entity of the table.
         timeline: what the index counts.
         index: (n_rows,) whole numbers.
-        columns: by name, n_rows values each: numbers, words, or sequences of numbers for a list in each cell.
+        columns: by name, n_rows values each: numbers, words, or sequences of numbers for a list in each cell; an array
+            (n_rows, n) is the same, quick, and a row of it that is nan throughout is left out.
     """
     import rerun as rr
 
@@ -39,6 +42,9 @@ def log_table(
         return
     made: list[object] = []
     for name, values in columns.items():
+        if isinstance(values, np.ndarray) and values.ndim <= MATRIX and values.dtype == np.float64:
+            made += _lists(name, values.reshape(rows.size, -1))
+            continue
         cells = [_known(value) for value in values]
         flat = [value for part in cells for value in part]
         # a column without any value has no type; Rerun would keep or drop it by what the process has logged before
@@ -46,6 +52,19 @@ def log_table(
             made += rr.AnyValues.columns(**{name: flat}).partition([len(part) for part in cells])
     if made:
         recording.send_columns(path, [rr.TimeColumn(timeline, sequence=rows)], made, strict=True)
+
+
+def _lists(name: str, values: npt.NDArray[np.float64]) -> list[object]:
+    """A list of numbers in each cell, none where nothing is known; in Arrow's form, so that Rerun need not look."""
+    import pyarrow as pa
+    import rerun as rr
+
+    there = ~np.isnan(values).all(axis=1)
+    if not there.any() or not values.shape[1]:
+        return []
+    offsets = np.concatenate([[0], np.cumsum(there * values.shape[1])]).astype(np.int32)
+    cells = pa.ListArray.from_arrays(offsets, pa.array(values[there].reshape(-1)))
+    return list(rr.AnyValues.columns(**{name: cells}))
 
 
 def _known(value: object) -> list[object]:

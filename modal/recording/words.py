@@ -1,4 +1,4 @@
-"""The pages in words and tables, as Markdown: the fit, the modes, the choices."""
+"""The pages in words and tables, as Markdown: the fit and the choices; what every page makes its tables of."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -6,16 +6,17 @@ from typing import Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.mode import Mode
 from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
-from modal.report.words import damping_text, data_sentences, headline
+from modal.report.words import data_sentences, headline
 
-__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_text", "modes_text", "table"]
+__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_text", "table"]
 
 LISTED_OUTPUTS: Final = 40
 UNKNOWN: Final = "–"
-REASON_LETTERS: Final = 110
+LONGEST_SENTENCE: Final = 2000
+"""Letters: a sentence of ours is shown whole, and one with hostile names in it still ends somewhere."""
+LISTED_STRETCHES: Final = 6
 
 
 def fit_text(identification: Identification, plan: Plan) -> str:
@@ -47,40 +48,7 @@ def fit_text(identification: Identification, plan: Plan) -> str:
     parts += bullets(data_sentences(identification), identification.residuals.messages)
     if len(identification.records) > 1:
         parts.append(_records_table(identification, plan))
-    if max(plan.buckets) > 1:
-        parts.append(
-            f"Long series are stored as the smallest and the largest of every {max(plan.buckets)} samples; the results "
-            "come from all samples."
-        )
-    return "\n\n".join(parts)
-
-
-def modes_text(identification: Identification, plan: Plan) -> str:
-    """The table of all modes, noise included, with every indicator, the verdict and its reason."""
-    head = ["", "f [Hz]", "±", "ζ [%]", "± ", "verdict", "γ", "EMAC", "MPC", "CMI", "MSV", "MPD [°]", "repeats", "P"]
-    rows = [_mode_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
-    parts = [table(*_with_content([*head, "kind", "why"], rows)) if rows else "The model has no mode."]
-    parts += bullets(
-        [
-            f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {mode.reason}"
-            for number, mode in enumerate(plan.modes, start=1)
-            if _start(mode.reason) != mode.reason
-        ]
-    )
-    if identification.modes.indicators_missing:
-        parts.append(f"Indicators are missing: {cell(identification.modes.indicators_missing)}")
-    caution = identification.modes.indicator_caution
-    spread = "±: one standard deviation. " if np.isfinite([mode.frequency_std for mode in plan.modes]).any() else ""
-    parts.append(
-        f"γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase collinearity. CMI = EMAC · MPC. "
-        f"MSV: mode singular value over the largest. MPD: mean phase deviation. {spread}n/(pq) = "
-        f"{_number(caution, 2)}" + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
-    )
-    if len(set(identification.records[0].output_units)) > 1 and plan.shapes:
-        parts.append(
-            "The outputs have different units: each unit has a line of its own, scaled to its own largest. The "
-            "assurance is that of the numbers as they are, so units with large numbers weigh more in it."
-        )
+    parts += _levels_lines(identification, plan)
     return "\n\n".join(parts)
 
 
@@ -107,44 +75,33 @@ def _observer_line(identification: Identification) -> str:
     )
 
 
+def _levels_lines(identification: Identification, plan: Plan) -> list[str]:
+    """Where a long record is stored with every sample, and how coarsely elsewhere; nothing where all of it is."""
+    data = plan.data
+    coarsest = max(part.bucket for kept in data.levels for part in kept)
+    if coarsest == 1:
+        return []
+    exact = [
+        f"{start + part.start * record.dt:.6g} to {start + (part.stop - 1) * record.dt:.6g} s"
+        for record, start, kept in zip(identification.records, data.starts, data.levels, strict=True)
+        for part in kept
+        if part.bucket == 1
+    ]
+    shown = ", ".join(exact[:LISTED_STRETCHES]) + (" and so on" if len(exact) > LISTED_STRETCHES else "")
+    sentence = (
+        f"Long series are stored as the smallest and the largest of every {coarsest} samples; the results come from "
+        f"all samples. Every sample is stored at the start and around the largest residual: {shown}."
+    )
+    return [sentence]
+
+
 def _records_table(identification: Identification, plan: Plan) -> str:
+    data = plan.data
     rows = [
         [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else UNKNOWN]
-        for record, start, stop, shift in zip(identification.records, plan.starts, plan.stops, plan.shifts, strict=True)
+        for record, start, stop, shift in zip(identification.records, data.starts, data.stops, data.shifts, strict=True)
     ]
     return table(["record", "shown from", "to", "moved by"], rows)
-
-
-def _mode_row(number: int, mode: Mode) -> list[str]:
-    strong = "**" if mode.verdict == "system" else ""
-    known = mode.kind != "real" and mode.damping_resolved
-    damping = f"{strong}{100 * mode.damping_ratio:#.3g}{strong}" if known else damping_text(mode)
-    indicators = [mode.amplitude_coherence, mode.emac, mode.phase_collinearity, mode.cmi, mode.msv]
-    return [
-        str(number),
-        f"{strong}{mode.frequency:#.5g}{strong}",
-        _figures(mode.frequency_std),
-        damping,
-        _figures(100 * mode.damping_ratio_std) if known else UNKNOWN,
-        f"{strong}{mode.verdict}{strong}",
-        *[_number(value, 2) for value in indicators],
-        _number(mode.mpd, 0),
-        _number(mode.repeatability, 2),
-        _number(mode.probability, 2),
-        mode.kind,
-        cell(_start(mode.reason)) if mode.reason else UNKNOWN,
-    ]
-
-
-def _start(reason: str) -> str:
-    """What fits beside the numbers on a common screen; the whole of a longer reason stands below the table."""
-    return reason if len(reason) <= REASON_LETTERS else reason[: REASON_LETTERS - 1].rstrip() + "…"
-
-
-def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """Leave out columns that say nothing: no value in any row, or every pole oscillatory."""
-    said = [k for k in range(len(head)) if {row[k] for row in rows} - {UNKNOWN, "oscillatory"}]
-    return [head[k] for k in said], [[row[k] for k in said] for row in rows]
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -155,7 +112,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def bullets(*groups: Sequence[str]) -> list[str]:
     """The sentences as one Markdown list, made harmless; nothing where there is no sentence."""
-    lines = [f"- {cell(message)}" for group in groups for message in group]
+    lines = [f"- {cell(message, LONGEST_SENTENCE)}" for group in groups for message in group]
     return ["\n".join(lines)] if lines else []
 
 
@@ -165,7 +122,3 @@ def _share(value: float) -> str:
 
 def _number(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
-
-
-def _figures(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else UNKNOWN

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from modal.mode import Mode
+from modal.verdict import DOUBTED, LEAST_PART, SYSTEM_FROM
 
 __all__ = ["INDICATORS", "Column", "shown"]
 
@@ -54,17 +55,19 @@ INDICATORS = (
     Column(
         key="repeatability",
         label="repeatability",
-        limit=0.71,
+        limit=None,
         better="high",
-        meaning="Overlap with the same mode found again from other data, another observer and other orders. "
-        "This decides the verdict.",
+        meaning="Overlap with the same mode found again from other data, another observer and other orders, their "
+        f"mean; of a mode of the system none of the three is below {LEAST_PART}.",
     ),
     Column(
         key="probability",
         label="probability",
-        limit=None,
+        limit=SYSTEM_FROM,
         better="high",
-        meaning="That the mode belongs to the system, from the repeatability.",
+        meaning="That the mode belongs to the system, from the repeatability and from how far its answer to the "
+        f"inputs stands above chance, at most {DOUBTED} where it is in doubt what drives it. A mode of the system has "
+        "this much, and no doubt against it.",
     ),
     Column(
         key="emac_output",

@@ -6,12 +6,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis, Finding
+from modal.discrepancy.statements import number
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import (
+    beside_text,
+    closed_share,
     effect_text,
     effects_text,
     found_hypothesis,
+    found_value,
     found_word,
     interval_text,
     share_text,
@@ -25,6 +29,7 @@ from modal.report.discrepancy_values import (
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture
 from modal.report.provenance import Provenance, installed_version
+from okid.arrays import FloatArray
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "equations_of"]
 
@@ -90,7 +95,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
                 "effect": effect_text(one.effect),
                 "where": one.where,
                 "parameter": one.parameter,
-                "value": value_text(one.value),
+                "value": number(one.value),
                 "unit": one.unit,
             }
             for one in diagnosis.detection_limits
@@ -99,7 +104,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "records": [_record(diagnosis, number) for number in range(len(diagnosis.fit) + len(diagnosis.held_out))],
         "first_size": times_text(times_floor(diagnosis.steps[0].held_out_level)),
         "last_size": times_text(times_floor(diagnosis.steps[-1].held_out_level)),
-        "closed": share_text(diagnosis.closed),
+        "closed": share_text(closed_share(diagnosis.closed)),
         "equations": equations_of(diagnosis),
         "provenance": provenance,
         "version": installed_version(),
@@ -123,13 +128,13 @@ def _finding(number: int, finding: Finding) -> dict[str, object]:
         "law": finding.law,
         "signature": words.as_sentence(finding.signature),
         "evidence": words.as_sentence(finding.evidence.words),
-        "closed": share_text(finding.evidence.closed),
+        "closed": share_text(closed_share(finding.evidence.closed)),
         "runner_up": words.runner_up_sentence(finding),
         "ambiguity": words.ambiguity_sentence(finding),
         "parameters": [
             {
                 "name": one.name,
-                "value": value_text(one.value, one.std),
+                "value": found_value(one),
                 "interval": interval_text(one.value, one.std),
                 "unit": one.unit,
                 "meaning": one.meaning,
@@ -149,12 +154,18 @@ def _gaps(diagnosis: Diagnosis) -> list[dict[str, object]]:
             "unit": record.output_units[j],
             "before": size_text(float(diagnosis.gap_before[i, j])),
             "after": size_text(float(diagnosis.gap_after[i, j])),
-            "floor": f"{floor[i, j]:.3g}",
+            "floor": size_text(float(floor[i, j])),
             "times": times_text(float(diagnosis.gap_after[i, j] / floor[i, j])),
+            "explained": _explained(record.outputs[:, j], float(diagnosis.gap_after[i, j])),
         }
         for i, record in enumerate(diagnosis.held_out)
         for j, name in enumerate(record.output_names)
     ]
+
+
+def _explained(measured: FloatArray, left: float) -> str:
+    variance = float(np.nanvar(measured))
+    return share_text(1.0 - left**2 / variance) if variance > 0.0 else "–"
 
 
 def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:
@@ -176,7 +187,7 @@ def _behind(gap: float) -> str:
     """2 ln L behind the best; a dash where it is not known."""
     if not np.isfinite(gap):
         return "–"
-    return f"{gap:,.0f}" if gap > 0.0 else "best"
+    return f"{gap:.0f}" if gap > 0.0 else "best"
 
 
 def _calibrated(diagnosis: Diagnosis) -> list[dict[str, object]]:
@@ -187,7 +198,7 @@ def _calibrated(diagnosis: Diagnosis) -> list[dict[str, object]]:
             {
                 "name": one.name,
                 "unit": one.unit,
-                "nominal": value_text(one.nominal),
+                "nominal": beside_text(one.nominal, one.value, one.std),
                 "value": value_text(one.value, one.std),
                 "change": f"{100.0 * change:+.2g} %" if np.isfinite(change) else "–",
                 "at_bound": one.at_bound,

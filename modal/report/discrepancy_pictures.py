@@ -7,6 +7,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.names import shorten, visible
+from modal.report.discrepancy_levels import level_lines
 from modal.report.discrepancy_stages import Stage, record_name, rows_of, stages_of, worst_outputs
 from modal.report.discrepancy_values import NAMED_WITHIN, found_hypothesis, found_word
 from modal.report.pictures import Picture
@@ -26,7 +27,12 @@ def draw_diagnosis(diagnosis: Diagnosis) -> dict[str, Picture]:
 
     stages = stages_of(diagnosis)
     with plots.house_style():
-        return {**_gap_pictures(stages), **_step_pictures(diagnosis), **_law_pictures(diagnosis)}
+        return {
+            **_gap_pictures(stages),
+            **_level_picture(diagnosis),
+            **_step_pictures(diagnosis),
+            **_law_pictures(diagnosis),
+        }
 
 
 def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
@@ -61,6 +67,22 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
             "noise and no more.",
         ),
     }
+
+
+def _level_picture(diagnosis: Diagnosis) -> dict[str, Picture]:
+    from modal.plots.discrepancy_levels import modes_against_level
+
+    lines = level_lines(diagnosis)
+    if not lines:
+        return {}
+    words = (
+        "Each mode of the best linear model of each level, from the measured records alone, bars 95 %. A spring that "
+        "hardens raises the frequency with the level, dry friction lowers the damping ratio, drag raises it; a mode "
+        "that stays where it is belongs to a linear structure. Modes that are not known well enough are left out."
+    )
+    if any(line.name.startswith("pole") for line in lines):
+        words += " Of a pole of first order the corner frequency is drawn: the faster, the more it is damped."
+    return {"levels": _picture(modes_against_level(lines), "modes against level", words)}
 
 
 def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:

@@ -6,13 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
+from modal.discrepancy.effect_names import effect_name
+from modal.discrepancy.statements import number
 
 __all__ = [
     "CLOSE_COMPANY",
     "NAMED_WITHIN",
+    "beside_text",
+    "closed_share",
     "effect_text",
     "effects_text",
     "found_hypothesis",
+    "found_value",
     "found_word",
     "interval_text",
     "law_against",
@@ -35,19 +40,10 @@ of `modal.discrepancy.decision.NEAR_FLOOR`, which is in mean squares."""
 CLOSE_COMPANY = 30.0
 """2 ln L below which a lead is no lead, that of `modal.discrepancy.decision`."""
 
-_NAMES_KEPT = {"coulomb": "Coulomb", "bouc": "Bouc", "wen": "Wen"}
-"""Words of catalogue keys that are people's names."""
+MOST_DECIMALS = 6
+"""More of them stand after a power of ten."""
 
-
-def effect_text(effect: str) -> str:
-    """A catalogue key in words.
-
-    Example:
-        >>> effect_text("bouc_wen_hysteresis"), effect_text("input_delay")
-        ('Bouc-Wen hysteresis', 'input delay')
-    """
-    words = [_NAMES_KEPT.get(word, word) for word in effect.split("_") if word]
-    return " ".join(words).replace("Bouc Wen", "Bouc-Wen")
+effect_text = effect_name
 
 
 def effects_text(effects: Sequence[tuple[str, str]]) -> str:
@@ -111,23 +107,56 @@ def value_text(value: float, std: float = math.nan) -> str:
     """Value ± standard deviation, to the second digit of the deviation; a common power of ten where that is shorter.
 
     Example:
-        >>> value_text(0.2481, 0.0011), value_text(403000.0, 4100.0), value_text(2.5e-7, 3e-9)
-        ('0.2481 ± 0.0011', '(4.030 ± 0.041)e5', '(2.500 ± 0.030)e-7')
+        >>> value_text(0.2481, 0.0011), value_text(403000.0, 4100.0), value_text(0.009998, 4.6e-6)
+        ('0.2481 ± 0.0011', '(4.030 ± 0.041)e5', '(9.9980 ± 0.0046)e-3')
         >>> value_text(0.0), value_text(12.3456)
         ('0', '12.35')
     """
     if not math.isfinite(value):
         return "–"
     if not (math.isfinite(std) and std > 0.0):
-        return f"{value:.4g}"
-    size = max(abs(value), std)
-    power = math.floor(math.log10(size))
-    if -4 < power < 5:
-        digits = max(0, 1 - math.floor(math.log10(std)))
+        return number(value, 4)
+    power, digits = _written(value, std)
+    if power == 0:
         return f"{value:.{digits}f} ± {std:.{digits}f}"
-    scale = 10.0**power
-    digits = max(0, 1 - math.floor(math.log10(std / scale)))
-    return f"({value / scale:.{digits}f} ± {std / scale:.{digits}f})e{power}"
+    return f"({value / 10.0**power:.{digits}f} ± {std / 10.0**power:.{digits}f})e{power}"
+
+
+def _written(value: float, std: float) -> tuple[int, int]:
+    """Power of ten, 0 for a plain number, and decimals to the second digit of the deviation."""
+    power = math.floor(math.log10(max(abs(value), std)))
+    digits = max(0, 1 - math.floor(math.log10(std)))
+    if -4 < power < 5 and digits <= MOST_DECIMALS:
+        return 0, digits
+    return power, max(0, 1 - math.floor(math.log10(std / 10.0**power)))
+
+
+def found_value(one: Parameter) -> str:
+    """A parameter as found; one without a deviation was held, unless each record has a value of its own.
+
+    Example:
+        >>> found_value(Parameter(name="k_in", value=0.0, std=math.nan, unit="N/m"))
+        '0, held'
+        >>> found_value(Parameter(name="Fc", value=0.2, std=0.01, unit="N"))
+        '0.200 ± 0.010'
+    """
+    held = not (math.isfinite(one.std) and one.std > 0.0) and "over the records" not in one.meaning
+    return f"{value_text(one.value)}, held" if held else value_text(one.value, one.std)
+
+
+def beside_text(value: float, fitted: float, std: float) -> str:
+    """A value as it was given, written as the fitted one beside it is.
+
+    Example:
+        >>> beside_text(0.00093, 0.0012406, 7e-7), beside_text(400.0, 403.21, 0.6), beside_text(0.0, 2e-7, 1e-9)
+        ('0.93e-3', '400', '0')
+    """
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(fitted)):
+        return number(value, 4)
+    power, _ = _written(fitted, std)
+    scaled = value / 10.0**power
+    text = f"{scaled:.6f}".rstrip("0").rstrip(".") if 1e-3 <= abs(scaled) < 1e6 else number(value, 4)
+    return f"{text}e{power}" if power and 1e-3 <= abs(scaled) < 1e6 else text
 
 
 def interval_text(value: float, std: float) -> str:
@@ -135,17 +164,13 @@ def interval_text(value: float, std: float) -> str:
 
     Example:
         >>> interval_text(0.2481, 0.0011), interval_text(403000.0, 4100.0)
-        ('0.2459 to 0.2503', '3.950e5 to 4.110e5')
+        ('0.2459 to 0.2503', '(3.950 to 4.110)e5')
     """
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return "–"
-    low, high = value - 1.96 * std, value + 1.96 * std
-    power = math.floor(math.log10(max(abs(low), abs(high))))
-    digits = 1 - math.floor(math.log10(std))
-    if -4 < power < 5:
-        return f"{low:.{max(0, digits)}f} to {high:.{max(0, digits)}f}"
-    digits = max(0, digits + power)
-    return " to ".join(f"{end / 10.0**power:.{digits}f}e{power}" for end in (low, high))
+    power, digits = _written(value, std)
+    text = " to ".join(f"{(value + side * std) / 10.0**power:.{digits}f}" for side in (-1.96, 1.96))
+    return f"({text})e{power}" if power else text
 
 
 def share_text(share: float) -> str:
@@ -169,10 +194,20 @@ def size_text(value: float) -> str:
     """A size in the unit of its channel, to three digits; "unbounded" where the model ran away.
 
     Example:
-        >>> size_text(0.0042071), size_text(float("inf"))
-        ('0.00421', 'unbounded')
+        >>> size_text(0.0042071), size_text(1.2e-5), size_text(float("inf"))
+        ('0.00421', '1.20e-5', 'unbounded')
     """
-    return f"{value:.3g}" if math.isfinite(value) else "unbounded"
+    return number(value) if math.isfinite(value) else "unbounded"
+
+
+def closed_share(closed: float) -> float:
+    """Share of the gap above the noise that is gone, as a root mean square, from that of the mean square.
+
+    Example:
+        >>> closed_share(0.75), closed_share(-3.0)
+        (0.5, 0.0)
+    """
+    return 1.0 - math.sqrt(1.0 - min(max(closed, 0.0), 1.0)) if math.isfinite(closed) else math.nan
 
 
 def levels_in_words(hypothesis: Hypothesis) -> str:
@@ -227,7 +262,7 @@ def with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
 
 def parameters_text(finding: Finding) -> str:
     """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
-    return ", ".join(f"{one.name} = {with_unit(value_text(one.value, one.std), one)}" for one in finding.parameters)
+    return ", ".join(f"{one.name} = {with_unit(found_value(one), one)}" for one in finding.parameters)
 
 
 def finite_or_nan(values: Sequence[float]) -> list[float]:

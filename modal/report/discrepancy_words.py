@@ -6,10 +6,17 @@ The report, the Markdown page, the recording and the terminal all take their wor
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
+from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
+from modal.discrepancy.effect_names import one_of
+from modal.discrepancy.explained import unexplained_outputs
+from modal.discrepancy.statements import number, percent
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
+    closed_share,
     effect_text,
     effects_text,
     levels_in_words,
@@ -18,12 +25,12 @@ from modal.report.discrepancy_values import (
     share_text,
     times_floor,
     times_text,
-    value_text,
     with_unit,
 )
 from modal.report.words import Judgement
 
 __all__ = [
+    "COULD_HIDE",
     "ambiguity_sentence",
     "as_sentence",
     "bounds_sentence",
@@ -31,6 +38,7 @@ __all__ = [
     "closed_sentence",
     "finding_sentence",
     "floor_sentences",
+    "floor_summary",
     "headline",
     "judge_diagnosis",
     "limits_sentence",
@@ -41,6 +49,9 @@ __all__ = [
     "where_sentences",
 ]
 
+COULD_HIDE = "What the data could still hide: "
+UPPER_LIMIT = 0.3
+"""Relative deviation of a floor's variance above which it is rather an upper limit, as `NoiseFloor` has it."""
 MOST_NAMED = 3
 """Linear parameters or limits named in one sentence; the tables have all."""
 
@@ -48,6 +59,11 @@ MOST_NAMED = 3
 def headline(diagnosis: Diagnosis) -> str:
     """The result in one short sentence."""
     names = effects_text([(finding.effect, finding.where) for finding in diagnosis.findings])
+    blind = unexplained_outputs(diagnosis)
+    if diagnosis.status == "none" and _all(blind, diagnosis):
+        return f"These data tell nothing of the simulation: it explains nothing of {_few(blind)}."
+    if diagnosis.status == "none" and blind:
+        return f"The simulation lacks no effect that these data could show, but explains nothing of {_few(blind)}."
     if diagnosis.status == "none":
         return "The simulation lacks no effect that these data could show."
     if not diagnosis.findings:
@@ -66,6 +82,8 @@ def judge_diagnosis(diagnosis: Diagnosis) -> Judgement:
     if diagnosis.status == "unresolved":
         return Judgement(trust="not carried", label="Not proved", reasons=said)
     doubts = diagnosis.warnings or diagnosis.bounds_hit or any(one.ambiguous_with for one in diagnosis.findings)
+    if diagnosis.status == "none" and _all(unexplained_outputs(diagnosis), diagnosis):
+        return Judgement(trust="with care", label="Nothing explained", reasons=said)
     if diagnosis.status == "none":
         label = "Nothing missing" if not doubts else "Nothing missing, with care"
     else:
@@ -92,7 +110,7 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     took = "takes" if not diagnosis.findings else "take"
     if diagnosis.closed <= 0.0:
         return f"{what} {took} nothing of it away."
-    return f"{what} {took} away {share_text(diagnosis.closed)} of its mean square above the floor."
+    return f"{what} {took} away {share_text(closed_share(diagnosis.closed))} of what was above the noise."
 
 
 def finding_sentence(finding: Finding) -> str:
@@ -122,9 +140,23 @@ def ambiguity_sentence(finding: Finding) -> str:
     """What the finding cannot be told from; "" where there is nothing."""
     if not finding.ambiguous_with:
         return ""
-    others = listed([effect_text(other) for other in finding.ambiguous_with]).replace(" and ", " or ")
-    name = capital(effect_text(finding.effect))
-    return f"{name} at {finding.where} cannot be told from {others} by structure, in these data."
+    name = f"{capital(effect_text(finding.effect))} at {finding.where}"
+    by_level = _of_one_level(finding)
+    others = [other for other in finding.ambiguous_with if other not in by_level]
+    said = []
+    if others:
+        said.append(f"{name} cannot be told from {one_of(others)} in these data.")
+    if by_level:
+        led = finding.evidence.margin >= CLOSE_COMPANY and finding.runner_up is not None
+        fits = ", although it fits these better" if led else ""
+        said.append(f"{name} is easily taken for {one_of(by_level)} in records of one level{fits}.")
+    return " ".join(said)
+
+
+def _of_one_level(finding: Finding) -> list[str]:
+    """Of what it may be taken for, that which a second level would tell from it."""
+    rows = [row for row in AMBIGUOUS if finding.effect in row.effects and row.circumstance == "one_level"]
+    return [other for other in finding.ambiguous_with if any(other in row.others(finding.effect) for row in rows)]
 
 
 def read_first(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -137,28 +169,29 @@ def bounds_sentence(diagnosis: Diagnosis) -> str:
     hit = diagnosis.bounds_hit
     if not hit or any(all(name in warning for name in hit) for warning in diagnosis.warnings):
         return ""
-    names = listed([*hit[:MOST_NAMED], *([f"{len(hit) - MOST_NAMED} more"] if len(hit) > MOST_NAMED else [])])
     verb, its = ("sits", "its") if len(hit) == 1 else ("sit", "their")
-    return f"{capital(names)} {verb} on {its} bound: the model as given may be wrong there by more than it allows."
+    return f"{capital(_few(hit))} {verb} on {its} bound: the model as given may be wrong there by more than it allows."
 
 
 def limits_sentence(diagnosis: Diagnosis) -> str:
-    """What the data could still hide where nothing was found; "" otherwise, or where that is not known."""
+    """What the data could still hide where nothing was found; "" otherwise, or where that is not known or vain."""
     limits = diagnosis.detection_limits
-    if not limits or diagnosis.status != "none":
+    if not limits or diagnosis.status != "none" or _all(unexplained_outputs(diagnosis), diagnosis):
         return ""
     parts = [
-        f"{effect_text(one.effect)} at {one.where} up to {one.parameter} = {with_unit(value_text(one.value), one)}"
+        f"{effect_text(one.effect)} at {one.where} up to {one.parameter} = {with_unit(number(one.value), one)}"
         for one in limits[:MOST_NAMED]
     ]
     rest = f"; {len(limits) - MOST_NAMED} more stand in the table" if len(limits) > MOST_NAMED else ""
-    return f"What the data could still hide: {'; '.join(parts)}{rest}."
+    return f"{COULD_HIDE}{'; '.join(parts)}{rest}."
 
 
 def next_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to do next: go on with the model where it is proved, and what to measure."""
     if diagnosis.status == "named":
         first = "Simulate with the updated model; it holds the effects with their values."
+    elif diagnosis.status == "none" and _all(unexplained_outputs(diagnosis), diagnosis):
+        first = "Check channels, sensors and the strength of the input first: so far nothing was compared but noise."
     elif diagnosis.status == "none":
         first = (
             "Go on with the calibrated model; where an effect matters to you, compare its size with what could hide."
@@ -183,6 +216,31 @@ def floor_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
         text = f"{floor.method[first + i]} ({floor.reason[first + i].rstrip('.')})"
         ways.setdefault(text, []).append(record.name or f"held-out record {i + 1}")
     return tuple(f"Noise floor of {listed(names)}: {text}." for text, names in ways.items())
+
+
+def floor_summary(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """The same in short, for the terminal: the way, and how sure it is."""
+    floor, first = diagnosis.noise_floor, len(diagnosis.fit)
+    errors = np.asarray(floor.standard_error)[first:]
+    ways: dict[str, list[int]] = {}
+    for i in range(len(diagnosis.held_out)):
+        ways.setdefault(floor.method[first + i], []).append(i)
+    said = []
+    for way, which in ways.items():
+        names = listed([diagnosis.held_out[i].name or f"held-out record {i + 1}" for i in which])
+        known = errors[which][np.isfinite(errors[which])]
+        sure = f", known to about {percent(0.5 * float(known.max()))}" if known.size else ""  # rms: half of a variance
+        limit = ", rather an upper limit" if known.size and known.max() > UPPER_LIMIT else ""
+        said.append(f"Noise floor of {names}: {way}{sure}{limit}.")
+    return tuple(said)
+
+
+def _all(outputs: Sequence[str], diagnosis: Diagnosis) -> bool:
+    return len(outputs) == diagnosis.held_out[0].n_outputs
+
+
+def _few(names: Sequence[str]) -> str:
+    return listed([*names[:MOST_NAMED], *([f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else [])])
 
 
 def _milestones(diagnosis: Diagnosis) -> Sequence[Step]:

@@ -9,7 +9,7 @@ from modal.discrepancy.diagnosis import Diagnosis
 from modal.report.discrepancy_machine import diagnosis_csv, diagnosis_json
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis
-from modal.report.folder import Existing, refuse_names, write_folder
+from modal.report.folder import Existing, recording_written, refuse_names, write_folder
 from modal.report.provenance import Provenance
 from modal.structure import StructuralModel
 
@@ -113,6 +113,7 @@ def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenan
     }
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
-    save_recording(diagnosis, files.recording)
+    with recording_written(files.recording):
+        save_recording(diagnosis, files.recording)
     if files.model:
         diagnosis.model.save(files.model)

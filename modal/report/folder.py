@@ -1,17 +1,22 @@
 """All files of a report or none: they are made in a folder of their own beside the target and moved when complete."""
 
 import contextlib
+import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
+from modal.interruption import uninterrupted
 from modal.names import shorten
 from okid.errors import InvalidDataError
 
-__all__ = ["Existing", "refuse_names", "write_folder"]
+__all__ = ["Existing", "recording_written", "refuse_names", "write_folder"]
+
+LEAST_FREE = 1 << 20
+"""Bytes: with less than 1 MiB free once the recording is written, the disk is taken to be full."""
 
 LONGEST_PATH = 200
 """Letters of a path in a sentence."""
@@ -78,6 +83,31 @@ def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None
         )
 
 
+@contextlib.contextmanager
+def recording_written(path: Path) -> Iterator[None]:
+    """Say that the disk is full where it is: the writer of recordings says that its thread stopped, or nothing at all.
+
+    Its last words may fail to reach a full disk in silence, so a disk that is full afterwards counts as a failure too.
+
+    Args:
+        path: of the recording.
+
+    Raises:
+        OSError: less than 1 MiB is free now.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        _refuse_full_disk(path, error)
+        raise
+    _refuse_full_disk(path, None)
+
+
+def _refuse_full_disk(path: Path, cause: Exception | None) -> None:
+    if shutil.disk_usage(path.parent).free < LEAST_FREE:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from cause
+
+
 def _named(folder: Path) -> str:
     return repr(shorten(str(folder), LONGEST_PATH))
 
@@ -100,9 +130,10 @@ def _move(temporary: Path, target: Path) -> None:
         temporary.chmod(0o777 & ~mask)
         temporary.rename(target)
         return
-    for path in sorted(temporary.iterdir()):
-        path.replace(target / path.name)
-    temporary.rmdir()
+    with uninterrupted():  # stopped half-way, it would leave files of two reports side by side
+        for path in sorted(temporary.iterdir()):
+            path.replace(target / path.name)
+        temporary.rmdir()
 
 
 def _cannot_write(target: Path, error: OSError) -> InvalidDataError:

@@ -1,6 +1,7 @@
 """The result for programs: JSON with every number, CSV with one row a mode."""
 
 import csv
+import datetime as dt
 import io
 import json
 import math
@@ -13,14 +14,13 @@ from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import csv_cell
 from modal.numbering import numbered
+from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
 from modal.report.words import judge
+from modal.specification import Specification
 from okid.record import Record
 
-__all__ = ["SCHEMA", "csv_text", "json_text", "number_cell", "plain", "record_document"]
-
-SCHEMA = "modal-report/1"
-"""Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
+__all__ = ["SCHEMA", "csv_text", "json_text", "number_cell", "plain", "record_document", "schema_text"]
 
 _MODE_NUMBERS = tuple(
     field.name
@@ -29,15 +29,26 @@ _MODE_NUMBERS = tuple(
 )
 
 
-def json_text(result: Identification, provenance: Provenance) -> str:
-    """The whole result but its time histories, as JSON; nan is null, a complex number is [real, imaginary]."""
+def json_text(result: Identification, provenance: Provenance, *, specification: Specification | None = None) -> str:
+    """The whole result but its time histories, as JSON; nan is null, a complex number is [real, imaginary].
+
+    Args:
+        result: of `modal.identify`.
+        provenance: where it comes from.
+        specification: of the test; the outcomes of its limits are among the numbers.
+    """
+    from modal.acceptance import check_limits  # its words come from this package, so it cannot be imported above
+
     judgement = judge(result)
     document = {
         "schema": SCHEMA,
         "version": installed_version(),
         "command": provenance.command,
         "sources": provenance.sources,
+        "files": provenance.files,
         "remarks": provenance.remarks,
+        "test": None if specification is None else _test_document(specification),
+        "limits": [] if specification is None else [_members(one) for one in check_limits(result, specification)],
         "trust": judgement.trust,
         "words": judgement.reasons,
         "warnings": result.warnings,
@@ -50,6 +61,7 @@ def json_text(result: Identification, provenance: Provenance) -> str:
             "indicators_missing": result.modes.indicators_missing,
             "table": _mode_table(result),
         },
+        "uncertainty": _uncertainty_document(result),
         "order_evidence": result.order_evidence,
         "residuals": result.residuals,
         "observer": {"order": result.observer.order, **_members(result.observer, leave_out=("dt",))},
@@ -78,6 +90,16 @@ def csv_text(result: Identification) -> str:
         row += [""] * len(outputs) if mode.shape_std is None else [number_cell(value) for value in mode.shape_std]
         writer.writerow(row)
     return file.getvalue()
+
+
+def _test_document(specification: Specification) -> dict[str, object]:
+    """What the test file says but the geometry, which is in the UFF file, and the limits, which stand beside it."""
+    return _members(specification, leave_out=("geometry", "limits"))
+
+
+def _uncertainty_document(result: Identification) -> dict[str, object] | None:
+    known = result.uncertainty
+    return None if known is None else {"method": known.method, "degrees_of_freedom": known.degrees_of_freedom}
 
 
 def _mode_table(result: Identification) -> list[dict[str, object]]:
@@ -133,4 +155,6 @@ def _scalar(value: object) -> object:
         return [_scalar(value.real), _scalar(value.imag)]
     if isinstance(value, float) and not math.isfinite(value):
         return None
+    if isinstance(value, dt.date):
+        return value.isoformat()
     return value

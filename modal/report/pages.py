@@ -2,23 +2,34 @@
 
 import platform
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modal.identification import Identification
-from modal.names import escape_markdown, visible
 from modal.numbering import numbered
 from modal.report import words
-from modal.report.columns import INDICATORS, shown
-from modal.report.pictures import Picture, shape_assurance
+from modal.report.columns import INDICATORS
+from modal.report.limit_words import limits_sentence, limits_short
+from modal.report.moving_shapes import moving_shapes, placement_of
+from modal.report.page_environment import environment, inline, page_script
+from modal.report.pictures import MOST_ASSURED, Picture, shape_assurance
 from modal.report.provenance import Provenance, installed_version
+from modal.report.setting import NOTHING_BESIDES, Setting
+from modal.report.setup_values import about_lines, channel_rows, sensor_columns
+from modal.report.uncertainty_words import has_intervals, uncertainty_sentences
+from modal.report.validation_words import coherence_sentence, gap_command, gap_sentence, validation_sentences
 from okid.record import InputHold
 
-if TYPE_CHECKING:
-    import jinja2
-
 __all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]
+
+MOST_SUMMED_UP = 10
+"""Modes of the system on the page of the verdict; the table of all poles has all of them."""
+
+MOST_FINDINGS = 40
+"""Findings on the data that are shown, the worst first."""
+
+GIVEN = "given as an argument"
+"""Reason of a choice that was none."""
 
 VERDICTS = (
     ("system", "Modes of the system", "Found again in other data, with other observers and at other orders."),
@@ -27,60 +38,69 @@ VERDICTS = (
 )
 
 
-def html_text(result: Identification, provenance: Provenance, pictures: Mapping[str, Picture]) -> str:
-    """One page that needs nothing but itself."""
+def html_text(
+    result: Identification,
+    provenance: Provenance,
+    pictures: Mapping[str, Picture],
+    setting: Setting = NOTHING_BESIDES,
+    *,
+    beside: str = "",
+) -> str:
+    """One page that needs nothing but itself.
+
+    Args:
+        result: of `modal.identify`.
+        provenance: command and files.
+        pictures: of `draw_pictures`.
+        setting: what is known besides the result.
+        beside: the other files of the report, in words.
+    """
     drawn = {name: inline(picture) for name, picture in pictures.items()}
+    script, script_hash = page_script()
     template = environment(html=True).get_template("report.html.j2")
-    return template.render(**_context(result, provenance), pictures=drawn) + "\n"
-
-
-def inline(picture: Picture) -> dict[str, str]:
-    """A picture for a template."""
-    from markupsafe import Markup
-
-    return {"svg": Markup(picture.svg), "caption": picture.caption}  # noqa: S704 - svg_text escapes its text
-
-
-def markdown_text(result: Identification, provenance: Provenance) -> str:
-    """The same words and tables as Markdown."""
-    return environment(html=False).get_template("report.md.j2").render(**_context(result, provenance)) + "\n"
-
-
-def environment(*, html: bool) -> "jinja2.Environment":
-    """Where templates are found, and how the text of names is made harmless in HTML or in Markdown."""
-    import jinja2
-
-    made = jinja2.Environment(
-        loader=jinja2.PackageLoader("modal.report", "templates"),
-        autoescape=html,  # noqa: S701 - Markdown has its own escape, _finalize_markdown
-        finalize=_finalize_html if html else _finalize_markdown,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    return (
+        template.render(
+            **_context(result, provenance, setting, beside),
+            pictures=drawn,
+            moving=moving_shapes(result, setting),
+            script=script,
+            script_hash=script_hash,
+        )
+        + "\n"
     )
-    made.filters["num"] = shown
-    made.filters["literal"] = _literal
-    made.filters["lines"] = _lines
-    made.filters["frequency"] = words.frequency_text
-    made.filters["damping"] = words.damping_text
-    made.filters["hertz"] = words.hertz
-    made.filters["percent"] = words.percent
-    made.filters["fit"] = words.fit_text
-    return made
 
 
-def _finalize_html(value: object) -> object:
-    """Names made harmless, and no line that begins with a percent sign."""
-    return visible(value).replace(" %", "\N{NO-BREAK SPACE}%") if type(value) is str else value
+def markdown_text(
+    result: Identification, provenance: Provenance, setting: Setting = NOTHING_BESIDES, *, beside: str = ""
+) -> str:
+    """The same words and tables as Markdown."""
+    template = environment(html=False).get_template("report.md.j2")
+    return template.render(**_context(result, provenance, setting, beside)) + "\n"
 
 
-def _finalize_markdown(value: object) -> object:
-    return escape_markdown(value) if type(value) is str else value
+def _context(result: Identification, provenance: Provenance, setting: Setting, beside: str) -> dict[str, object]:
+    return {
+        **_verdict_values(result),
+        **_limit_values(setting),
+        **_data_values(result, setting),
+        **_mode_values(result, setting),
+        "validation": validation_sentences(result),
+        "coherence": coherence_sentence(setting.quality),
+        "gap_sentence": gap_sentence(result),
+        "gap_command": gap_command(result, provenance),
+        "uncertainty": uncertainty_sentences(result),
+        "folds": [float(fold) for fold in np.atleast_1d(result.fit.folds)],
+        "provenance": provenance,
+        "version": installed_version(),
+        "python_version": platform.python_version(),
+        "numpy_version": np.__version__,
+        "snippet": _snippet(result, provenance),
+        "beside": beside or "the other files of the report",
+    }
 
 
-def _context(result: Identification, provenance: Provenance) -> dict[str, object]:
+def _verdict_values(result: Identification) -> dict[str, object]:
     record = result.records[0]
-    modes = result.modes
     return {
         "title": _title(result),
         "headline": words.headline(result),
@@ -92,22 +112,57 @@ def _context(result: Identification, provenance: Provenance) -> dict[str, object
         "n_missing": sum(int(each.n_samples - each.complete_rows().sum()) for each in result.records),
         "duration": sum(each.duration for each in result.records),
         "hold": hold_text(record.input_hold),
-        "groups": [
-            (verdict, heading, meaning, [row for row in numbered(modes) if row[1].verdict == verdict])
-            for verdict, heading, meaning in VERDICTS
-        ],
+    }
+
+
+def _limit_values(setting: Setting) -> dict[str, object]:
+    states = [one.state for one in setting.outcomes]
+    return {
+        "outcomes": setting.outcomes,
+        "limits_met": all(state == "met" for state in states),
+        "limits_missed": "not met" in states,
+        "limits_sentence": limits_sentence(setting.outcomes),
+        "limits_short": limits_short(setting.outcomes),
+    }
+
+
+def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
+    quality = setting.quality
+    level = "not looked at" if quality is None else quality.level
+    findings = () if quality is None else quality.findings
+    return {
+        "about": about_lines(setting.specification),
+        "channels": channel_rows(result, setting.specification),
+        "sensor_columns": sensor_columns(setting.specification),
+        "quality": quality,
+        "quality_of": setting.quality_of,
+        "n_to_look_at": sum(finding.level != "note" for finding in findings),
+        "quality_word": level,
+        "quality_class": {"bad": "fault", "doubtful": "doubtful", "good": "good"}.get(level, "noise"),
+        "findings": findings[:MOST_FINDINGS],
+        "n_more_findings": max(0, len(findings) - MOST_FINDINGS),
         "data_sentences": words.data_sentences(result),
+    }
+
+
+def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
+    modes = result.modes
+    groups = [
+        (verdict, heading, meaning, [row for row in numbered(modes) if row[1].verdict == verdict])
+        for verdict, heading, meaning in VERDICTS
+    ]
+    believed = groups[0][3]
+    return {
+        "groups": groups,
+        "summary": believed[:MOST_SUMMED_UP],
+        "n_more_modes": max(0, len(believed) - MOST_SUMMED_UP),
         "indicators": INDICATORS,
         "caution": words.caution_sentence(result),
-        "assurance": shape_assurance(modes).tolist() if modes.system else [],
-        "frequencies": modes.frequencies.tolist(),
-        "has_intervals": bool(np.isfinite([mode.frequency_std for mode in modes.system]).any()),
-        "folds": [float(fold) for fold in np.atleast_1d(result.fit.folds)],
-        "provenance": provenance,
-        "version": installed_version(),
-        "python_version": platform.python_version(),
-        "numpy_version": np.__version__,
-        "snippet": _snippet(result, provenance),
+        "assurance": shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED].tolist() if modes.system else [],
+        "frequencies": modes.frequencies[:MOST_ASSURED].tolist(),
+        "has_intervals": has_intervals(result),
+        "has_geometry": setting.geometry is not None,
+        "placement_sentences": placement_of(result, setting).sentences,
     }
 
 
@@ -139,24 +194,17 @@ def _snippet(result: Identification, provenance: Provenance) -> str:
             f"{step}    input_hold={record.input_hold!a},\n)"
         )
     order = (result.fitted_model or result.realisation).order
-    chosen = f"observer_order={result.observer.order}, ridge={result.observer.ridge:g}, order={order}"
+    given = {choice.what for choice in result.choices if choice.reason == GIVEN}
+    settings = (
+        ("observer order", f"observer_order={result.observer.order}"),
+        ("ridge", f"ridge={result.observer.ridge!r}"),
+        ("model order", f"order={order}"),
+    )
+    arguments = ", ".join(["records", *(text for what, text in settings if what in given)])
+    chosen = ", ".join(text for what, text in settings if what not in given)
     return (
         "import modal\nimport okid\n\n"
         f"records = {reading}\n"
-        f"result = modal.identify(records)  # it chose {chosen}\n"
+        f"result = modal.identify({arguments}){'  # it chose ' + chosen if chosen else ''}\n"
         'modal.write_report(result, "report")'
     )
-
-
-def _literal(text: str) -> object:
-    """Lines of an indented code block, in which Markdown takes every letter as it is."""
-    from markupsafe import Markup
-
-    return Markup("\n    ").join(Markup(visible(line)) for line in text.split("\n"))  # noqa: S704 - Markdown, not HTML
-
-
-def _lines(text: str) -> object:
-    """Lines of a block that keeps them, each made harmless: a page would run them together otherwise."""
-    from markupsafe import Markup, escape
-
-    return Markup("\n").join(escape(visible(line)) for line in text.split("\n"))

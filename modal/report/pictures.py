@@ -1,74 +1,112 @@
 """The pictures of a report as SVG text, each with the words that stand under it."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal.assurance import assurance
+from modal.comparable import comparable_shapes, comparison_words
 from modal.identification import Identification, OrderEvidence
-from modal.mode import ModalModel
+from modal.report.picture import Picture, drawn, readable
+from modal.report.response_picture import response_pictures
+from modal.report.setting import NOTHING_BESIDES, Setting
 from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from modal.plots.charts import Notes
 
 __all__ = ["Picture", "draw_pictures", "shape_assurance"]
 
 MOST_OUTPUTS = 6
 MOST_SHAPES = 12
+MOST_PIECES = 9000
+"""Pieces of lines and surfaces in all shapes together."""
+MOST_ASSURED = 30
+"""Shapes of the assurance matrix; the picture grows with the square of their number."""
 MOST_LAGS = 2000
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Picture:
-    """One picture for a page.
-
-    Attributes:
-        svg: the `<svg>` element.
-        caption: what there is to see.
-    """
-
-    svg: str
-    caption: str
-
-
-def draw_pictures(result: Identification) -> dict[str, Picture]:
+def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
     """All pictures that the result has the numbers for, by name."""
     from modal import plots
 
     with plots.house_style():
-        return {**_order_pictures(result), **_fit_pictures(result), **_mode_pictures(result)}
+        return {
+            **_geometry_picture(result, setting),
+            **_order_pictures(result),
+            **_fit_pictures(result),
+            **_mode_pictures(result, setting),
+        }
 
 
-def shape_assurance(modes: ModalModel) -> FloatArray:
-    """(n_system, n_system) modal assurance of the system modes with one another."""
-    return assurance(modes.shapes, modes.shapes)
+def shape_assurance(result: Identification) -> FloatArray:
+    """(n_system, n_system) modal assurance of the system modes; outputs of several units are made alike if they can."""
+    first = result.records[0]
+    shapes = comparable_shapes(result.modes.system, first.output_names, first.output_units)
+    return assurance(shapes, shapes)
+
+
+def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:
+    from modal import plots
+
+    if setting.geometry is None:
+        return {}
+    figure = plots.geometry_picture(setting.geometry, output_names=result.records[0].output_names)
+    return {
+        "geometry": drawn(figure, "geometry", "The structure as the geometry describes it; arrows are the sensors.")
+    }
 
 
 def _order_pictures(result: Identification) -> dict[str, Picture]:
     from modal import plots
+    from modal.plots.order import pole_classes
 
     evidence = result.order_evidence
-    n_points = len(evidence.stabilisation)
+    n_points = sum(bool(np.isfinite(point.frequency)) for point in evidence.stabilisation)
+    n_drawn = sum(len(points) for _, points in pole_classes(evidence))
+    some = "" if n_drawn == n_points else f" {n_drawn:,} of them are drawn, those of every second order or fewer."
     return {
-        "stabilisation": _picture(
+        "stabilisation": readable(
             plots.stabilisation_diagram(evidence, result.modes, measured=result.records),
             "stabilisation",
-            f"Stabilisation diagram: the {n_points} poles of the models of all orders over the mean spectrum of the "
+            f"Stabilisation diagram: the {n_points:,} poles of the models of all orders over the mean spectrum of the "
             f"measured outputs, coloured by {_colour_words(evidence)}. A mode of the system forms a column of green "
-            "points; noise moves about.",
+            f"points; noise moves about. The line across is the order chosen.{some}",
+            notes=_pole_notes(evidence),
         ),
-        "singular_values": _picture(
+        "singular_values": readable(
             plots.singular_values(evidence), "singular values", "Singular values of the scaled block Hankel matrix."
         ),
-        "order_fits": _picture(
+        "order_fits": readable(
             plots.order_fits(evidence),
             "order fits",
-            "Cross-validated fit against model order. An order without a point gave an unstable model.",
+            f"Cross-validated fit against model order, a point for each order that was tried.{_unstable(evidence)}",
         ),
+    }
+
+
+def _unstable(evidence: OrderEvidence) -> str:
+    """Which of the orders that were tried have no point; "" where all have one."""
+    orders = [int(n) for n in evidence.candidate_orders[~np.isfinite(evidence.candidate_fits)]]
+    if not orders:
+        return ""
+    named = ", ".join(map(str, orders[:5])) + (f" and {len(orders) - 5} more" if len(orders) > 5 else "")
+    return f" Tried too, but unstable: {named}."
+
+
+def _pole_notes(evidence: OrderEvidence) -> "dict[str, Notes]":
+    """What each pole of the diagram is, for a reader who points at it."""
+    from modal.plots.charts import Notes
+    from modal.plots.order import pole_classes
+
+    return {
+        word: Notes(
+            columns=("damping [%]", "found again", "overlap with the order below", "EMAC"),
+            rows=tuple((100 * one.damping_ratio, one.repeatability, one.overlap, one.emac) for one in points),
+        )
+        for word, points in pole_classes(evidence)
     }
 
 
@@ -87,33 +125,35 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
     shown = _worst_outputs(result)
     which = "" if len(shown) == record.n_outputs else f" The {len(shown)} outputs with the least fit are shown."
     first = "" if len(result.records) == 1 else f" Record 1 of {len(result.records)}."
-    detail = 10.0 / result.modes.frequencies[0] if result.modes.system else None
+    slowest = next((mode.frequency for mode in result.modes.system if mode.frequency > 0), None)  # an integrator has 0
+    detail = None if slowest is None else 10.0 / slowest
     modelled = "simulated from the inputs alone" if record.n_inputs else "predicted one step ahead"
     pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, MOST_LAGS))
     pictures = {
-        "histories": _picture(
+        "histories": drawn(
             plots.measured_against_simulated(
                 record, simulated, outputs=shown, fits=result.fit.cross_validated, detail=detail
             ),
             "histories",
-            f"Measured (blue) and {modelled} (orange).{first}{which}",
+            f"Measured (blue) and {modelled} (orange), by the model of all rows; the fit beside each name is that on "
+            f"held-out rows.{first}{which}",
         ),
-        "spectra": _picture(
+        "spectra": readable(
             plots.output_spectra(
                 result.records, result.simulated, frequencies=result.modes.frequencies.tolist(), outputs=shown
             ),
             "spectra",
             f"Power spectra of the outputs, measured and {modelled}; green lines are the modes of the system.{which}",
         ),
-        "residuals": _picture(
+        "residuals": drawn(
             plots.residual_autocorrelation(result.residuals, output_names=record.output_names),
             "residuals",
             "Autocorrelation of the one-step residuals: white residuals stay within the band.",
         ),
     }
     if result.markov.n_inputs:
-        pictures |= _response_pictures(result)
-        pictures["markov"] = _picture(
+        pictures |= response_pictures(result)
+        pictures["markov"] = readable(
             plots.markov_parameters(
                 result.markov, pulse, output_names=record.output_names, input_names=record.input_names
             ),
@@ -123,67 +163,66 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
     return pictures
 
 
-def _response_pictures(result: Identification) -> dict[str, Picture]:
-    from modal import plots
-    from modal.synthesis import measured_frf
-
-    record = result.records[0]
-    try:
-        measured = measured_frf(result.records)
-    except InsufficientDataError:
-        return {}
-    return {
-        "responses": _picture(
-            plots.frequency_responses(
-                measured, result.realisation, output_names=record.output_names, input_names=record.input_names
-            ),
-            "responses",
-            "Frequency responses: quotient of measured spectra (mean of "
-            f"{measured.n_averages} segments, so sharp peaks are smeared) and the model. Pale where the coherence of "
-            "the output with all inputs is below 0.5.",
-        )
-    }
-
-
-def _mode_pictures(result: Identification) -> dict[str, Picture]:
+def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Picture]:
     from modal import plots
 
     system = result.modes.system
-    shown = system[:MOST_SHAPES]
-    if not shown:
+    if not system:
         return {}
-    names = result.records[0].output_names
-    which = "" if len(shown) == len(system) else f" The first {len(shown)} of {len(system)} modes."
-    units = set(result.records[0].output_units)
-    mixed = "" if len(units) == 1 else " The outputs have different units: compare only components of the same unit."
+    record = result.records[0]
+    drawn_on, shown = system[: _n_drawn(setting)], system[:MOST_SHAPES]
+    mixed = ""
+    if len(set(record.output_units)) > 1:
+        mixed = " The outputs have different units: compare only components of the same unit."
     pictures = {
-        "shapes": _picture(
-            plots.mode_shapes(shown, output_names=names),
+        "shapes": drawn(
+            plots.mode_shapes(
+                drawn_on, output_names=record.output_names, output_units=record.output_units, geometry=setting.geometry
+            ),
             "shapes",
-            "Shapes of the modes of the system: sensors in the order of the record, greatest component 1, without the "
-            f"geometry of the structure; dotted, the imaginary part where it exceeds 0.05.{mixed}{which}",
+            f"{_shape_words(setting, mixed)}{_first(drawn_on, system)}",
         ),
-        "complexity": _picture(
+        "complexity": drawn(
             plots.shape_complexity(shown),
             "complexity",
-            f"Shape components as phasors: those of a real mode lie on one line.{mixed}{which}",
+            f"Shape components as phasors: those of a real mode lie on one line.{mixed}{_first(shown, system)}",
         ),
     }
     if len(system) > 1:
-        frequencies = result.modes.frequencies.tolist()
-        pictures["assurance"] = _picture(
-            plots.assurance_matrix(shape_assurance(result.modes), frequencies),
+        frequencies = result.modes.frequencies[:MOST_ASSURED].tolist()
+        compared = comparison_words(record.output_names, record.output_units)
+        pictures["assurance"] = drawn(
+            plots.assurance_matrix(shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED], frequencies),
             "assurance",
             "Modal assurance of the system modes with one another: large numbers off the diagonal mean that the "
-            "sensors can hardly tell the two shapes apart.",
+            f"sensors can hardly tell the two shapes apart. {compared}".rstrip()
+            + _first(frequencies, system),
         )
     return pictures
 
 
-def _picture(figure: "Figure", name: str, caption: str) -> Picture:
-    from modal import plots
+def _n_drawn(setting: Setting) -> int:
+    """How many shapes are drawn: fewer on a geometry of very many lines and surfaces, so that the page stays small."""
+    if setting.geometry is None:
+        return MOST_SHAPES
+    pieces = sum(len(line) for line in setting.geometry.lines) + sum(len(face) for face in setting.geometry.surfaces)
+    return int(np.clip(MOST_PIECES // max(1, pieces), 2, MOST_SHAPES))
 
-    return Picture(svg=plots.svg_text(figure, name=name, description=caption), caption=caption)
+
+def _first(shown: Sequence[object], system: Sequence[object]) -> str:
+    return "" if len(shown) == len(system) else f" The first {len(shown)} of {len(system)} modes."
+
+
+def _shape_words(setting: Setting, mixed: str) -> str:
+    if setting.geometry is not None:
+        return (
+            "Shapes of the modes of the system on the geometry, greatest motion 1; thin, the structure at rest and at "
+            "the other end of its motion."
+        )
+    return (
+        "Shapes of the modes of the system: sensors in the order of the record, greatest component 1, without the "
+        f"geometry of the structure; dotted, the imaginary part where it exceeds 0.05.{mixed}"
+    )
 
 
 def _worst_outputs(result: Identification) -> list[int]:

@@ -15,6 +15,8 @@ __all__ = [
     "Judgement",
     "caution_sentence",
     "damping_sentence",
+    "damping_shown",
+    "damping_text",
     "data_sentences",
     "doubtful_sentence",
     "fit_sentence",
@@ -23,6 +25,7 @@ __all__ = [
     "headline",
     "hertz",
     "judge",
+    "share_text",
 ]
 
 LEAST_FIT = 0.5
@@ -100,15 +103,17 @@ def fit_word(fit: float) -> str:
 
 
 def fit_text(fit: float) -> str:
-    """A fit to two digits, a dash where it is not known; one below 0.5 is never rounded up to it.
+    """A fit to two digits, a dash where it is not known; one below 0.5 or 0.8 is never rounded up to it.
 
     Example:
-        >>> fit_text(0.4987), fit_text(0.7647), fit_text(-0.0012)
-        ('0.49', '0.76', '0.00')
+        >>> fit_text(0.4987), fit_text(0.7989), fit_text(0.7647), fit_text(-0.0012)
+        ('0.49', '0.79', '0.76', '0.00')
     """
     if not math.isfinite(fit):
         return "–"
-    shown = math.floor(100 * fit) / 100 if 0 < fit < LEAST_FIT else round(fit, 2)
+    shown = round(fit, 2)
+    if any(fit < limit <= shown for limit in (LEAST_FIT, GOOD_FIT)):
+        shown = math.floor(100 * fit) / 100
     return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
 
 
@@ -189,6 +194,16 @@ def damping_text(mode: Mode) -> str:
     return percent(mode.damping_ratio, mode.damping_ratio_std)
 
 
+def damping_shown(mode: Mode) -> str:
+    """Damping ratio in percent for the table of all poles, where it stands even if it may not be quoted.
+
+    Its 95 % interval is shown only where it may be.
+    """
+    if mode.kind == "real" or not mode.damping_resolved:
+        return percent(mode.damping_ratio)
+    return percent(mode.damping_ratio, mode.damping_ratio_std)
+
+
 def hertz(frequency: float) -> str:
     """A frequency to four digits, from 1000 Hz on to a tenth: never in powers of ten that a reader must work out.
 
@@ -211,6 +226,19 @@ def percent(ratio: float, std: float = math.nan) -> str:
     if not math.isfinite(ratio):
         return "–"
     return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 196 * std)} %"
+
+
+def share_text(share: float) -> str:
+    """A share in whole percent, a dash where it is not known; 100 % is all of it, and chance below nothing is 0 %.
+
+    Example:
+        >>> share_text(0.999), share_text(1.0), share_text(-0.001), share_text(0.236)
+        ('99 %', '100 %', '0 %', '24 %')
+    """
+    if not math.isfinite(share):
+        return "–"
+    whole = round(100 * share)
+    return f"{99 if whole == 100 and share < 1 else max(0, whole)} %"
 
 
 def with_interval(value: float, half_width: float) -> str:

@@ -2,19 +2,28 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.identification import Identification
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
-from modal.report.folder import Existing, refuse_names, write_folder
-from modal.report.machine import csv_text, json_text
+from modal.report.folder import Existing, recording_written, refuse_names, write_folder
+from modal.report.kept_result import keep_result
+from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import draw_pictures
 from modal.report.provenance import Provenance
+from modal.report.setting import Setting, setting_of
+from modal.report.uff55 import uff55_text
 from okid.arguments import require
+from okid.errors import InvalidDataError
+
+if TYPE_CHECKING:
+    from modal.geometry import Geometry
+    from modal.quality import DataQuality
+    from modal.specification import Specification
 
 __all__ = ["DiagnosisFiles", "ReportFiles", "refuse_existing", "write_report"]
 
@@ -27,18 +36,24 @@ class ReportFiles:
         html: self-contained page.
         markdown: the same words and tables.
         json: every number but the time histories.
+        schema: JSON schema of that file.
         csv: one row a mode.
+        uff55: modes of the system as universal file datasets 55, for other tools.
+        result: the result itself, for `modal.load`; None where it would be very large and was not written.
         recording: Rerun recording (.rrd).
     """
 
     html: Path
     markdown: Path
     json: Path
+    schema: Path
     csv: Path
+    uff55: Path
+    result: Path | None
     recording: Path
 
     def __iter__(self) -> Iterator[Path]:
-        return (getattr(self, field.name) for field in fields(self))
+        return (path for field in fields(self) if (path := getattr(self, field.name)) is not None)
 
     @classmethod
     def in_folder(cls, folder: Path) -> "ReportFiles":
@@ -47,7 +62,10 @@ class ReportFiles:
             html=folder / "report.html",
             markdown=folder / "report.md",
             json=folder / "report.json",
+            schema=folder / "report.schema.json",
             csv=folder / "modes.csv",
+            uff55=folder / "modes.uff",
+            result=folder / "result.npz",
             recording=folder / "recording.rrd",
         )
 
@@ -59,6 +77,9 @@ def write_report(
     *,
     existing: Existing = "refuse",
     provenance: Provenance | None = None,
+    geometry: "Geometry | None" = None,
+    specification: "Specification | None" = None,
+    quality: "DataQuality | None" = None,
 ) -> ReportFiles: ...
 
 
@@ -78,8 +99,11 @@ def write_report(
     *,
     existing: Existing = "refuse",
     provenance: Provenance | None = None,
+    geometry: "Geometry | None" = None,
+    specification: "Specification | None" = None,
+    quality: "DataQuality | None" = None,
 ) -> ReportFiles | DiagnosisFiles:
-    """Write HTML, Markdown, JSON, CSV and the Rerun recording of a result into a folder, all of them or none.
+    """Write HTML, Markdown, JSON, CSV, UFF 55 and the Rerun recording of a result into a folder, all of them or none.
 
     Of a diagnosis the updated model is written too, so that one can go on with it. Nothing in the files depends on when
     or where they were written: the same result gives the same bytes.
@@ -89,20 +113,41 @@ def write_report(
         folder: made if it does not exist.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
         provenance: command and sources, for the part on how to make the result again.
+        geometry: of the structure, for the shapes of an identification; that of the specification unless given.
+        specification: what the test file says: article, sensors, limits of acceptance.
+        quality: of the records as they were read (`modal.quality.check_quality`); the records as used are looked at
+            unless given.
 
     Returns:
         The paths.
 
     Raises:
-        InvalidDataError: a file of the report exists already, or the folder cannot be written.
+        InvalidDataError: a file of the report exists already, the folder cannot be written, the geometry has no place
+            for any output, or a geometry, a specification or a quality was given with a diagnosis.
     """
     if isinstance(result, Diagnosis):
+        if geometry is not None or specification is not None or quality is not None:
+            raise InvalidDataError(
+                "a report on a diagnosis has no part for a geometry, a specification or the quality of the data; leave "
+                "them out."
+            )
         return write_diagnosis(result, folder, existing=existing, provenance=provenance)
     require(result, Identification, where="write_report", made_by="modal.identify")
     target, source = Path(folder), provenance or Provenance()
-    names = [path.name for path in ReportFiles.in_folder(target)]
-    write_folder(target, names, lambda made: _write_all(result, ReportFiles.in_folder(made), source), existing=existing)
-    return ReportFiles.in_folder(target)
+    files = ReportFiles.in_folder(target)
+    refuse_names(target, [path.name for path in files], existing)
+    setting = setting_of(result, geometry=geometry, specification=specification, quality=quality)
+    written: list[str] = []
+    write_folder(
+        target,
+        [path.name for path in files],
+        lambda made: written.extend(_write_all(result, ReportFiles.in_folder(made), source, setting)),
+        existing=existing,
+    )
+    if files.result is not None and files.result.name not in written:
+        files.result.unlink(missing_ok=True)  # of the report that was replaced
+        return replace(files, result=None)
+    return files
 
 
 def refuse_existing(folder: Path, existing: Existing) -> None:
@@ -114,15 +159,32 @@ def refuse_existing(folder: Path, existing: Existing) -> None:
     refuse_names(folder, [path.name for path in ReportFiles.in_folder(folder)], existing)
 
 
-def _write_all(result: Identification, files: ReportFiles, provenance: Provenance) -> None:
+def _write_all(result: Identification, files: ReportFiles, provenance: Provenance, setting: Setting) -> list[str]:
+    """Write every file; return their names."""
     from modal.recording import save_recording
 
+    kept = None if files.result is None else keep_result(result, files.result)
+    beside = _beside(replace(files, result=kept))
     pages = {
-        files.html: html_text(result, provenance, draw_pictures(result)),
-        files.markdown: markdown_text(result, provenance),
-        files.json: json_text(result, provenance),
+        files.html: html_text(result, provenance, draw_pictures(result, setting), setting, beside=beside),
+        files.markdown: markdown_text(result, provenance, setting, beside=beside),
+        files.json: json_text(result, provenance, specification=setting.specification),
+        files.schema: schema_text(),
         files.csv: csv_text(result),
+        files.uff55: uff55_text(result, setting.geometry),
     }
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
-    save_recording(result, files.recording)
+    with recording_written(files.recording):
+        save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
+    return [path.name for path in replace(files, result=kept)]
+
+
+def _beside(files: ReportFiles) -> str:
+    """The other files of the report, for the last words of the page."""
+    kept = f"{files.result.name} (the result itself, for modal.load and modal-report diff), " if files.result else ""
+    return (
+        f"{files.markdown.name} (the same words), {files.json.name} (every number; {files.schema.name} says how it is "
+        f"laid out), {files.csv.name} (one row a pole), {files.uff55.name} (the modes for other tools), {kept}and "
+        f"{files.recording.name} (open it with: rerun {files.recording.name})"
+    )

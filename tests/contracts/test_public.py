@@ -32,6 +32,12 @@ POSITIONAL = {
     "modal.simulate": ["model", "record_or_inputs"],
     "modal.read_model": ["path"],
     "modal.write_model": ["model", "path"],
+    "modal.check_quality": ["records"],
+    "modal.check_limits": ["result", "specification"],
+    "modal.read_specification": ["path"],
+    "modal.read_geometry": ["path"],
+    "modal.read_result": ["path"],
+    "modal.compare_results": ["before", "after"],
     "modal.discrepancy.diagnose": ["model", "fit", "held_out"],
     "modal.discrepancy.register": ["effect"],
 }

@@ -1,3 +1,7 @@
+import contextlib
+import hashlib
+import itertools
+import json
 import os
 import re
 import signal
@@ -9,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import modal.pipeline
 import modal.recording
 from modal.command import _status, app
-from modal.command_options import plain_name
+from modal.command_options import plain_name, spread_files
 
 COMMAND = [sys.executable, "-c", "from modal.command import main; main()"]
 HERE = Path(modal.pipeline.__file__).parents[1]
@@ -133,8 +138,8 @@ def quick(monkeypatch, identification):
 
     monkeypatch.setattr(modal.pipeline, "identify", identify)
     monkeypatch.setattr("modal.identify", identify)
-    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
-    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result: {})
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
+    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
     return state
 
 
@@ -148,7 +153,10 @@ def test_a_good_run_writes_the_report_and_says_where(data, quick):
     assert "Three modes of the system were found" in result.stdout
     assert str(data / "out" / "report.html") in result.stdout
     assert result.stderr == ""
-    assert len(list((data / "out").iterdir())) == 5
+    assert sorted(path.name for path in (data / "out").iterdir()) == [
+        *("modes.csv", "modes.uff", "recording.rrd", "report.html", "report.json", "report.md", "report.schema.json"),
+        "result.npz",
+    ]
 
 
 def test_the_folder_has_the_name_of_the_file_unless_given(data, quick, monkeypatch):
@@ -243,7 +251,8 @@ def test_the_python_of_the_report_runs(data, quick, monkeypatch):
     result = invoke("step.csv", "--inputs", "force", "--dt", "0.01", "-o", "out")
     assert result.exit_code == 0, result.output
     text = (data / "out" / "report.md").read_text(encoding="utf-8")
-    code = "\n".join(line[4:] for line in text[text.index("    import modal") :].splitlines())
+    lines = text[text.index("    import modal") :].splitlines()
+    code = "\n".join(line[4:] for line in itertools.takewhile(lambda line: not line or line.startswith("    "), lines))
     code = code.replace("floor_1", "tip").replace(", 'floor_2', 'floor_3'", "").replace("'ground'", "'force'")
     exec(compile(code, "snippet", "exec"), {})  # noqa: S102 - the page's own words
     assert (data / "report" / "report.html").is_file()
@@ -281,21 +290,88 @@ def test_a_fault_of_ours_is_one_sentence_that_tells_how_to_see_more(data, quick,
     assert not (data / "out").exists()
 
 
-def test_an_interrupted_process_leaves_nothing(tmp_path):
+WAITING = """
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs in its background
+import modal.pipeline, modal.recording
+
+def waiting(*_arguments, **_options):
+    print("READY", flush=True)
+    time.sleep(60)
+
+if {stage!r} == "identify":
+    identify = modal.pipeline.identify
+    def announced(*arguments, **options):
+        print("READY", flush=True)
+        return [identify(*arguments, **options) for _ in range(20)]
+    modal.pipeline.identify = announced
+else:
+    from modal.storage import load
+    modal.pipeline.identify = lambda *_arguments, **_options: load("result.npz")
+    modal.recording.save_recording = waiting
+from modal.command import main
+sys.argv[1:] = {arguments!r}
+main()
+"""
+
+
+def stopped(cwd, number, *, stage, arguments):
+    """Exit status and stderr of a process that gets a signal while it works."""
+    code = WAITING.format(stage=stage, arguments=arguments)
     process = subprocess.Popen(
-        [*COMMAND, "demo", "-o", "out"],
-        cwd=tmp_path,
+        [sys.executable, "-c", code],
+        cwd=cwd,
         env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(1.5)
-    process.send_signal(signal.SIGINT)
+    if process.stdout.readline() != "READY\n":
+        pytest.fail(process.communicate(timeout=60)[1])
+    time.sleep(0.3)
+    process.send_signal(number)
+    time.sleep(0.05)
+    process.send_signal(number)  # a second one, while it clears up
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 130, error
+    return process.returncode, error
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_process_stopped_while_it_identifies_leaves_nothing(tmp_path, number):
+    status, error = stopped(tmp_path, number, stage="identify", arguments=["demo", "-o", "new/out"])
+    assert status == 130, error
     assert one_sentence(error), error
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_process_stopped_while_it_writes_leaves_an_old_report_as_it_was(tmp_path, number, identification):
+    identification.save(tmp_path / "result.npz")
+    old = {f"report.{ending}": f"old {ending}" for ending in ("html", "json")}
+    (tmp_path / "out").mkdir()
+    for name, text in old.items():
+        (tmp_path / "out" / name).write_text(text)
+    status, error = stopped(tmp_path, number, stage="write", arguments=["demo", "-o", "out", "--overwrite"])
+    assert status == 130, error
+    assert one_sentence(error), error
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "result.npz"]
+    assert {path.name: path.read_text() for path in (tmp_path / "out").iterdir()} == old
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["rnu"], "No such command 'rnu'. Did you mean 'run'? See modal-report --help."),
+        (["view"], "Missing argument 'RESULT'; see modal-report view --help."),
+        (["diff", "a", "b", "--otu"], "see modal-report diff --help."),
+        (["--nope"], "see modal-report --help."),
+    ],
+)
+def test_wrong_use_names_the_help_that_helps(arguments, words, capsys):
+    assert _status(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert one_sentence(error)
 
 
 def test_version_tells_the_path_in_use(tmp_path):
@@ -314,11 +390,48 @@ def test_help_is_quick_and_loads_nothing_heavy(tmp_path):
     subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, cwd=tmp_path, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["demo"], ["gap"]])
-def test_help_shows_an_example(command):
-    result = CliRunner().invoke(app, [*command, "--help"])
+COMMANDS = ["run", "demo", "check", "gap", "diff", "view"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_examples_that_the_command_accepts(command):
+    result = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
-    assert "modal-report" in result.stdout or "Usage" in result.stdout
+    lines = [line.strip() for line in result.stdout.split("Examples")[1].splitlines()]
+    examples = [line for line in lines if line.startswith("modal-report ")]
+    assert examples
+    for example in examples:
+        words = example.split()[1:]
+        parsed = spread_files(words[1:], ("--fit", "--held-out")) if words[0] == "gap" else words[1:]
+        get_command(app).commands[words[0]].make_context(words[0], list(parsed), resilient_parsing=False)
+
+
+def test_the_root_help_names_every_command():
+    text = CliRunner().invoke(app, ["--help"]).stdout
+    assert all(f" {command} " in text for command in COMMANDS)
+    assert "--install-completion" in text
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("modal-report ", {"run", "demo", "check", "gap", "diff", "view"}),
+        ("modal-report run --h", {"--hold", "--help"}),
+        ("modal-report run --hold z", {"zero_order"}),
+        ("modal-report gap --catalogue gap_spring,coul", {"gap_spring,coulomb_friction"}),
+    ],
+)
+def test_the_shell_completes(typed, offered, tmp_path):
+    words = typed.split(" ")
+    environment = {
+        **ENVIRONMENT,
+        "_MODAL_REPORT_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(words) - 1),
+    }
+    result = subprocess.run(COMMAND, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert set(result.stdout.split()) == offered
 
 
 @pytest.mark.parametrize("command", [[], ["run"], ["demo"], ["gap"]])
@@ -335,3 +448,167 @@ def test_help_asks_for_no_value_of_a_switch(command):
 )
 def test_default_folder_is_a_plain_name(stem, safe):
     assert plain_name(stem) == safe
+
+
+# --- test file, geometry, PDF ----------------------------------------------------------------------------------------
+
+MET = '[[limits]]\nkind = "n_modes"\nat_least = 2\n'
+NOT_MET = '[[limits]]\nkind = "n_modes"\nat_least = 9\n'
+UNTOLD = '[[limits]]\nkind = "mode"\nfrequency = [3.0, 4.0]\n'  # the hand-made result knows no deviations
+
+
+@pytest.mark.parametrize(("limits", "status"), [("", 0), (MET, 0), (MET + NOT_MET, 1), (MET + UNTOLD, 1)])
+def test_limits_of_acceptance_decide_the_exit_status(data, quick, limits, status):
+    (data / "test.toml").write_text('article = "frame"\n' + limits)
+    result = invoke(data / "good.csv", "--inputs", "force", "--test", data / "test.toml", "-o", data / "out")
+    assert result.exit_code == status, result.output
+    assert ("Acceptance" in result.stdout) == bool(limits)
+    assert ("not met" in result.stdout) == (NOT_MET in limits)
+    assert ("cannot be told" in result.stdout) == (UNTOLD in limits)
+    assert "frame" in (data / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_report_of_a_test_can_be_made_again(data, quick, monkeypatch):
+    monkeypatch.chdir(data)
+    (data / "test.toml").write_text(MET)
+    (data / "frame.toml").write_text("[nodes]\n1 = [0, 0, 0]\n2 = [0, 0, 1]\n[sensors]\nfloor_1 = '2X+'\n")
+    result = invoke("good.csv", "--inputs", "force", "--test", "test.toml", "--geometry", "frame.toml", "-o", "out")
+    assert result.exit_code == 0, result.output
+    document = json.loads((data / "out" / "report.json").read_text(encoding="utf-8"))
+    assert document["command"] == "modal-report run good.csv --inputs force --test test.toml --geometry frame.toml"
+    assert [one["name"] for one in document["files"]] == ["good.csv", "test.toml", "frame.toml"]
+    assert document["files"][0]["sha256"] == hashlib.sha256((data / "good.csv").read_bytes()).hexdigest()
+    assert document["sources"] == ["good.csv"]
+    text = (data / "out" / "report.md").read_text(encoding="utf-8")
+    assert "gap MODEL.toml --fit good.csv --held-out SECOND.csv " in text
+    assert "    okid.read_records(\n" not in text
+    assert "records = okid.read_records(\n        ['good.csv'],\n" in text
+
+
+def test_a_measured_file_is_never_replaced(data, quick, monkeypatch):
+    out = data / "out"
+    out.mkdir()
+    rng = np.random.default_rng(3)
+    np.savez(out / "result.npz", force=rng.standard_normal(400), tip=rng.standard_normal(400))
+    before = (out / "result.npz").read_bytes()
+    result = invoke(out / "result.npz", "--inputs", "force", "--dt", "0.01", "-o", out, "--overwrite")
+    assert result.exit_code == 2, result.output
+    assert "would replace a file that is read" in result.stderr
+    assert one_sentence(result.stderr), result.stderr
+    assert quick["calls"] == []
+    assert [path.name for path in out.iterdir()] == ["result.npz"]
+    assert (out / "result.npz").read_bytes() == before
+    assert invoke(data / "good.csv", "--inputs", "force", "-o", out, "--overwrite").exit_code == 0
+
+
+def test_a_report_of_another_kind_is_not_replaced_in_part(data, quick):
+    out = data / "out"
+    out.mkdir()
+    for name in ("report.json", "findings.csv", "model.json"):
+        (out / name).write_text("old")
+    result = invoke(data / "good.csv", "--inputs", "force", "-o", out, "--overwrite")
+    assert result.exit_code == 2, result.output
+    assert "another kind (findings.csv)" in result.stderr
+    assert sorted(path.read_text() for path in out.iterdir()) == ["old", "old", "old"]
+    assert quick["calls"] == []
+    (out / "findings.csv").unlink()
+    assert invoke(data / "good.csv", "--inputs", "force", "-o", out, "--overwrite").exit_code == 0
+
+
+def test_a_report_stopped_while_it_is_printed_has_no_old_print_beside_it(data, quick, monkeypatch):
+    def interrupted(_html, _pdf):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.report.pdf.write_pdf", interrupted)
+    (data / "out").mkdir()
+    (data / "out" / "report.pdf").write_text("old")
+    arguments = ["run", str(data / "good.csv"), "--inputs", "force", "--pdf", "-o", str(data / "out"), "--overwrite"]
+    assert _status(arguments) == 130
+    assert not (data / "out" / "report.pdf").exists()
+    assert (data / "out" / "report.html").is_file()
+
+
+def test_a_viewer_that_cannot_be_had_is_said_and_is_not_in_the_report(data, quick, monkeypatch):
+    @contextlib.contextmanager
+    def live_recording(*, tell):
+        tell("No viewer was found.")
+        yield None
+
+    monkeypatch.setattr("modal.recording.live.live_recording", live_recording)
+    result = invoke(data / "good.csv", "--inputs", "force", "--live", "-o", data / "out")
+    assert result.exit_code == 0, result.output
+    assert "No viewer was found." in result.stdout
+    assert "No viewer was found." not in (data / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_viewer_is_told_of_records_progress_and_result(data, quick, monkeypatch):
+    told = []
+    monkeypatch.setattr("modal.recording.live.live_recording", lambda **_: contextlib.nullcontext("stream"))
+    monkeypatch.setattr("modal.recording.live.log_records", lambda records, to: told.append((to, len(records))))
+    monkeypatch.setattr("modal.recording.live.log_result", lambda result, to, **_: told.append((to, result)))
+    assert invoke(data / "good.csv", "--inputs", "force", "--live", "-o", data / "out").exit_code == 0
+    assert told == [("stream", 1), ("stream", quick["result"])]
+
+
+def test_a_sensor_of_no_channel_is_said(data, quick):
+    (data / "test.toml").write_text('[[sensors]]\nchannel = "tipp"\n[[sensors]]\nchannel = "tip"\n')
+    result = invoke(data / "good.csv", "--inputs", "force", "--test", data / "test.toml", "-o", data / "out")
+    assert result.exit_code == 0, result.output
+    assert "the test file describes 'tipp', which the records as read do not have" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--test", "no.toml"),
+        ("--test", "bad.toml"),
+        ("--test", "good.csv"),
+        ("--geometry", "no.toml"),
+        ("--geometry", "bad.toml"),
+    ],
+)
+def test_a_bad_test_file_or_geometry_is_refused_before_any_work(data, quick, monkeypatch, arguments):
+    monkeypatch.chdir(data)
+    (data / "bad.toml").write_text("artcle = 3\n")
+    result = invoke("good.csv", "--inputs", "force", *arguments, "-o", "out")
+    assert result.exit_code == 2, result.output
+    assert one_sentence(result.stderr), result.stderr
+    assert quick["calls"] == []
+    assert not (data / "out").exists()
+
+
+def test_a_pdf_that_cannot_be_is_refused_before_any_work(data, quick, monkeypatch):
+    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: None)
+    result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
+    assert (result.exit_code, quick["calls"]) == (2, [])
+    assert one_sentence(result.stderr), result.stderr
+    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
+    (data / "out").mkdir()
+    (data / "out" / "report.pdf").write_text("mine")
+    result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
+    assert (result.exit_code, quick["calls"]) == (2, [])
+    assert (data / "out" / "report.pdf").read_text() == "mine"
+
+
+def test_what_an_older_report_had_more_does_not_stay_beside_a_new_one(data, quick, monkeypatch):
+    out = data / "out"
+    out.mkdir()
+    for name in ("report.html", "report.pdf", "result.npz", "notes.txt"):
+        (out / name).write_text("old")
+    monkeypatch.setattr("modal.report.kept_result.LARGEST_KEPT", 0)
+    result = invoke(data / "good.csv", "--inputs", "force", "-o", out, "--overwrite")
+    assert result.exit_code == 0, result.output
+    assert not (out / "report.pdf").exists()
+    assert not (out / "result.npz").exists()
+    assert (out / "notes.txt").read_text() == "old"
+    assert "was not kept" in " ".join(result.stdout.split())
+
+
+def test_a_pdf_is_printed_from_the_page(data, quick, monkeypatch):
+    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.report.pdf.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
+    assert result.exit_code == 0, result.output
+    assert (data / "out" / "report.pdf").read_text() == "printed report.html"
+    assert str(data / "out" / "report.pdf") in result.stdout

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from signals import random_inputs, with_noise
 from systems import markov, modal_system, random_chain, simulate
 
 import era
+import modal.delay
 from era.realisation import Realisation
 from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
 from modal.extraction import extract_modes
@@ -111,3 +114,14 @@ def test_a_given_delay_is_checked_and_decimated():
         given_input_delay(-1, record)
     with pytest.raises(InvalidDataError, match="one delay for each of 0 inputs"):
         with_input_delay(Realisation([[0.5]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.1), [1])
+
+
+def test_a_fit_that_leaves_less_than_nothing_by_rounding_does_no_harm(monkeypatch):
+    honest = modal.delay.solve
+
+    def exact(gram, ridge):
+        return replace(honest(gram, ridge), residual_covariance=-1e-20 * np.eye(2))
+
+    monkeypatch.setattr(modal.delay, "solve", exact)
+    rng = np.random.default_rng(0)
+    assert len(choose_input_delay([record_of(rng, two_modes(rng, 1), (3,))]).samples) == 1

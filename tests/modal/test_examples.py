@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 import scipy
+from typer.testing import CliRunner
 
+from modal import job
+from modal.command import app
 from modal.examples import demo, struck_mass
+from modal.examples.demo_geometry import demo_geometry
 from modal.examples.struck_mass import StruckMass, measured_samples, study
 from modal.examples.struck_mass_models import (
     frequency_and_damping,
@@ -16,8 +20,9 @@ from modal.examples.struck_mass_models import (
     step_response,
     truncated_model,
 )
+from modal.geometry import Geometry
 from modal.mode import ModalModel, Mode
-from okid.errors import InsufficientDataError
+from okid.errors import InsufficientDataError, InvalidDataError
 
 TRUTH = StruckMass()
 SEEDS = range(20)
@@ -243,3 +248,35 @@ def test_comparison_pairs_one_to_one_and_leaves_noise_out():
     assert found[1].found_frequency == pytest.approx(truth.frequencies[1] * 1.001)
     assert found[0].assurance == pytest.approx(1.0)
     assert np.isnan(found[2].found_frequency)
+
+
+def test_the_floors_of_the_demo_stand_where_its_truth_says_and_move_as_their_sensors_do():
+    geometry, truth = demo_geometry(), demo.demo_truth()
+    heights = {sensor.name: geometry.positions[sensor.node, 2] for sensor in geometry.sensors}
+    measured = [name for name in truth.output_names if name != "tuned_mass"]  # it moves relative to the roof: no node
+    assert list(heights) == measured
+    np.testing.assert_allclose([heights[name] for name in measured], truth.heights[: len(measured)])
+    shape = truth.shapes[:, 3]
+    moved = geometry.deflection(shape, truth.output_names)
+    for floor, component in enumerate(np.append(0.0, shape[:5])):
+        corners = np.flatnonzero(np.isclose(geometry.positions[:, 2], floor * demo.STOREY_HEIGHT))
+        assert len(corners) == 4
+        np.testing.assert_allclose(moved[corners], [[component, 0, 0]] * 4, atol=1e-12)
+
+
+def test_the_demo_is_reported_on_its_tower(monkeypatch, tmp_path, identification):
+    """Unless a file names another geometry."""
+    seen, other = [], Geometry(node_names=("1",), positions=[[0.0, 0.0, 0.0]])
+
+    def write_report(_result, _folder, *, geometry, **_options):
+        seen.append(geometry)
+        raise InvalidDataError("no report is wanted.")
+
+    monkeypatch.setattr("modal.pipeline.identify", lambda _records, **_options: identification)
+    monkeypatch.setattr("modal.report.write_report", write_report)
+    for named in (None, other):
+        monkeypatch.setattr(job, "prepare", lambda _job, named=named: (None, named))
+        result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path)])
+        assert "no report is wanted" in result.stderr
+    assert seen[0].node_names == demo_geometry().node_names
+    assert seen[1] is other

@@ -48,6 +48,7 @@ def data(tmp_path, monkeypatch):
             table[:, 1] = np.nan
         np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=header, comments="")
     (folder / "empty.csv").write_text("")
+    (folder / "a_again.csv").symlink_to("a.csv")
     monkeypatch.chdir(folder)
     return folder
 
@@ -95,6 +96,7 @@ BAD = [
     ("function.py", "--fit", "a.csv", "--held-out", "c.csv"),
     ("frame.toml", "--fit", "nofile.csv", "--held-out", "c.csv"),
     ("frame.toml", "--fit", "a.csv", "--held-out", "a.csv"),
+    ("frame.toml", "--fit", "a.csv", "--held-out", "a_again.csv"),
     ("frame.toml", "--fit", "a.csv", "--held-out", "other.csv"),
     ("frame.toml", "--fit", "other.csv", "--held-out", "c.csv"),
     ("frame.toml", "--fit", "empty.csv", "--held-out", "c.csv"),
@@ -243,3 +245,45 @@ def test_warnings_of_ours_are_remarks_of_the_report(data, quick, capsys, monkeyp
 )
 def test_an_option_takes_all_the_files_that_follow(given, spread):
     assert spread_files(given.split(), ("--fit", "--held-out")) == spread.split()
+
+
+def test_the_report_is_printed_when_that_is_asked_for(data, quick, capsys, monkeypatch):
+    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.report.pdf.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    status, captured = gap(capsys, *GOOD, "--pdf")
+    assert status == 0, captured.err
+    assert (data / "out" / "report.pdf").read_text() == "printed report.html"
+    assert "out/report.pdf" in captured.out
+    quick["calls"].clear()
+    status, captured = gap(capsys, *GOOD, "--pdf", "--catalogue", "gap_spring")
+    assert (status, quick["calls"]) == (2, [])
+
+
+def test_what_an_older_report_had_more_does_not_stay_beside_a_new_one(data, quick, capsys, diagnosis_of):
+    assert gap(capsys, *GOOD)[0] == 0
+    (data / "out" / "report.pdf").write_text("old")
+    (data / "out" / "notes.txt").write_text("mine")
+    quick["result"] = replace(quick["result"], model=lambda record: record)  # no file can hold it
+    assert gap(capsys, *GOOD, "--overwrite")[0] == 0
+    assert sorted(path.name for path in (data / "out").iterdir()) == sorted(
+        ["findings.csv", "notes.txt", "recording.rrd", "report.html", "report.json", "report.md"]
+    )
+
+
+def test_neither_the_model_nor_a_report_of_another_kind_is_replaced(data, quick, capsys):
+    out = data / "out"
+    out.mkdir()
+    (data / "frame.toml").rename(out / "model.json")
+    before = (out / "model.json").read_bytes()
+    status, captured = gap(capsys, "out/model.json", *GOOD[1:], "--overwrite")
+    assert status == 2
+    assert "would replace a file that is read" in captured.err
+    assert (out / "model.json").read_bytes() == before
+    (out / "model.json").rename(data / "frame.toml")
+    for name in ("report.json", "modes.csv"):
+        (out / name).write_text("old")
+    status, captured = gap(capsys, *GOOD, "--overwrite")
+    assert status == 2
+    assert "another kind (modes.csv)" in captured.err
+    assert sorted(path.name for path in out.iterdir()) == ["modes.csv", "report.json"]
+    assert quick["calls"] == []

@@ -16,6 +16,7 @@ from modal.elements import Element
 from modal.model_file import read_model, write_model
 from modal.structure import StructuralModel
 from okid.errors import InvalidDataError, UnreadableFileError
+from okid.record import Record
 
 CHAIN_TOML = """
 masses = [1.5, 0.8]
@@ -249,7 +250,7 @@ def test_never_overwrites_unless_told(tmp_path: Path) -> None:
         state_space_model().save(path)
     assert path.read_bytes() == before
     state_space_model().save(path, existing="replace")
-    with pytest.raises(UnreadableFileError, match="holds a PlantModel, not a structural model"):
+    with pytest.raises(UnreadableFileError, match="holds a PlantModel, not a StructuralModel"):
         StructuralModel.load(path)
     model.save(path, existing="replace")
     with pytest.raises(UnreadableFileError, match="holds a StructuralModel, not a model made from a state space"):
@@ -276,3 +277,39 @@ def test_a_plant_whose_parts_do_not_fit(tmp_path: Path) -> None:
         path.write_text(json.dumps({**whole, **change, "effects": []}))
         with pytest.raises(UnreadableFileError, match=words):
             read_model(path)
+
+
+class Found:
+    """Something that has a model."""
+
+    def __init__(self, model: object) -> None:
+        self.model = model
+
+
+@pytest.mark.parametrize(
+    ("wrong", "remedy"),
+    [
+        (Record([1.0, 2.0], [1.0, 2.0], 0.1), "a Record was given; make one of them first"),
+        (None, "a NoneType was given; make one"),
+        ({"masses": [1.0]}, "a dict was given; make one"),
+        (
+            Found(StructuralModel.chain(1.0, 1.0, 0.1, force_dofs=0, sensor_dofs=0)),
+            "a Found was given; pass its .model",
+        ),
+        (Found(3.0), "a Found was given; make one"),
+    ],
+)
+def test_only_a_model_is_written(tmp_path: Path, wrong: object, remedy: str) -> None:
+    with pytest.raises(InvalidDataError, match=remedy) as caught:
+        write_model(wrong, tmp_path / "model.toml")  # type: ignore[arg-type]  # that is what is tested
+    assert "StructuralModel or a PlantModel" in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [3, None, 1.5, ["model.toml"]])
+def test_a_path_is_text(wrong: object) -> None:
+    model = StructuralModel.chain(1.0, 1.0, 0.1, force_dofs=0, sensor_dofs=0)
+    with pytest.raises(InvalidDataError, match="text or a Path"):
+        write_model(model, wrong)  # type: ignore[arg-type]  # that is what is tested
+    with pytest.raises(UnreadableFileError, match="text or a Path"):
+        read_model(wrong)  # type: ignore[arg-type]  # that is what is tested

@@ -6,7 +6,7 @@ import pytest
 
 from modal import plots
 from modal.identification import OrderEvidence
-from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels
+from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
 from modal.plots.spectra import power_spectra
 from modal.plots.style import envelope
 from modal.synthesis import measured_frf
@@ -187,6 +187,37 @@ def test_missing_samples_do_not_break_the_histories(identification):
     figure = plots.measured_against_simulated(gappy, identification.simulated[0])
     assert np.isnan(figure.axes[0].lines[0].get_ydata()).any()
     plots.output_spectra([gappy], identification.simulated)
+
+
+@pytest.mark.parametrize(("n_orders", "kept"), [(5, 5), (40, 20)])
+def test_of_very_many_poles_every_second_order_is_drawn(monkeypatch, identification, n_orders, kept):
+    monkeypatch.setattr("modal.plots.order.MOST_POLES", 400)
+    one = identification.order_evidence.stabilisation[0]
+    points = tuple(replace(one, order=order, frequency=0.1 * k) for order in range(n_orders) for k in range(20))
+    evidence = replace(identification.order_evidence, stabilisation=points)
+    drawn = {point.order for _, poles in pole_classes(evidence) for point in poles}
+    assert len(drawn) == kept
+    assert n_orders - 1 in drawn
+
+
+@pytest.mark.parametrize(("count", "labels"), [(3, 3), (30, 4)])
+def test_crowded_modes_have_labels_on_few_lines(identification, count, labels):
+    modes = tuple(replace(identification.modes.modes[0], frequency=5.0 + 0.001 * i) for i in range(count))
+    crowd = replace(identification.modes, modes=modes)
+    figure = plots.stabilisation_diagram(identification.order_evidence, crowd)
+    assert len(figure.axes[0].texts) == labels
+
+
+def test_a_response_is_pale_where_the_coherence_is_low_and_the_strip_shows_it(identification):
+    measured = measured_frf(identification.records)
+    coherence = np.full_like(measured.multiple_coherence, 0.9)
+    coherence[: coherence.shape[0] // 2] = 0.1
+    figure = plots.frequency_responses(replace(measured, multiple_coherence=coherence), identification.realisation)
+    above, strip = figure.axes[0], figure.axes[3]
+    trusted = next(line for line in above.lines if line.get_label() == "measured")
+    hidden = np.isnan(trusted.get_ydata())
+    np.testing.assert_array_equal(hidden, coherence[1:, 0] < 0.5)
+    np.testing.assert_array_equal(strip.lines[0].get_ydata(), coherence[1:, 0])
 
 
 @pytest.mark.parametrize(

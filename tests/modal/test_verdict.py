@@ -251,6 +251,15 @@ def test_a_line_that_does_not_decay_within_the_record_is_not_certain(duration, v
     assert mode.reason.startswith(words)
 
 
+@pytest.mark.parametrize(("std", "verdict", "words"), [(0.002, "system", "found again"), (0.02, "doubtful", "perhaps")])
+def test_a_decay_that_may_be_none_is_not_called_an_undamped_line(std, verdict, words):
+    """0.02 * 2 pi 5 Hz * 30 s = 18.8: nothing is left of it, unless its damping is not known at all."""
+    mode = judged(replace(vibration(5.0, 0.02), damping_ratio_std=std), found_with(), duration=30.0)
+    assert mode.verdict == verdict
+    assert mode.reason.startswith(words)
+    assert ("may be as little as 0 %" in mode.reason) is (words == "perhaps")
+
+
 def found_driven(first, second, mode):
     again = model_of(mode, vibration(30.0))
     halves = [Rerun(label="half", change="data", modes=again, gain=np.array([gain, 0.9])) for gain in (first, second)]
@@ -309,6 +318,7 @@ def test_a_poor_fit_does_not_make_noise_doubtful():
         ({"ridge": 0.01, "refinement_steps": 3}, {}, None),
         ({}, {"damping_ratio_std": 0.0019}, None),
         ({}, {"damping_ratio_std": 0.0024}, "its standard deviation is 12 % of it"),
+        ({}, {"damping_ratio_std": 9.0}, "its standard deviation is over 1000 % of it"),
     ],
 )
 def test_damping_is_resolved_or_it_is_said_why_not(options, changes, words):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from okid.errors import InvalidDataError
-from okid.excitation import check_excitation
+from okid.excitation import _bridged, check_excitation
 from okid.record import Record
 
 
@@ -81,3 +81,19 @@ def test_a_numpy_count_is_a_count():
     assert check_excitation(record, order=np.int64(3)).persistency_order == 3
     with pytest.raises(InvalidDataError, match="whole number"):
         check_excitation(record, order=np.nan)
+
+
+def test_bands_that_all_but_touch_are_told_as_one():
+    bands = [(0.0, 10.0), (10.3, 20.0), (25.0, 30.0)]
+    assert _bridged(bands, 0.5) == [(0.0, 20.0), (25.0, 30.0)]
+    assert _bridged(bands, 0.1) == bands
+
+
+@pytest.mark.parametrize(("n_bands", "words"), [(4, None), (5, "and 1 narrower band)"), (7, "and 3 narrower bands)")])
+def test_bands_beyond_the_fourth_are_counted(n_bands, words):
+    """Sines ten hertz apart, one a band."""
+    k = np.arange(20_000)
+    force = sum(np.sin(2 * np.pi * (5.0 + 10.0 * i) * 0.005 * k + i) for i in range(n_bands))
+    (text,) = [one for one in check_excitation(Record(force, force, 0.005), order=5).messages if "moves in" in one]
+    assert ("narrower" in text) is (words is not None)
+    assert words is None or words in text

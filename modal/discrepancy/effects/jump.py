@@ -18,8 +18,8 @@ from okid.arrays import FloatArray
 __all__ = ["JumpLine", "jump", "jump_line"]
 
 NEAR = 0.02
-"""Rise of the velocity, as a share of its size, below which the law is straight enough over the step and the
-quotients would lose digits."""
+"""Rise of the velocity, as a share of its size, below which the quotients would lose digits and a series takes their
+place: where the two meet they agree to 1e-9, because a step that ends there must not hop from one to the other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -85,20 +85,26 @@ def jump_line(before: FloatArray, after: FloatArray, width: float | FloatArray) 
     rise = after - before
     middle = 0.5 * (before + after)
     near = np.abs(rise) <= NEAR * np.hypot(middle, width)
+    series = _series(middle, rise, width)
     rise = np.where(near, 1.0, rise)
     value_before, _ = jump(before, width)
     value_after, _ = jump(after, width)
-    value_middle, slope_middle = jump(middle, width)
     F0, F1 = np.hypot(before, width), np.hypot(after, width)
     S0 = 0.5 * (before * F0 + width**2 * np.arcsinh(before / width))
     S1 = 0.5 * (after * F1 + width**2 * np.arcsinh(after / width))
-    mean = np.where(near, value_middle, (F1 - F0) / rise)
-    mean_before = np.where(near, 0.5 * slope_middle, (mean - value_before) / rise)
-    mean_after = np.where(near, 0.5 * slope_middle, (value_after - mean) / rise)
     half, area = (F1 + F0) / 2.0, (S1 - S0) / rise
-    moment = np.where(near, slope_middle * (after - before) / 12.0, (half - area) / rise)
-    moment_before = np.where(near, -slope_middle / 12.0, (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise)
-    moment_after = np.where(near, slope_middle / 12.0, (value_after / 2.0 - (half + F1 - 2.0 * area) / rise) / rise)
+    mean, moment = (F1 - F0) / rise, (half - area) / rise
+    exact = (
+        mean,
+        (mean - value_before) / rise,
+        (value_after - mean) / rise,
+        moment,
+        (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise,
+        (value_after / 2.0 - (half + F1 - 2.0 * area) / rise) / rise,
+    )
+    mean, mean_before, mean_after, moment, moment_before, moment_after = (
+        np.where(near, close, far) for close, far in zip(series, exact, strict=True)
+    )
     return JumpLine(
         start=mean - 6.0 * moment,
         end=mean + 6.0 * moment,
@@ -106,4 +112,24 @@ def jump_line(before: FloatArray, after: FloatArray, width: float | FloatArray) 
         start_by_after=mean_after - 6.0 * moment_after,
         end_by_before=mean_before + 6.0 * moment_before,
         end_by_after=mean_after + 6.0 * moment_after,
+    )
+
+
+def _series(middle: FloatArray, rise: FloatArray, width: float | FloatArray) -> tuple[FloatArray, ...]:
+    """Mean and moment over a small rise, each followed by its slopes by the velocity before and after."""
+    size, bend = np.maximum(np.hypot(middle, width), 1e-300), np.square(width)
+    x, w = middle / size, bend / size**2  # f = x, and its derivatives in units of the size
+    f1, f2, f3 = w / size, -3.0 * w * x / size**2, w * (12.0 * x**2 - 3.0 * w) / size**3
+    f4 = w * x * (45.0 * w - 60.0 * x**2) / size**4
+    mean = x + f2 * rise**2 / 24.0 + f4 * rise**4 / 1920.0
+    mean_middle, mean_rise = f1 + f3 * rise**2 / 24.0, f2 * rise / 12.0 + f4 * rise**3 / 480.0
+    moment = f1 * rise / 12.0 + f3 * rise**3 / 480.0
+    moment_middle, moment_rise = f2 * rise / 12.0 + f4 * rise**3 / 480.0, f1 / 12.0 + f3 * rise**2 / 160.0
+    return (
+        mean,
+        0.5 * mean_middle - mean_rise,
+        0.5 * mean_middle + mean_rise,
+        moment,
+        0.5 * moment_middle - moment_rise,
+        0.5 * moment_middle + moment_rise,
     )

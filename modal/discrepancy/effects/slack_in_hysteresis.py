@@ -13,7 +13,7 @@ from okid.arrays import FloatArray
 
 __all__ = ["SlackInHysteresis"]
 
-SHARES = (0.1, 0.3)
+SHARES = (0.1, 0.3, 0.6)
 """Shares of the motion that stay below the yield displacements and slacks to start from."""
 
 

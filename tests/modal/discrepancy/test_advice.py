@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from engine_plants import two_masses
 from engine_records import experiment, nominal
 
 from modal.discrepancy.advice import advise, circumstances_of
+from modal.discrepancy.ambiguity import Circumstance
+from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.decision import Decision
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.structural_plant import structural_plant
@@ -71,19 +74,44 @@ def decision(status, effects=(), runners=None, margins=None):
 def test_ambiguous_effects_are_told_with_what_separates_them():
     one = decision("named", (("input_gain", "input_0"),))
     apart = advise(one, records(), frozenset({"always"}))
-    assert not [words for words in apart if "sensor_gain" in words]
+    assert not [words for words in apart if "sensor gain" in words]
     together = advise(one, records(), frozenset({"always", "one_dof"}))
-    assert any("sensor_gain" in words and "second output" in words for words in together)
+    assert any("input gain at input_0 from sensor gain," in words and "second output" in words for words in together)
 
 
 def test_a_runner_up_that_is_close_gets_its_experiment():
     runner = SimpleNamespace(effects=(("quadratic_drag", "element_0"),))
     one = decision("unresolved", (("coulomb_friction", "element_0"),), (runner,), (5.0,))
     assert any(
-        "quadratic_drag" in words and "level" in words for words in advise(one, records(), frozenset({"always"}))
+        "from quadratic drag" in words and "level" in words for words in advise(one, records(), frozenset({"always"}))
     )
     settled = decision("named", (("coulomb_friction", "element_0"),), (runner,), (5000.0,))
-    assert not [words for words in advise(settled, records(), frozenset({"always"})) if "quadratic_drag" in words]
+    assert not [words for words in advise(settled, records(), frozenset({"always"})) if "drag" in words]
+
+
+def test_advice_has_no_keys():
+    for status in ("named", "unresolved"):
+        one = decision(status, (("coulomb_friction", "element_0"), ("sensor_bias", "output_0")))
+        for words in advise(one, records(), frozenset(get_args(Circumstance))):
+            assert not any(key in words for key in CATALOGUE if "_" in key)
+
+
+def test_a_second_level_is_advised_once():
+    told = frozenset({"always", "one_level"})
+    general = "Measure at a second level"
+    friction = advise(decision("named", (("coulomb_friction", "element_0"),)), records(), told)
+    assert len([words for words in friction if "level" in words]) == 1
+    assert not [words for words in friction if words.startswith(general)]
+    bias = advise(decision("named", (("sensor_bias", "output_0"),)), records(), told)
+    assert len([words for words in bias if words.startswith(general)]) == 1
+
+
+@pytest.mark.parametrize(("margin", "said"), [(1.0, True), (29.0, True), (31.0, False)])
+def test_even_evidence_asks_for_what_separates(margin, said):
+    runner = SimpleNamespace(effects=(("constant_force", "output_1"),))
+    one = decision("named", (("sensor_bias", "output_0"),), (runner,), (margin,))
+    words = advise(one, records(), frozenset({"always"}))
+    assert any("sensor bias at output_0 from constant force" in sentence for sentence in words) == said
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_name_needs_the_floor(task, level, status):
     found = decide_nodes([made_up(50.0), made_up(level, "cubic_stiffness")], task)
     assert found.status == status
     assert bool(found.reasons) == (status == "unresolved")
-    assert all("1.51" in reason and "1.5" in reason for reason in found.reasons)
+    assert all("1.23 times the noise floor (limit 1.22)" in reason for reason in found.reasons)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +107,23 @@ def test_an_effect_within_five_deviations_of_none_is_dropped(task, monkeypatch, 
     monkeypatch.setattr(decision, "sureness", lambda node, task: [60.0, z])
     found = decide_nodes([made_up(50.0), made_up(1.0, "cubic_stiffness", "quadratic_drag")], task)
     assert len(found.node.effects) == n_effects
+
+
+def test_an_effect_of_uncertain_size_stays_where_the_likelihood_needs_it(task, monkeypatch):
+    """A hard brim: any large rate will do, so the rate's deviation is large; without it the model is far off."""
+    monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(40.0, "cubic_stiffness"))
+    monkeypatch.setattr(decision, "sureness", lambda node, task: [60.0, 1.0])
+    found = decide_nodes([made_up(50.0), made_up(1.0, "cubic_stiffness", "overflow")], task)
+    assert len(found.node.effects) == 2
+
+
+@pytest.mark.parametrize(("root", "status"), [(1.4, "none"), (50.0, "unresolved")])
+def test_nothing_is_missing_only_where_the_linear_model_explains_the_data(task, monkeypatch, root, status):
+    """All effects were dropped as needless one by one: that alone does not make the linear model right."""
+    monkeypatch.setattr(decision, "_pruned", lambda best, root, task: root)
+    found = decide_nodes([made_up(root), made_up(1.0, "cubic_stiffness")], task)
+    assert (found.status, found.node.effects) == (status, ())
+    assert bool(found.reasons) == (status == "unresolved")
 
 
 def test_an_effect_that_does_not_earn_its_place_is_dropped(task, monkeypatch):

@@ -8,8 +8,9 @@ import pytest
 from engine_plants import VALUES, two_masses, with_effects
 from made_up_nodes import N, made_up, made_up_task
 
+from modal.discrepancy.ambiguity import ambiguous_with
 from modal.discrepancy.decision import Decision
-from modal.discrepancy.findings import findings_of, hypothesis_of
+from modal.discrepancy.findings import even_rivals, findings_of, hypothesis_of
 
 KEYS = ["cubic_stiffness", "missing_mode", "periodic_disturbance"]
 
@@ -59,15 +60,14 @@ def test_the_evidence_is_told():
     assert evidence.closed == pytest.approx(1 - 0.1 / 20.0)
     assert evidence.log_likelihood == pytest.approx(2 * N * np.log(21.0 / 1.1))
     assert evidence.margin == 50.0
-    assert "from 21 to 1.1 times the noise floor" in evidence.words
-    assert "with the other effects" in evidence.words
-    assert "2 ln L = 50" in evidence.words
+    assert evidence.words == "the held-out gap falls from 4.58 to 1.05 times the noise floor, with the other effects"
     assert mode.runner_up.effects == runner.effects
 
 
 def test_without_a_rival():
     ((mode, _), *_) = found(margins=(np.inf, np.inf, np.inf))
-    assert "no other hypothesis" in mode.evidence.words
+    assert mode.evidence.margin == np.inf
+    assert mode.ambiguous_with == ()
 
 
 def test_what_it_cannot_be_told_from():
@@ -76,6 +76,32 @@ def test_what_it_cannot_be_told_from():
     (mode, hum), *_ = found(circumstances=("always", "one_level"))
     assert "periodic_disturbance" in mode.ambiguous_with
     assert "missing_mode" in hum.ambiguous_with
+
+
+@pytest.mark.parametrize(("margin", "listed"), [(-3.0, True), (1.0, True), (29.0, True), (31.0, False)])
+@pytest.mark.parametrize(("key", "rival"), [("sensor_bias", "constant_force"), ("constant_force", "sensor_bias")])
+def test_where_the_evidence_ties_each_lists_the_other(key, rival, margin, listed):
+    decision = Decision(
+        status="unresolved",
+        node=SimpleNamespace(effects=((key, "output_0"),)),
+        runners=(SimpleNamespace(effects=((rival, "output_1"),)),),
+        margins=(margin,),
+        reasons=(),
+    )
+    assert even_rivals(decision, 0) == ((rival,) if listed else ())
+    rows = ambiguous_with(key, even_with=even_rivals(decision, 0))
+    assert any(rival in row.others(key) for row in rows) == listed
+
+
+def test_a_runner_up_with_the_same_effect_elsewhere_is_no_rival_to_be_told_from_by_kind():
+    decision = Decision(
+        status="unresolved",
+        node=SimpleNamespace(effects=(("sensor_bias", "output_0"),)),
+        runners=(SimpleNamespace(effects=(("sensor_bias", "output_1"),)),),
+        margins=(1.0,),
+        reasons=(),
+    )
+    assert ambiguous_with("sensor_bias", even_with=even_rivals(decision, 0)) == ()
 
 
 def test_a_hypothesis_is_a_model_seen_from_the_root():

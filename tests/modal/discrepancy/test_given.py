@@ -13,6 +13,7 @@ from modal.discrepancy.given import given_model, placed_assembly, returned_model
 from modal.discrepancy.plant_model import PlantModel
 from modal.structure import StructuralModel
 from okid.errors import InvalidDataError
+from okid.record import Record
 
 
 def records():
@@ -123,3 +124,44 @@ def test_there_and_back_again():
     assert np.isnan(found.effects[1].deviations[2])
     assert found.effects[1].local_values[2] == (0.4, 0.4)
     assert model.stiffness[0, 0] == 103.0
+
+
+def two_outputs(**names):
+    return StructuralModel.chain([1.0, 1.0], [9.0, 9.0], [0.1, 0.1], force_dofs=[0], sensor_dofs=[0, 1], **names)
+
+
+def record_of_two(**names):
+    values = np.random.default_rng(1).standard_normal((50, 3))
+    return Record(values[:, :1], values[:, 1:], 0.1, **names)
+
+
+def test_a_model_without_names_is_called_as_the_records_are():
+    model = two_outputs().with_effect("sensor_gain", "output_1", gain=0.9)
+    record = record_of_two(input_names=["shaker"], output_names=["floor", "roof"])
+    found = given_model(model, [record])
+    assert (found.plant.input_names, found.plant.output_names) == (("shaker",), ("floor", "roof"))
+    assert [one.where for one in found.effects] == ["roof"]
+    assert found.model.effects == found.effects
+
+
+@pytest.mark.parametrize(
+    ("own", "theirs", "kept"),
+    [
+        (("a", "b"), ("floor", "roof"), ("a", "b")),  # it has names
+        (None, ("element_0", "roof"), ("output_0", "output_1")),  # an element is called so
+        (None, ("dof_1", "roof"), ("output_0", "output_1")),  # a place is called so
+        (None, ("output_0", "output_1"), ("output_0", "output_1")),
+        (None, ("input_0x", "output_0"), ("input_0x", "output_0")),
+    ],
+)
+def test_names_that_mean_something_stay(own, theirs, kept):
+    model = two_outputs(output_names=own or ())
+    found = given_model(model, [record_of_two(output_names=theirs)])
+    assert found.plant.output_names == kept
+    assert (found.model is model) == (found.plant.output_names == model.output_names)
+
+
+def test_records_of_another_number_of_channels_name_nothing():
+    model = two_outputs()
+    record = Record(np.ones(50) + np.arange(50), np.arange(50.0), 0.1, output_names=["only"])
+    assert given_model(model, [record]).model is model

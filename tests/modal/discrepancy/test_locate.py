@@ -166,7 +166,10 @@ def test_a_line_of_the_motion_itself_is_no_disturbance():
         (lambda level, run, rng: 0.1 * coloured(rng), "a disturbance, not a property of the structure"),
         (lambda level, run, rng: 0.1 * np.sin(9.0 * TIME)[:, np.newaxis], "a periodic disturbance"),
         (lambda level, run, rng: 0.1 + 0 * run, "an offset of a sensor or a constant force"),
-        (lambda level, run, rng: 0.1 * run / level, "friction-like, a force of one size that follows the motion"),
+        (
+            lambda level, run, rng: 0.1 * run / level,
+            "of it does), as of friction or of the play in a joint",
+        ),
         (lambda level, run, rng: 0.1 * level * coloured(rng) * (level == 3.0), "level 3 of 3 only: a contact, a limit"),
         (lambda level, run, rng: 0.1 * level * coloured(rng) * (level == 0.3), "level 1 of 3 only: a force that grows"),
     ],
@@ -175,9 +178,37 @@ def test_the_level_in_words(error, words):
     assert words in text_of(made(error), "level")
 
 
-def test_one_level_is_said_to_tell_nothing():
-    gap = made(lambda level, run, rng: 0.1 * coloured(rng), levels=(1.0, 1.0))
-    assert text_of(gap, "level").startswith("All records are of one level of the inputs")
+@pytest.mark.parametrize(("levels", "said"), [((1.0, 1.0), False), ((1.0, 3.0), True)])
+def test_nothing_is_said_of_levels_where_there_is_one(levels, said):
+    assert bool(text_of(made(lambda level, run, rng: 0.1 * coloured(rng), levels=levels), "level")) == said
+
+
+@pytest.mark.parametrize(("means", "one"), [((0.1, 0.1, 0.1), True), ((0.1, -0.1, 0.12), False)])
+def test_an_offset_that_differs_from_record_to_record_is_no_offset(means, one):
+    by_level = dict(zip(LEVELS, means, strict=True))
+    gap = made(lambda level, run, rng: by_level[level] + 0 * run, output_units=["mm"])
+    assert ("is constant, measured" in text_of(gap, "constant")) == one
+    assert ("not the same in all, measured" in text_of(gap, "constant")) != one
+    assert ("an offset of a sensor" in text_of(gap, "level")) == one
+    assert ("another rest point in each record" in text_of(gap, "level")) != one
+
+
+def test_two_ends_that_read_the_same_are_said_once():
+    same = text_of(made(lambda level, run, rng: 0.1 + 0 * run, output_units=["mm"]), "constant")
+    assert "measured minus simulated 0.100 mm." in same
+
+
+def test_what_no_line_tells_is_not_said():
+    gap = made(lambda level, run, rng: 0.1 * coloured(rng))
+    silent = measure_lines(gap.measured)
+    assert not silent.measured
+    assert text_of(gap, "lines", lines=silent) == ""
+    period = np.random.default_rng(3).standard_normal(256)
+    spectrum = np.fft.rfft(period) * (np.arange(129) % 2)
+    force = np.tile(np.fft.irfft(spectrum, 256), 8)
+    noise = 1e-3 * np.random.default_rng(4).standard_normal(2048)
+    seen = measure_lines(Record(force, force + 0.1 * force**2 + noise, DT))
+    assert text_of(gap, "lines", lines=seen).startswith("Even lines")
 
 
 def test_between_following_and_not_following_both_are_named():
@@ -186,7 +217,7 @@ def test_between_following_and_not_following_both_are_named():
 
     gap = made(error)
     assert 0.2 < coherent_share(gap)[0] < 0.3
-    assert "friction or a disturbance" in text_of(gap, "level")
+    assert "friction, play or a disturbance" in text_of(gap, "level")
 
 
 @pytest.mark.parametrize(
@@ -272,7 +303,7 @@ def location_of(law):
     ("law", "said", "unsaid"),
     [
         (cubic, ["rises with level", "Frequency of mode 1", "a spring that hardens:"], ["friction", "drag-like"]),
-        (coulomb, ["friction-like", "Damping of mode 1 (3.184 Hz) falls"], ["drag", "hardens", "disturbance"]),
+        (coulomb, ["as of friction", "Damping of mode 1 (3.18 Hz) falls"], ["drag", "hardens", "disturbance"]),
         (drag, ["rises with level", "Damping of mode 1", "drag-like"], ["friction", "a spring that hardens:"]),
         (stiffer, ["stays with level", "No mode moves with level"], ["friction", "drag", "hardens"]),
     ],

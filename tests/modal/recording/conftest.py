@@ -266,10 +266,18 @@ class Stored:
         ]
         return found[-1][-1]
 
+    def every(self, path, component):
+        """All values of a component, static or of any row."""
+        batches = [*self.batches(path, static=True), *self.batches(path, static=False)]
+        cells = [cell for b in batches if component in b.schema.names for cell in b.column(component).to_pylist()]
+        return [value for cell in cells for value in cell or []]
+
     def rows(self, path, timeline):
         """{index: {component: list}}"""
         rows = {}
         for batch in self.batches(path, static=False):
+            if timeline not in batch.schema.names:
+                continue
             columns = {n: batch.column(n).to_pylist() for n in batch.schema.names if n != "rerun.controls.RowId"}
             for k, index in enumerate(columns.pop(timeline)):
                 rows.setdefault(index, {}).update({name: values[k] for name, values in columns.items()})
@@ -286,14 +294,15 @@ class Stored:
         rows = self.rows(path, timeline)
         return list(rows), np.array([row["Scalars:scalars"] for row in rows.values()])
 
-    def series(self, path):
+    def series(self, path, which=0):
+        """Times, and the values of one of the channels of an entity."""
         times, values = [], []
         for batch in self.batches(path, static=False):
             times.append(
                 batch.column("time").to_numpy(zero_copy_only=False).astype("timedelta64[ns]").astype(float) / 1e9
             )
             cells = batch.column("Scalars:scalars").to_pylist()
-            values.append(np.array([cell[0] if cell else np.nan for cell in cells]))
+            values.append(np.array([cell[which] if cell else np.nan for cell in cells]))
         times, values = np.concatenate(times), np.concatenate(values)
         order = np.argsort(times, kind="stable")
         return times[order], values[order]

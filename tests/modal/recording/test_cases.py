@@ -8,6 +8,7 @@ import pytest
 
 from modal.recording import save_recording
 from modal.recording.blueprint import blueprint
+from modal.recording.evidence import gather
 from modal.recording.plan import planned
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -27,7 +28,7 @@ HOSTILE = [
 def test_hostile_names_are_harmless_and_nothing_is_lost(build, tmp_path, read):
     found = build(n_outputs=8, output_names=HOSTILE, input_names=["\x00\x1b[2J", '𝕏 \\ "'])
     stored = read(save_recording(found, tmp_path / "run.rrd"))
-    measured = {path for path in stored.entities("Scalars:scalars") if path.endswith("/measured")}
+    measured = {path for path in stored.entities("Scalars:scalars") if path.startswith("/data/output/")}
     assert len(measured) == 8
     values = {stored.series(path)[1][:5].tobytes() for path in measured}
     assert values == {found.records[0].outputs[:5, i].tobytes() for i in range(8)}
@@ -53,10 +54,10 @@ def test_nothing_is_shown_that_a_viewer_without_fonts_cannot_draw(build, tmp_pat
     found = build(n_outputs=8, output_names=HOSTILE, input_names=["\x00\x1b[2J", '𝕏 \\ "'], units=["位", "°"] * 4)
     plan = planned(found)
     stored = read(save_recording(found, tmp_path / "run.rrd"))
-    shown = [view.name for view in views(blueprint(found, plan).root_container)]
+    shown = [view.name for view in views(blueprint(found, plan, gather(found)).root_container)]
     for component in ("SeriesLines:names", "Points2D:labels", "Points3D:labels", "TextDocument:text"):
         for path in stored.entities(component):
-            shown += stored.static(path, component)
+            shown += stored.every(path, component)
     assert len(shown) > 100
     assert [text for text in shown if not drawn_by_the_viewer(text)] == []
     assert any("X" in text and "\\" in text for text in shown)
@@ -71,23 +72,35 @@ def views(container):
 def test_missing_samples_stay_gaps(build, tmp_path, read):
     found = build(missing=True)
     stored = read(save_recording(found, tmp_path / "run.rrd"))
-    values = stored.series("/fit/output/floor_1/measured")[1]
+    values = stored.series("/data/output/floor_1")[1]
     np.testing.assert_array_equal(values, found.records[0].outputs[:, 0])
     assert np.isnan(values[1000:1500]).all()
-    assert np.isnan(stored.series("/fit/output/floor_1/residual/free_run")[1][1000:1500]).all()
-    assert np.isfinite(stored.series("/fit/output/floor_1/simulated")[1]).all()
+    assert np.isnan(stored.series("/fit/output/floor_1/residual")[1][1000:1500]).all()
+    assert np.isfinite(stored.series("/fit/output/floor_1/model", 1)[1]).all()
+
+
+def test_channels_that_miss_different_samples_are_stored_apart(build, tmp_path, read):
+    found = build()
+    run = found.predicted[0]
+    outputs = run.outputs.copy()
+    outputs[:50] = np.nan
+    found = replace(found, predicted=(replace(run, outputs=outputs),))
+    stored = read(save_recording(found, tmp_path / "run.rrd"))
+    predicted = stored.series("/fit/output/floor_1/model/1")[1]
+    np.testing.assert_array_equal(predicted, outputs[:, 0])
+    np.testing.assert_array_equal(stored.series("/fit/output/floor_1/model/2")[1], found.simulated[0].outputs[:, 0])
 
 
 def test_several_records_follow_one_another_with_a_pause(build, tmp_path, read):
     found = build(n_records=3)
     stored = read(save_recording(found, tmp_path / "run.rrd"))
-    times, values = stored.series("/fit/output/floor_2/measured")
+    times, values = stored.series("/data/output/floor_2")
     assert (np.diff(times) > 0).all()
     gaps = np.flatnonzero(np.isnan(values))
     assert gaps.tolist() == [3000, 6001]
     expected = [record.outputs[:, 1] for record in found.records]
     np.testing.assert_array_equal(values[~np.isnan(values)], np.concatenate(expected))
-    table = stored.table("/fit/records", "record")
+    table = stored.table("/data/records", "record")
     for start, first in zip(table["shown_from"], (0, 3001, 6002), strict=True):
         assert times[first] == pytest.approx(start, abs=1e-8)
 
@@ -96,10 +109,10 @@ def test_records_cut_from_one_measurement_keep_their_times(build):
     found = build()
     whole = found.records[0]
     parts = (whole.samples(0, 1000), whole.samples(1200, 3000))
-    plan = planned(replace(found, records=parts))
-    assert plan.shifts == (0.0, 0.0)
-    assert plan.starts == pytest.approx((0.0, 12.0))
-    swapped = planned(replace(found, records=parts[::-1]))
+    plan = planned(replace(found, records=parts, simulated=parts))
+    assert plan.data.shifts == (0.0, 0.0)
+    assert plan.data.starts == pytest.approx((0.0, 12.0))
+    swapped = planned(replace(found, records=parts[::-1], simulated=parts[::-1])).data
     assert swapped.starts[1] > swapped.stops[0]
 
 
@@ -119,8 +132,8 @@ def test_any_number_of_channels_and_modes_is_recorded_whole(build, tmp_path, rea
     found = build(**case)
     stored = read(save_recording(found, tmp_path / "run.rrd"))
     record = found.records[0]
-    measured = [path for path in stored.entities("Scalars:scalars") if path.endswith("/measured")]
-    inputs = [path for path in stored.entities("Scalars:scalars") if path.startswith("/fit/input/")]
+    measured = [path for path in stored.entities("Scalars:scalars") if path.startswith("/data/output/")]
+    inputs = [path for path in stored.entities("Scalars:scalars") if path.startswith("/data/input/")]
     assert (len(inputs), len(measured)) == (record.n_inputs, record.n_outputs)
     assert len(stored.table("/modes/table", "mode")["mode"]) == len(found.modes.modes)
     shapes = {path.split("/")[3] for path in stored.entities("Points3D:positions") if path.startswith("/modes/shape/")}
@@ -145,7 +158,7 @@ def test_an_overdamped_pole_has_no_damping_to_quote(identification, tmp_path, re
     stored = read(save_recording(found, tmp_path / "run.rrd"))
     assert "one overdamped pole" in stored.static("/fit/text", "TextDocument:text")[0]
     assert "| overdamped |" in stored.static("/modes/text", "TextDocument:text")[0]
-    page = blueprint(found, planned(found)).root_container.contents[2]
+    page = blueprint(found, planned(found), gather(found)).root_container.contents[3]
     titles = str([view.name for view in page.contents[0].contents[0].contents])
     assert "6.667 Hz, overdamped" in titles
 
@@ -155,9 +168,9 @@ def test_without_inputs_nothing_is_said_to_run_freely(build, tmp_path, read):
     text = stored.static("/fit/text", "TextDocument:text")[0]
     assert "inputs alone" not in text
     assert "one step ahead" in text
-    names = {path.rpartition("/")[2] for path in stored.entities("Scalars:scalars")}
-    assert {"measured", "predicted"} <= names
-    assert not {"simulated", "free_run"} & names
+    assert stored.static("/fit/output/floor_1/model", "SeriesLines:names") == ["one step ahead"]
+    assert stored.static("/fit/output/floor_1/residual", "SeriesLines:names") == ["less one step ahead"]
+    assert "free run" not in stored.static("/validation/text", "TextDocument:text")[0]
 
 
 def test_a_record_of_ages_is_refused_in_one_sentence(build, tmp_path):
@@ -184,7 +197,7 @@ def test_evidence_may_be_empty_or_all_unstable(identification, tmp_path, read):
 
 def test_a_constant_model_and_extreme_numbers_are_drawn(identification, tmp_path):
     tiny = tuple(
-        Record(r.inputs * 1e-200, r.outputs * 1e200, r.dt, output_names=r.output_names, input_names=r.input_names)
+        Record(r.inputs * 1e-150, r.outputs * 1e150, r.dt, output_names=r.output_names, input_names=r.input_names)
         for r in identification.records
     )
     mode = replace(identification.modes.modes[0], shape=np.zeros(4, dtype=complex), frequency=0.0, damping_ratio=1.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from levels_by_hand import HARDENS, POLE, RESTS, VAGUE, with_levels
 
 from modal.recording import log_diagnosis, save_recording
 from modal.recording.discrepancy_blueprint import diagnosis_blueprint
@@ -181,3 +182,29 @@ def test_wrong_use_is_one_sentence(diagnosis, identification):
         log_diagnosis(diagnosis, stream, layout="both")
     with pytest.raises(InvalidDataError, match="takes a Diagnosis, but was given Identification"):
         log_diagnosis(identification, stream)
+
+
+@pytest.mark.parametrize(
+    ("modes", "n_views"), [((HARDENS, RESTS, VAGUE), 2), ((POLE,), 1), ((VAGUE,), 0)], ids=["modes", "pole", "vague"]
+)
+def test_modes_against_level_have_a_page_where_they_tell_something(diagnosis, tmp_path, read, modes, n_views):
+    found = with_levels(diagnosis, *modes)
+    pages = diagnosis_blueprint(found, planned_diagnosis(found)).root_container.contents
+    shown = [view.name for page in pages if page.name == "Levels" for view in views(page)]
+    assert len(shown) == n_views
+    stored = read(save_recording(found, tmp_path / "levels.rrd"))
+    drawn = [path for path in stored.entities("LineStrips2D:strips") if path.startswith("/discrepancy/levels/")]
+    assert bool(drawn) == bool(n_views)
+    assert any("/damping/" in path for path in drawn) == (n_views == 2)
+    table = stored.table("/discrepancy/level_modes", "mode_at_level")
+    n_cells = sum(int(np.isfinite(mode.frequencies).sum()) for mode in modes)
+    assert len(table["frequency"]) == n_cells  # those that are not drawn as well
+    expected = np.concatenate([mode.frequencies[np.isfinite(mode.frequencies)] for mode in modes])
+    np.testing.assert_allclose(np.asarray(table["frequency"], dtype=float), expected)
+
+
+def test_levels_of_hypotheses_are_stored_in_times_of_the_floor_too(stored, diagnosis):
+    tried = stored.table("/discrepancy/hypotheses", "hypothesis")
+    for part in ("fit", "held_out"):
+        levels = [getattr(one, f"{part}_level") for one in diagnosis.hypotheses]
+        np.testing.assert_allclose(tried[f"{part}_times_floor"], np.sqrt(levels))

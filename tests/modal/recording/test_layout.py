@@ -1,10 +1,14 @@
 """The blueprint: every view has an origin that holds something, and a name; panels are out of the way."""
 
+from pathlib import Path
+
 import pytest
 
+import modal.recording
 from modal.recording import save_recording
 from modal.recording.axis import linear_axis, log_axis
 from modal.recording.blueprint import GLOBAL_AXIS, blueprint
+from modal.recording.evidence import gather
 from modal.recording.plan import planned
 
 
@@ -30,25 +34,25 @@ CASES = [
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_every_view_has_a_name_and_data_below_its_origin(build, tmp_path, read, case):
     found = build(**case)
-    layout = blueprint(found, planned(found))
+    layout = blueprint(found, planned(found), gather(found))
     stored = read(save_recording(found, tmp_path / "run.rrd"))
     paths = {str(c.entity_path) for c in stored.store.schema().component_columns()}
     pages = layout.root_container.contents
-    assert [page.name for page in pages] == ["Observer fit", "Order", "Modes"]
+    assert [page.name for page in pages] == ["Record", "Observer fit", "Order", "Modes", "Validation"]
     every = list(views(layout.root_container))
-    assert len(every) < 90
+    assert len(every) < 150
     for view in every:
         assert view.name
         origin = "/" + view.origin.strip("/")
         assert any(path == origin or path.startswith(origin + "/") for path in paths), view.origin
-    titles = [view.name for view in views(pages[2]) if view.class_identifier == "3D"]
+    titles = [view.name for view in views(pages[3]) if view.class_identifier == "3D"]
     assert len(titles) == len(set(titles)) == min(9, case.get("n_modes", 3))
 
 
 def test_linked_plots_open_on_the_whole_record(build):
     found = build(n_records=2)
     plan = planned(found)
-    layout = blueprint(found, plan)
+    layout = blueprint(found, plan, gather(found))
     holders = [view for view in views(layout.root_container) if view.id == GLOBAL_AXIS]
     assert len(holders) == 1
     assert holders[0].name == "Inputs"
@@ -72,3 +76,10 @@ def test_log_ticks_are_decades_inside(low, high):
     assert 2 <= len(axis.ticks) <= 9
     assert all(axis.low <= tick <= axis.high for tick in axis.ticks)
     assert [float(text) for text in axis.texts] == pytest.approx([10.0**tick for tick in axis.ticks])
+
+
+def test_what_rerun_calls_unstable_stays_in_the_modules_named_for_it():
+    folder = Path(modal.recording.__file__).parent
+    using = {path.name for path in folder.glob("*.py") if "rerun.blueprint as rrb" in path.read_text(encoding="utf-8")}
+    assert "blueprint.py" in using
+    assert all(name.endswith("blueprint.py") for name in using)

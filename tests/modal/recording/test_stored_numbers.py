@@ -25,24 +25,24 @@ def stored(identification, tmp_path_factory, read):
 def test_every_series_is_the_record_sample_by_sample(stored, identification):
     record = identification.records[0]
     for i, name in enumerate(record.input_names):
-        times, values = stored.series(f"/fit/input/{name}")
+        times, values = stored.series(f"/data/input/{name}")
         np.testing.assert_allclose(times, record.time, atol=1e-9)
         np.testing.assert_array_equal(values, record.inputs[:, i])
     for i, name in enumerate(record.output_names):
-        measured = stored.series(f"/fit/output/{name}/measured")[1]
-        simulated = stored.series(f"/fit/output/{name}/simulated")[1]
-        predicted = stored.series(f"/fit/output/{name}/predicted")[1]
+        measured = stored.series(f"/data/output/{name}")[1]
+        predicted = stored.series(f"/fit/output/{name}/model", 0)[1]
+        simulated = stored.series(f"/fit/output/{name}/model", 1)[1]
         np.testing.assert_array_equal(measured, record.outputs[:, i])
         np.testing.assert_array_equal(simulated, identification.simulated[0].outputs[:, i])
         np.testing.assert_array_equal(predicted, identification.predicted[0].outputs[:, i])
-        np.testing.assert_array_equal(stored.series(f"/fit/output/{name}/residual/free_run")[1], measured - simulated)
-        np.testing.assert_array_equal(stored.series(f"/fit/output/{name}/residual/one_step")[1], measured - predicted)
+        np.testing.assert_array_equal(stored.series(f"/fit/output/{name}/residual", 0)[1], measured - simulated)
+        np.testing.assert_array_equal(stored.series(f"/fit/output/{name}/residual", 1)[1], measured - predicted)
 
 
 def test_every_line_over_time_is_drawn_by_its_extremes(stored):
     # with any other policy the viewer averages what falls on one pixel: a vibration becomes a flat line
     lines = stored.entities("SeriesLines:names")
-    assert len(lines) >= 2 + 4 * 5
+    assert len(lines) >= 2 + 4 * 3
     assert set(lines) == set(stored.entities("SeriesLines:aggregation_policy"))
     from rerun.components import AggregationPolicy
 
@@ -113,7 +113,8 @@ def test_the_repeatability_of_the_poles_is_stored_and_colours_them(identificatio
     rows = stored.rows("/order/stabilisation", "model_order")
     for order, row in rows.items():
         assert row["repeatability"] == [point.repeatability for point in points if point.order == order]
-    colours = stored.static("/order/stabilisation/plot/poles", "Points2D:colors")
+    ((row,),) = [stored.rows("/order/stabilisation/plot/poles", "time").values()]
+    colours = row["Points2D:colors"]
     assert len(colours) == len(points)
     assert colours[0] != colours[-1]
 
@@ -142,8 +143,8 @@ def test_markov_parameters_whiteness_and_fits_are_stored(stored, identification)
 
 def test_a_moving_shape_starts_at_its_largest_and_stays_within_its_envelope(stored, identification):
     mode = identification.modes.system[0]
-    frames = stored.frames("/modes/shape/01/0/line", "LineStrips3D:strips")
-    heights = np.array([frame[0] for frame in frames])[:, :, 2]
+    frames = stored.frames("/modes/shape/01/heads", "Points3D:positions")
+    heights = np.array(frames)[:, :, 2]
     scale = np.abs(heights[0]).max()
     np.testing.assert_allclose(heights[0] / scale, mode.shape.real, atol=1e-6)
     assert (np.abs(heights) <= np.abs(mode.shape) * scale + 1e-6).all()
@@ -179,3 +180,16 @@ def test_a_long_reason_is_cut_in_the_table_and_whole_below_it(identification, tm
     assert "reason 0 of this verdict" in rows
     assert long in below
     assert modes[1].reason not in below
+
+
+def test_assurance_of_outputs_in_several_units_is_that_of_displacements(identification, tmp_path, read):
+    units = ("m", "m/s", "m/s^2", "m/s^2")
+    records = tuple(replace(record, output_units=units) for record in identification.records)
+    path = save_recording(replace(identification, records=records), tmp_path / "units.rrd")
+    rows = read(path).rows("/modes/assurance/numbers", "mode")
+    modes = {number: mode for number, mode in enumerate(planned(identification).modes, start=1) if number in rows}
+    for number, row in rows.items():
+        a = [part / modes[number].pole ** n for part, n in zip(modes[number].shape, (0, 1, 2, 2), strict=True)]
+        for other, value in zip(rows, row["assurance"], strict=True):
+            b = [part / modes[other].pole ** n for part, n in zip(modes[other].shape, (0, 1, 2, 2), strict=True)]
+            assert value == pytest.approx(abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a) * np.vdot(b, b)).real, abs=1e-9)

@@ -28,7 +28,7 @@ def nasty_files(nasty, tmp_path_factory):
         command=f"modal-report run '{NASTY_INPUT}'", sources=(NASTY_NAMES[0],), remarks=(NASTY_INPUT,)
     )
     with pytest.MonkeyPatch.context() as patch:  # the recording has its own tests, with names of its own
-        patch.setattr("modal.recording.save_recording", lambda _result, path: path.write_bytes(b"rrd"))
+        patch.setattr("modal.recording.save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
         return write_report(nasty, tmp_path_factory.mktemp("nasty") / "report", provenance=provenance)
 
 

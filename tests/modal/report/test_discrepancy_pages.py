@@ -136,7 +136,7 @@ def test_the_page_says_what_was_found_and_how_sure(pages):
     for words in (
         "The simulation lacks cubic stiffness and Coulomb friction at element_1.",
         "(2.013 ± 0.019)e5",
-        "1.976e5 to 2.050e5",
+        "(1.976 to 2.050)e5",
         "cannot be told from sine softening",
         "Runner-up: gap spring at element_1",
         "The gap lies in upper.",

@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modal.discrepancy.cautions import with_cautions
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
+    beside_text,
     found_hypothesis,
     interval_text,
     share_text,
+    size_text,
     times_text,
     value_text,
 )
@@ -88,14 +91,14 @@ def test_a_model_that_ran_away_is_called_unbounded(diagnosis):
 
 @pytest.mark.parametrize(
     ("closed", "said"),
-    [(0.5, "away 50 %"), (0.99999, "away 99.99 %"), (1.0, "away 100 %"), (0.0, "nothing"), (-3.0, "nothing")],
+    [(0.75, "away 50 %"), (0.9999, "away 99"), (1.0, "away 100 %"), (0.0, "nothing"), (-3.0, "nothing")],
 )
 def test_what_was_closed(diagnosis, closed, said):
     assert said in words.closed_sentence(replace(diagnosis, closed=closed))
 
 
 def test_nothing_is_said_to_close_where_there_was_no_gap(diagnosis_of):
-    found = replace(diagnosis_of("none", 0), closed=0.9)
+    found = replace(diagnosis_of("none", 0), closed=0.99)
     assert "Calibration alone takes away 90 %" in words.closed_sentence(found)
     assert words.closed_sentence(with_levels(found, 1.45, 1.0)) == ""
     assert words.closed_sentence(replace(found, closed=np.nan)) == ""
@@ -129,10 +132,24 @@ def test_a_runner_up_that_ran_away_has_no_size(diagnosis):
 
 def test_what_it_cannot_be_told_from(diagnosis):
     finding = diagnosis.findings[0]
-    assert "cannot be told from sine softening by structure" in words.ambiguity_sentence(finding)
+    assert "cannot be told from sine softening in these data" in words.ambiguity_sentence(finding)
     two = replace(finding, ambiguous_with=("sensor_gain", "input_gain"))
-    assert "from sensor gain or input gain by" in words.ambiguity_sentence(two)
+    assert "from sensor gain or input gain in" in words.ambiguity_sentence(two)
     assert words.ambiguity_sentence(diagnosis.findings[1]) == ""
+
+
+@pytest.mark.parametrize(("margin", "led"), [(29.0, False), (31.0, True)])
+def test_what_another_level_would_tell_is_no_matter_of_structure(diagnosis, margin, led):
+    finding = replace(
+        diagnosis.findings[0],
+        effect="coulomb_friction",
+        ambiguous_with=("quadratic_drag", "viscous damping", "constant_force"),
+        evidence=replace(diagnosis.findings[0].evidence, margin=margin),
+    )
+    sentence = words.ambiguity_sentence(finding)
+    assert "cannot be told from constant force in these data." in sentence
+    assert "is easily taken for quadratic drag or viscous damping in records of one level" in sentence
+    assert ("fits these better" in sentence) == led
 
 
 @pytest.mark.parametrize(
@@ -207,6 +224,55 @@ def test_the_way_of_the_floor_is_told_once_for_records_that_share_it(diagnosis):
     assert len(words.floor_sentences(replace(diagnosis, noise_floor=floor))) == 2
 
 
+def test_the_floor_in_short_has_the_way_and_how_sure_it_is(diagnosis):
+    (sentence,) = words.floor_summary(diagnosis)
+    assert sentence == "Noise floor of held out, 0.8 N and held out, 1.8 N: quiet band, known to about 4.2 %."
+    floor = replace(diagnosis.noise_floor, method=("quiet band",) * 3 + ("repeated periods",))
+    assert len(words.floor_summary(replace(diagnosis, noise_floor=floor))) == 2
+
+
+@pytest.mark.parametrize(("error", "limit"), [(0.29, False), (0.31, True)])
+def test_a_floor_that_is_hardly_known_is_called_a_limit(diagnosis, error, limit):
+    floor = replace(diagnosis.noise_floor, standard_error=np.full((4, 2), error))
+    (sentence,) = words.floor_summary(replace(diagnosis, noise_floor=floor))
+    assert ("rather an upper limit" in sentence) == limit
+
+
+def with_noise_for(found, outputs):
+    """The diagnosis of records of which some outputs are noise, by another generator than the rest."""
+    rng = np.random.default_rng(11)
+    held_out = []
+    for record in found.held_out:
+        values = record.outputs.copy()
+        for j in outputs:
+            values[:, j] = rng.standard_normal(len(values))
+        held_out.append(replace(record, outputs=values))
+    after = np.array(found.gap_after)
+    after[:, outputs] = 1.0
+    return replace(found, held_out=tuple(held_out), gap_after=after, warnings=(), bounds_hit=())
+
+
+@pytest.mark.parametrize(
+    ("outputs", "start", "label"),
+    [
+        ([], "The simulation lacks no effect that these data could show.", "Nothing missing"),
+        ([1], "The simulation lacks no effect that these data could show, but explains nothing of upper.", None),
+        ([0, 1], "These data tell nothing of the simulation: it explains nothing of lower and upper.", None),
+    ],
+)
+def test_none_is_no_praise_of_a_model_that_explains_nothing(diagnosis_of, outputs, start, label):
+    found = with_cautions(with_noise_for(diagnosis_of("none", 0), outputs))
+    assert found.status == "none"
+    assert words.headline(found) == start
+    judged = words.judge_diagnosis(found)
+    assert (judged.trust == "carried") == (not outputs)
+    assert label is None or judged.label == label
+    assert (judged.label == "Nothing explained") == (len(outputs) == 2)
+    assert ("nothing was compared but noise" in words.next_sentences(found)[0]) == (len(outputs) == 2)
+    assert ("explains nothing of" in found.verdict) == bool(outputs)
+    assert bool(words.limits_sentence(found)) == (len(outputs) < 2)
+
+
 def test_where_is_that_of_the_location(diagnosis):
     class Location:
         sentences = ("The gap lies in output 'upper'.",)
@@ -221,6 +287,28 @@ def test_a_finding_in_one_sentence(diagnosis):
     )
 
 
+@pytest.mark.parametrize(
+    ("given", "fitted", "std", "text"),
+    [
+        (400.0, 403.21, 0.6, "400"),
+        (0.00093, 0.0012406, 7e-7, "0.93e-3"),
+        (3.1e5, 403000.0, 4100.0, "3.1e5"),
+        (0.0, 2e-7, 1e-9, "0"),
+        (1e-5, 0.3, 0.01, "1.000e-5"),
+    ],
+)
+def test_a_given_value_is_written_as_the_fitted_one_beside_it(given, fitted, std, text):
+    assert beside_text(given, fitted, std) == text
+
+
+@pytest.mark.parametrize("value", [1e-5, 2.5e-7, 0.00012, 0.0012, 0.5, 12.0, 1234.5, 99999.0, 4.2e6])
+def test_no_number_reads_as_zero_or_with_a_padded_exponent(value):
+    for text in (value_text(value), value_text(value, 0.01 * value), size_text(value), beside_text(value, value, 0.1)):
+        assert "e-0" not in text
+        assert "e+" not in text
+        assert any(digit in text.split("±")[0] for digit in "123456789")
+
+
 @pytest.mark.parametrize("power", range(-12, 13))
 @pytest.mark.parametrize("share", [0.3, 0.02, 1e-4])
 def test_values_and_intervals_read_back_to_two_digits_of_the_deviation(power, share):
@@ -231,7 +319,8 @@ def test_values_and_intervals_read_back_to_two_digits_of_the_deviation(power, sh
     middle, spread = (float(part.strip("(")) * 10.0 ** int(exponent or 0) for part in mantissa.split(" ± "))
     assert abs(middle - value) <= 0.051 * std
     assert abs(spread - std) <= 0.051 * std
-    low, high = (float(end) for end in interval_text(value, std).split(" to "))
+    ends, _, exponent = interval_text(value, std).partition(")e")
+    low, high = (float(end.strip("(")) * 10.0 ** int(exponent or 0) for end in ends.split(" to "))
     assert abs(low - (value - 1.96 * std)) <= 0.051 * std
     assert abs(high - (value + 1.96 * std)) <= 0.051 * std
 

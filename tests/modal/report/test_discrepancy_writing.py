@@ -12,7 +12,7 @@ NAMES = ["findings.csv", "model.json", "recording.rrd", "report.html", "report.j
 @pytest.fixture
 def quick(monkeypatch):
     """A recording and pictures that cost nothing: what is tested here is that all files appear or none."""
-    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.discrepancy_writing.draw_diagnosis", lambda _diagnosis: {})
 
 
@@ -21,7 +21,7 @@ def everything(folder):
 
 
 def test_one_function_writes_either_result_by_its_type(diagnosis, identification, tmp_path, quick, monkeypatch):
-    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result: {})
+    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
     files = write_report(diagnosis, tmp_path / "gap")
     assert isinstance(files, DiagnosisFiles)
     assert everything(tmp_path / "gap") == NAMES
@@ -58,7 +58,7 @@ def test_an_existing_file_is_refused_and_left_alone(diagnosis, tmp_path, quick, 
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, OSError(28, "No space left on device")])
 def test_a_fault_leaves_nothing(diagnosis, tmp_path, quick, monkeypatch, fault):
-    def fail(_result, _path):
+    def fail(_result, _path, **_options):
         raise fault
 
     monkeypatch.setattr(modal.recording, "save_recording", fail)

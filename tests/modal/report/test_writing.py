@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 
 import modal.recording
@@ -9,18 +11,30 @@ from okid.errors import InvalidDataError
 @pytest.fixture
 def quick(monkeypatch):
     """A recording that costs nothing: what is tested here is that all files appear or none."""
-    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
-    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result: {})
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
+    monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
 
 
 def everything(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def test_all_five_files_are_written(identification, tmp_path, quick):
+NAMES = [
+    "report.html",
+    "report.md",
+    "report.json",
+    "report.schema.json",
+    "modes.csv",
+    "modes.uff",
+    "result.npz",
+    "recording.rrd",
+]
+
+
+def test_all_files_are_written(identification, tmp_path, quick):
     files = write_report(identification, tmp_path / "a" / "b")
     assert all(path.is_file() for path in files)
-    assert everything(tmp_path / "a" / "b") == ["modes.csv", "recording.rrd", "report.html", "report.json", "report.md"]
+    assert everything(tmp_path / "a" / "b") == sorted(NAMES)
     assert everything(tmp_path / "a")[0] == "b"
 
 
@@ -29,7 +43,7 @@ def test_the_real_recording_is_written(plain_files):
 
 
 def test_same_result_same_bytes(make_once, plain_files, tmp_path, monkeypatch):
-    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
+    monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     again = write_report(
         make_once(warnings=("Look at floor_1.",)),
         tmp_path / "again",
@@ -40,7 +54,7 @@ def test_same_result_same_bytes(make_once, plain_files, tmp_path, monkeypatch):
             assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize("name", ["report.html", "report.md", "report.json", "modes.csv", "recording.rrd"])
+@pytest.mark.parametrize("name", NAMES)
 def test_an_existing_file_is_refused_and_left_alone(identification, tmp_path, quick, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(InvalidDataError, match=name):
@@ -53,7 +67,7 @@ def test_other_files_of_an_existing_folder_stay(identification, tmp_path, quick)
     (tmp_path / "notes.txt").write_text("mine")
     write_report(identification, tmp_path)
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert len(everything(tmp_path)) == 6
+    assert len(everything(tmp_path)) == len(NAMES) + 1
 
 
 def test_replacing_is_done_when_asked_for(identification, tmp_path, quick):
@@ -64,7 +78,7 @@ def test_replacing_is_done_when_asked_for(identification, tmp_path, quick):
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, OSError(28, "No space left on device")])
 def test_a_fault_leaves_nothing(identification, tmp_path, quick, monkeypatch, fault):
-    def fail(_result, _path):
+    def fail(_result, _path, **_options):
         raise fault
 
     monkeypatch.setattr(modal.recording, "save_recording", fail)
@@ -99,4 +113,26 @@ def test_the_new_folder_has_ordinary_permissions(identification, tmp_path, quick
 
 def test_files_are_iterated_in_their_order(tmp_path):
     names = [path.name for path in ReportFiles.in_folder(tmp_path)]
-    assert names == ["report.html", "report.md", "report.json", "modes.csv", "recording.rrd"]
+    assert names == NAMES
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(("free", "raised"), [(1000, InvalidDataError), (1 << 30, RuntimeError)])
+def test_a_full_disk_is_said_and_any_other_fault_stays_one(identification, tmp_path, monkeypatch, free, raised):
+    def failing(_result, _path, **_options):
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(modal.recording, "save_recording", failing)
+    monkeypatch.setattr("shutil.disk_usage", lambda _path: SimpleNamespace(free=free))
+    with pytest.raises(raised) as caught:
+        write_report(identification, tmp_path / "out")
+    assert ("No space left on device" in str(caught.value)) == (raised is InvalidDataError)
+    assert everything(tmp_path) == []
+
+
+def test_a_recording_that_lost_its_end_to_a_full_disk_is_no_report(identification, tmp_path, quick, monkeypatch):
+    """The writer of recordings says nothing when its last bytes find no room."""
+    monkeypatch.setattr("shutil.disk_usage", lambda _path: SimpleNamespace(free=0))
+    with pytest.raises(InvalidDataError, match="No space left on device"):
+        write_report(identification, tmp_path / "out")
+    assert everything(tmp_path) == []

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from modal.discrepancy.effects.coulomb_friction import CoulombFriction
 from modal.discrepancy.effects.effect import Motion
-from modal.discrepancy.effects.jump import jump, jump_line
+from modal.discrepancy.effects.jump import NEAR, jump, jump_line
 
 speeds = st.floats(-50.0, 50.0).map(lambda v: round(v, 4))
 widths = st.floats(1e-3, 5.0)
@@ -89,3 +89,20 @@ def test_friction_over_a_step_is_its_force_times_the_line():
         np.testing.assert_allclose(getattr(found, field.name), 0.7 * getattr(line, field.name))
     np.testing.assert_array_equal(found.start_by_parameter[:, 0], line.start)
     np.testing.assert_array_equal(found.end_by_parameter[:, 0], line.end)
+
+
+@pytest.mark.parametrize("width", [1e-3, 0.3, 10.0])
+@pytest.mark.parametrize("middle", [-4.0, 0.0, 0.02, 1.0])
+def test_the_line_does_not_hop_where_the_series_takes_over(width, middle):
+    """A step that ends there would never converge: Newton's method would go from one branch to the other."""
+    threshold = NEAR * np.hypot(middle, width)
+    below, above = (
+        jump_line(np.array([middle - rise / 2]), np.array([middle + rise / 2]), width)
+        for rise in (threshold * (1 - 1e-12), threshold * (1 + 1e-12))
+    )
+    size = np.hypot(middle, width)
+    for end in ("start", "end"):
+        assert abs(getattr(below, end) - getattr(above, end))[0] < 1e-10
+        for side in ("before", "after"):
+            name = f"{end}_by_{side}"
+            assert size * abs(getattr(below, name) - getattr(above, name))[0] < 2e-8

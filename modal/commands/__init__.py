@@ -1,0 +1,1 @@
+"""The commands of `modal-report`, one file each; `modal.command` puts them together."""

@@ -1,0 +1,43 @@
+"""`modal-report demo`: an embedded example whose truth is known."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modal.commands.common import Overwrite, Traceback, examples, faults
+from modal.commands.run import Live, Pdf, exit_status, extras_of
+from modal.job import Job, carry_out, read_demo
+from modal.report.provenance import Provenance
+
+__all__ = ["EXAMPLES", "demo"]
+
+EXAMPLES = examples("report, recording and all: demo -o demo", "and look at it: view demo")
+
+
+def demo(
+    folder: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the report.")] = Path(
+        "modal-report-demo"
+    ),
+    *,
+    live: Live = False,
+    pdf: Pdf = False,
+    overwrite: Overwrite = False,
+    traceback: Traceback = False,
+) -> None:
+    """Identify an embedded example whose true modes are known, and compare what is found with what is true.
+
+    It takes seconds and needs no file. Exit status: 0 done; 1 done, but
+    the data do not carry the result; 2 wrong use.
+    """
+    with faults(show=traceback):
+        from modal.examples.demo import compare_with_truth, demo_truth
+        from modal.examples.demo_geometry import demo_geometry
+        from modal.terminal import show_comparison, show_files
+
+        job = Job(folder=folder, existing="replace" if overwrite else "refuse", extras=extras_of(live=live, pdf=pdf))
+        provenance = Provenance(command="modal-report demo")
+        finished = carry_out(job, read_demo, provenance=provenance, geometry=demo_geometry())
+        show_comparison(finished.console, compare_with_truth(demo_truth(), finished.result.modes))
+        show_files(finished.console, finished.files, pdf=finished.pdf)
+        raise typer.Exit(exit_status(finished))

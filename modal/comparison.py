@@ -1,0 +1,213 @@
+"""What changed between two results: matched modes, shifts against their intervals, new and lost modes, other settings.
+
+The standard deviations of two independent results add in squares. A shift d of standard deviation s is tested by
+Student's t with the degrees of freedom of both (Welch-Satterthwaite). Twenty modes make sixty tests, of which three
+would "find" something in nothing; so the verdict "beyond chance" is Holm's: over all tests of the comparison together,
+it is wrong in at most 5 % of comparisons of a thing with itself. A shift outside its own interval that does not pass is
+said to be just that.
+
+A shape of complex components with standard deviations has no known correlation between these. The test takes the worst
+one: with the squared distance Q of two shapes after the best complex scaling and the sum T of the variances, P(Q > q)
+is at most P(chi^2_1 > q / T) where q / T > 1.54, whatever the correlation. It cannot cry wolf; it may miss.
+
+References:
+    Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6(2), 1979,
+    65-70 (www.jstor.org/stable/4615733).
+    Welch, Biometrika 34, 1947, doi 10.1093/biomet/34.1-2.28.
+    Szekely, Bakirov, "Extremal probabilities for Gaussian quadratic forms", Probability Theory and Related Fields 126,
+    2003, doi 10.1007/s00440-003-0262-6 (the bound on Q).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from modal.comparison_differences import Difference, differences_of
+from modal.comparison_matching import match_modes, shared_shapes
+from modal.comparison_shifts import Shift, damping_shift, frequency_shift, shape_shift, with_verdicts
+from modal.comparison_source import ResultSummary, summary_of
+from modal.identification import Identification
+from modal.mode import Mode
+from modal.numbering import numbered
+from okid.errors import InvalidDataError
+
+__all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results"]
+
+LEVEL = 0.05
+"""Chance that a comparison of a thing with itself calls anything beyond chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModePair:
+    """A mode that both results have.
+
+    Attributes:
+        number_before: its number on the pages of the first result.
+        number_after: the same of the second.
+        before: the mode of the first result.
+        after: the mode of the second.
+        assurance: of the two shapes over the outputs that both results have; nan with fewer than two.
+        frequency: its shift.
+        damping: its shift.
+        shape: its change; before and after are 1 and the assurance.
+    """
+
+    number_before: int
+    number_after: int
+    before: Mode
+    after: Mode
+    assurance: float
+    frequency: Shift
+    damping: Shift
+    shape: Shift
+
+    @property
+    def shifts(self) -> tuple[Shift, Shift, Shift]:
+        """Frequency, damping ratio and shape."""
+        return self.frequency, self.damping, self.shape
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything of it shifted beyond chance."""
+        return any(shift.verdict == "beyond chance" for shift in self.shifts)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Unmatched:
+    """A mode, or a doubtful pole, that only one of the results has.
+
+    Attributes:
+        number: on the pages of its result.
+        mode: itself.
+        near: the pole of the other result that comes closest to it, a noise pole included, if it is within 5 % of the
+            frequency and has no other partner: the mode may be there, but not as one that can be believed.
+    """
+
+    number: int
+    mode: Mode
+    near: Mode | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Comparison:
+    """What changed between two results.
+
+    Attributes:
+        before: the first result.
+        after: the second.
+        pairs: modes of both, by frequency.
+        lost: modes of the first result alone, doubtful poles included.
+        new: modes of the second result alone, doubtful poles included.
+        differences: channels, units, sampling and settings that are not the same.
+        same_data: whether both come from the same measured data, so that their errors are not independent; None where
+            that is not known.
+        n_tests: shifts that were tested together.
+        level: chance of a false "beyond chance" in the whole comparison.
+    """
+
+    before: ResultSummary
+    after: ResultSummary
+    pairs: tuple[ModePair, ...]
+    lost: tuple[Unmatched, ...]
+    new: tuple[Unmatched, ...]
+    differences: tuple[Difference, ...]
+    same_data: bool | None
+    n_tests: int
+    level: float = LEVEL
+
+    @property
+    def changed(self) -> bool:
+        """Whether a matched mode shifted beyond chance, or a mode of the system is lost or new."""
+        alone = (*self.lost, *self.new)
+        return any(pair.changed for pair in self.pairs) or any(one.mode.verdict == "system" for one in alone)
+
+
+NEAR = 0.05
+"""Relative distance of frequencies within which a pole is named as what may be left of a lost mode."""
+
+
+def compare_results(before: Identification | ResultSummary, after: Identification | ResultSummary) -> Comparison:
+    """Match the modes of two results and test what shifted.
+
+    Args:
+        before: a result in memory, or read by `modal.comparison_source.read_result`.
+        after: the other one; shifts are those from `before` to `after`.
+
+    Raises:
+        InvalidDataError: something else.
+
+    Example:
+        >>> from modal.identification import Choice
+        >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
+        ...                       trust="not carried", degrees_of_freedom=float("inf"), data=frozenset())
+        >>> compare_results(empty, empty).changed
+        False
+    """
+    first, second = _summary(before), _summary(after)
+    matching = match_modes(first, second)
+    shapes = shared_shapes(first, second)
+    numbers = [{id(mode): number for number, mode in numbered(one.modes)} for one in (first, second)]
+    pairs = []
+    for i, j in matching.pairs:
+        one, other = first.modes[i], second.modes[j]
+        freedom = first.degrees_of_freedom, second.degrees_of_freedom
+        pairs.append(
+            ModePair(
+                number_before=numbers[0][id(one)],
+                number_after=numbers[1][id(other)],
+                before=one,
+                after=other,
+                assurance=float(matching.assurance[i, j]),
+                frequency=frequency_shift(one, other, freedom),
+                damping=damping_shift(one, other, freedom),
+                shape=shape_shift(first, second, (i, j), shapes, float(matching.assurance[i, j])),
+            )
+        )
+    judged = with_verdicts([pair.shifts for pair in pairs], level=LEVEL)
+    return Comparison(
+        before=first,
+        after=second,
+        pairs=tuple(
+            replace(pair, frequency=shifts[0], damping=shifts[1], shape=shifts[2])
+            for pair, shifts in zip(pairs, judged, strict=True)
+        ),
+        lost=_alone(first, matching.lost, second, {j for _, j in matching.pairs}),
+        new=_alone(second, matching.new, first, {i for i, _ in matching.pairs}),
+        differences=differences_of(first, second),
+        same_data=_same_data(first.data, second.data),
+        n_tests=sum(math.isfinite(shift.p_value) for pair in pairs for shift in pair.shifts),
+    )
+
+
+def _same_data(first: frozenset[str], second: frozenset[str]) -> bool | None:
+    """Whether hashes are shared; None where there are none of one kind (of files, of samples) in both."""
+    kinds = [{text.partition(" ")[0] for text in one} for one in (first, second)]
+    return bool(first & second) if kinds[0] & kinds[1] else None
+
+
+def _summary(result: Identification | ResultSummary) -> ResultSummary:
+    if isinstance(result, ResultSummary):
+        return result
+    if isinstance(result, Identification):
+        return summary_of(result)
+    raise InvalidDataError(
+        f"compare_results takes two results of modal.identify, but was given {type(result).__name__}; read a folder or "
+        "file with modal.comparison_source.read_result."
+    )
+
+
+def _alone(
+    own: ResultSummary, indices: tuple[int, ...], other: ResultSummary, taken: set[int]
+) -> tuple[Unmatched, ...]:
+    numbers = {id(mode): number for number, mode in numbered(own.modes)}
+    free = [mode for index, mode in enumerate(other.modes) if index not in taken]
+    return tuple(
+        Unmatched(number=numbers[id(own.modes[index])], mode=own.modes[index], near=_nearest(own.modes[index], free))
+        for index in indices
+    )
+
+
+def _nearest(mode: Mode, others: list[Mode]) -> Mode | None:
+    same = [one for one in others if one.kind == mode.kind]
+    best = min(same, key=lambda one: abs(one.pole - mode.pole), default=None)
+    close = best is not None and abs(best.frequency - mode.frequency) <= NEAR * mode.frequency
+    return best if close else None

@@ -1,0 +1,73 @@
+"""A wrongly declared hold of the inputs poses as half a sample of delay or as damping: when to think of it.
+
+Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: a fifth of
+the motion at 16 samples a period, more with fewer. With many samples a period nothing of it shows.
+"""
+
+import numpy as np
+
+from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.statements import number
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["highest_frequency", "hold_words"]
+
+FEW_SAMPLES = 16.0
+"""Samples a period of the highest frequency that matters, from which on a wrong hold hardly shows."""
+MOST_OF_IT = 0.95
+"""Share of an output's power above the noise that lies below the highest frequency that matters."""
+ENOUGH = 1.5
+"""Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
+HALF_A_SAMPLE = (0.25, 0.75)
+"""Delays in samples that a wrong hold may stand behind."""
+
+
+def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
+    """Frequency [Hz] below which nearly all of the outputs' power above the noise lies; 0 where there is none.
+
+    Args:
+        records: Measured.
+        floor: (n_records, n_outputs) variance of the noise.
+    """
+    highest = 0.0
+    for record, noise in zip(records, floor, strict=True):
+        centred = np.nan_to_num(record.outputs - np.nanmean(record.outputs, axis=0))
+        power = np.square(np.abs(np.fft.rfft(centred * np.hanning(len(centred))[:, np.newaxis], axis=0)))
+        above = power / power.sum(axis=0).clip(min=np.finfo(float).tiny) * centred.var(axis=0) - noise / len(power)
+        total = above.sum(axis=0)
+        reached = np.cumsum(above, axis=0) >= MOST_OF_IT * total
+        lines = np.argmax(reached, axis=0)[total > 0.0]
+        highest = max(highest, float(lines.max(initial=0)) / (record.n_samples * record.dt))
+    return highest
+
+
+def hold_words(diagnosis: Diagnosis) -> str:
+    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain.
+
+    Args:
+        diagnosis: What was found.
+    """
+    first = diagnosis.fit[0]
+    if not first.n_inputs or not (_gap_remains(diagnosis) or _half_a_sample(diagnosis)):
+        return ""
+    frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
+    if frequency * first.dt * FEW_SAMPLES <= 1.0:
+        return ""
+    held = first.input_hold == "zero_order"
+    other, why = ("band_limited", "was measured rather than set") if held else ("zero_order", "was held by its source")
+    return (
+        f"Check the hold: the motion reaches up to {number(frequency)} Hz, {number(1.0 / (frequency * first.dt), 2)} "
+        f'samples a period, and the input is declared {first.input_hold}. If it {why}, declare input_hold="{other}": '
+        "a wrong hold looks like half a sample of delay, or like damping."
+    )
+
+
+def _gap_remains(diagnosis: Diagnosis) -> bool:
+    return not diagnosis.steps[-1].held_out_level <= ENOUGH
+
+
+def _half_a_sample(diagnosis: Diagnosis) -> bool:
+    dt = diagnosis.fit[0].dt
+    delays = [one.parameters[0].value for one in diagnosis.findings if one.effect == "input_delay"]
+    return any(HALF_A_SAMPLE[0] * dt <= delay <= HALF_A_SAMPLE[1] * dt for delay in delays)

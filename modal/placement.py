@@ -1,0 +1,293 @@
+"""Outputs on a geometry: which of them move it, on which scale, and in words which do not.
+
+One picture needs one kind of quantity. For a mode with pole s, velocity is s and acceleration s^2 times displacement;
+so outputs in m/s are divided by s and outputs in m/s^2 by s^2 where a picture holds both, and phases come out right as
+well. Rotations turn rigid bodies and are never drawn as translation. What is no motion (forces, strains) is left out.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from modal.geometry import Geometry, Sensor
+from modal.mode import Mode
+from modal.names import shorten, visible
+from modal.node_motion import Motions, motion_of
+from modal.sticks import rows_by_unit, stated_dofs, stick_geometry
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InvalidDataError
+from okid.readers.units import convert_unit
+
+__all__ = ["Placement", "at_rest", "best_phase", "derivatives_of", "placed", "turned"]
+
+TRANSLATION: Final = {"m": 0, "m/s": 1, "m/s^2": 2}
+ROTATION: Final = {"rad": 0, "rad/s": 1, "rad/s^2": 2}
+"""Number of times that each unit of motion is derived by time."""
+
+LISTED: Final = 8
+"""Names that a sentence lists; the others it counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Placement:
+    """Outputs on a geometry.
+
+    Attributes:
+        geometry: the nodes; sticks where none was given.
+        is_given: whether the geometry was given.
+        sensors: one an output, None for those that have no place or are not drawn.
+        motions: how nodes follow the outputs.
+        scales: outputs that share a scale, each of which has its own largest 1: all of them on a given geometry.
+        factors: (n_outputs,) SI units in one unit of each output.
+        derivatives: (n_outputs,) times that each output is derived by time, all 0 where they need not be compared.
+        sentences: what is not drawn and why, and what was compared how.
+    """
+
+    geometry: Geometry
+    is_given: bool
+    sensors: tuple[Sensor | None, ...]
+    motions: Motions
+    scales: tuple[tuple[int, ...], ...]
+    factors: FloatArray
+    derivatives: tuple[int, ...]
+    sentences: tuple[str, ...]
+
+    def deflection(self, mode: Mode) -> ComplexArray:
+        """(n_nodes, 3) motion of every node in a mode, largest 1 on every scale, turned to its best real phase.
+
+        The output with the largest component in the mode's own numbers reads positive.
+        """
+        divisor = np.array([mode.pole**power if mode.pole else 1.0 for power in self.derivatives])
+        values = mode.shape * self.factors / divisor
+        moved = np.zeros((self.geometry.n_nodes, 3), dtype=np.complex128)
+        for scale in self.scales:
+            part = np.zeros_like(values)
+            part[list(scale)] = values[list(scale)]
+            of_scale = self.motions.deflection(part)
+            largest = float(np.linalg.norm(of_scale, axis=1).max())
+            if largest > 0:
+                moved += of_scale / largest
+        used = list(self.motions.used)
+        if not used:
+            return moved
+        turn = np.exp(-1j * best_phase(moved))
+        strongest = complex(values[used[int(np.abs(mode.shape[used]).argmax())]])
+        return np.asarray(moved * (-turn if (strongest * turn).real < 0 else turn), dtype=np.complex128)
+
+
+def turned(shape: ComplexArray) -> ComplexArray:
+    """The shape times the phase that makes its real part as large as can be, its largest component positive.
+
+    Args:
+        shape: complex, of any dimensions.
+
+    Example:
+        >>> turned(np.array([1j, -2j])).round(12).real.tolist()
+        [-1.0, 2.0]
+    """
+    result = shape * np.exp(-1j * best_phase(shape))
+    if result.size and result.ravel()[np.abs(result).argmax()].real < 0:
+        result = -result
+    return np.asarray(result, dtype=np.complex128)
+
+
+def best_phase(shape: ComplexArray) -> float:
+    """The angle [rad] of the line through 0 that fits the components of a shape best; up to half a turn.
+
+    Motion on circles has no such line; then it is the phase of the largest component.
+    """
+    squares = complex(np.sum(shape**2))
+    total = float(np.sum(np.abs(shape) ** 2))
+    if abs(squares) > 1e-6 * total:
+        return float(0.5 * np.angle(squares))
+    return float(np.angle(shape.ravel()[np.abs(shape).argmax()])) if shape.size else 0.0
+
+
+def derivatives_of(output_units: Sequence[str]) -> tuple[int, ...]:
+    """Powers of the pole by which outputs are divided to be compared: 0 for all where they have one unit.
+
+    Example:
+        >>> derivatives_of(["m", "m/s^2"]), derivatives_of(["m/s^2", "m/s^2"])
+        ((0, 2), (0, 0))
+    """
+    orders = {**TRANSLATION, **ROTATION}
+    found = tuple(orders.get(unit, 0) for unit in output_units)
+    known = {orders[unit] for unit in output_units if unit in orders}
+    return found if len(known) > 1 else (0,) * len(found)
+
+
+def placed(geometry: Geometry | None, output_names: Sequence[str], output_units: Sequence[str] = ()) -> Placement:
+    """Put outputs onto a geometry, or in a row where there is none.
+
+    Args:
+        geometry: nodes and sensors.
+        output_names: of the channels.
+        output_units: of the channels; all alike unless given.
+
+    Raises:
+        InvalidDataError: a geometry was given, and no output has a place in it.
+
+    Example:
+        >>> line = Geometry(node_names=("1", "2"), positions=[[0, 0, 0], [0, 0, 3]])
+        >>> placed(line, ["2X+", "force"]).sentences[0]
+        'Without a place in the geometry, so not drawn: force.'
+    """
+    units = list(output_units) or [""] * len(output_names)
+    if geometry is None:
+        return _row(output_names, units)
+    sensors = geometry.sensors_of(output_names)
+    if not any(sensors):
+        raise InvalidDataError(
+            f"none of the {len(sensors)} outputs ({_listed(output_names)}) has a place in the geometry, whose nodes "
+            f'are {_listed(geometry.node_names)}; give their places under [sensors], such as tip = "'
+            f'{shorten(visible(geometry.node_names[-1]), 20)}X+".'
+        )
+    return _on(geometry, sensors, output_names, units, is_given=True)
+
+
+def at_rest(geometry: Geometry) -> Placement:
+    """The geometry alone, without an output."""
+    return Placement(
+        geometry=geometry,
+        is_given=True,
+        sensors=(),
+        motions=motion_of(geometry, ()),
+        scales=(),
+        factors=np.zeros(0),
+        derivatives=(),
+        sentences=(),
+    )
+
+
+def _row(names: Sequence[str], units: Sequence[str]) -> Placement:
+    geometry = stick_geometry(names, units)
+    if stated_dofs(names):
+        found = _on(geometry, geometry.sensors_of(names), names, units, is_given=False)
+        words = "No geometry is given: the nodes that the names of the outputs state stand in a row, in their order."
+        return replace(found, sentences=(words, *found.sentences))
+    rows = rows_by_unit(units)
+    words = "No geometry is given: the sensors stand in a row, in the order of the record."
+    if len(rows) > 1:
+        words += " The outputs have different units: each unit has a line of its own, scaled to its own largest."
+    sensors = geometry.sensors_of(names)
+    return Placement(
+        geometry=geometry,
+        is_given=False,
+        sensors=sensors,
+        motions=motion_of(geometry, sensors),
+        scales=rows,
+        factors=np.ones(len(names)),
+        derivatives=(0,) * len(names),
+        sentences=(words,),
+    )
+
+
+def _on(
+    geometry: Geometry, sensors: Sequence[Sensor | None], names: Sequence[str], units: Sequence[str], *, is_given: bool
+) -> Placement:
+    kept, factors, derivatives, words = _comparable(sensors, names, units)
+    motions = motion_of(geometry, kept)
+    everything = [i for i, one in enumerate(sensors) if one is None]
+    sentences = (
+        [f"Without a place in the geometry, so not drawn: {_names_of(everything, names)}."] if everything else []
+    )
+    used = set(motions.used)
+    idle = [i for i, one in enumerate(kept) if one is not None and i not in used]
+    turning = [i for i in idle if (one := kept[i]) is not None and one.motion == "about"]
+    if turning:
+        sentences.append(
+            f"Rotations are not drawn as translations, and these turn no rigid body: {_names_of(turning, names)}."
+        )
+    if held := [i for i in idle if i not in turning]:
+        sentences.append(f"At nodes that the geometry calls fixed, so not drawn: {_names_of(held, names)}.")
+    sentences += words + _still(geometry, motions)
+    return Placement(
+        geometry=geometry,
+        is_given=is_given,
+        sensors=tuple(one if i in used else None for i, one in enumerate(kept)),
+        motions=motions,
+        scales=(tuple(range(len(names))),),
+        factors=factors,
+        derivatives=derivatives,
+        sentences=tuple(sentences),
+    )
+
+
+def _comparable(
+    sensors: Sequence[Sensor | None], names: Sequence[str], units: Sequence[str]
+) -> tuple[list[Sensor | None], FloatArray, tuple[int, ...], list[str]]:
+    """Sensors of one kind of quantity, the factors and derivatives that make them comparable, and words."""
+    placed_ones = [i for i, one in enumerate(sensors) if one is not None]
+    known = [convert_unit(names[i], units[i]) if units[i] else None for i in range(len(names))]
+    si = ["" if one is None else one.unit for one in known]
+    factors = np.array([1.0 if one is None else one.factor for one in known])
+    kept: list[Sensor | None] = [None] * len(names)
+    moving = [i for i in placed_ones if si[i] in TRANSLATION and _along(sensors[i])]
+    turning = [i for i in placed_ones if si[i] in ROTATION]
+    words: list[str] = []
+    if moving or turning:
+        drawn = moving + turning
+    else:  # nothing in a unit of motion: the most common unit is drawn as if it were one
+        counts = Counter(si[i] for i in placed_ones)
+        common = counts.most_common(1)[0][0] if counts else ""
+        drawn = [i for i in placed_ones if si[i] == common]
+        words += [f"{_unit_words(common)} drawn as if it were motion along the sensors."] if drawn else []
+    for i in drawn:
+        sensor = sensors[i]
+        kept[i] = replace(sensor, motion="about") if sensor is not None and i in turning else sensor
+    orders = {**TRANSLATION, **ROTATION}
+    derivatives = tuple(orders.get(si[i], 0) if i in drawn else 0 for i in range(len(names)))
+    if len({derivatives[i] for i in drawn}) > 1:
+        words.append(
+            "Velocities are divided by the pole and accelerations by its square, so one picture shows displacements."
+        )
+    else:
+        derivatives = (0,) * len(names)
+    if left := [i for i in placed_ones if i not in drawn]:
+        words.append(f"Not in a unit of the motion that is drawn, so left out: {_names_of(left, names)}.")
+    return kept, factors, derivatives, words
+
+
+def _along(sensor: Sensor | None) -> bool:
+    return sensor is not None and sensor.motion == "along"
+
+
+def _unit_words(unit: str) -> str:
+    return (
+        f"The unit {shorten(visible(unit), 20)} is none of motion; it is"
+        if unit
+        else "The outputs have no unit and are"
+    )
+
+
+def _still(geometry: Geometry, motions: Motions) -> list[str]:
+    """What is drawn at rest because nothing is known of it."""
+    words = []
+    known = set(motions.moving.tolist()) | set(geometry.fixed)
+    unseen = [node for node in range(geometry.n_nodes) if node not in known]
+    if unseen:
+        count = f"{len(unseen)} of {geometry.n_nodes} nodes" if geometry.n_nodes > 1 else "The node"
+        words.append(f"Without a sensor, so drawn at rest: {count} ({_names_of(unseen, geometry.node_names)}).")
+    bodies = [len(block.nodes) for block in motions.blocks if block.is_body]
+    if bodies:
+        words.append(
+            f"The geometry declares rigid bodies: {sum(bodies)} nodes of {len(bodies)} "
+            f"bod{'ies' if len(bodies) > 1 else 'y'} move as a whole, by as little rotation as the sensors allow."
+        )
+    seen = Counter(motions.directions_seen.values())
+    if partly := [(count, seen[count]) for count in (1, 2) if seen[count]]:
+        parts = " and ".join(f"{n} in {'one direction' if count == 1 else 'two directions'}" for count, n in partly)
+        words.append(f"Nodes with sensors: {parts}; across these their motion is not known and drawn as none.")
+    return words
+
+
+def _names_of(indices: Sequence[int], names: Sequence[str]) -> str:
+    return _listed([names[i] for i in indices])
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(shorten(visible(name), 24) for name in names[:LISTED])
+    return shown + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")

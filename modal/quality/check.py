@@ -1,0 +1,248 @@
+"""The whole check: every look at the records, and their findings sorted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal.quality.channel import Channel, channels_of
+from modal.quality.clipping import clipping_findings
+from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.copies import copy_findings
+from modal.quality.findings import LEVELS, ChannelQuality, ChannelStatistics, DataQuality, Finding
+from modal.quality.hammer import hit_findings, hits_of, is_hammer, ring_findings
+from modal.quality.hum import Lines, hum_findings, mains_lines
+from modal.quality.inputs import excitation_findings, together_findings
+from modal.quality.length import length_findings
+from modal.quality.level import is_steady, level_findings, offset_findings
+from modal.quality.missing import gap_findings, missing_findings
+from modal.quality.resolution import resolution_findings, resolution_of
+from modal.quality.slow import drift_findings
+from modal.quality.spectrum import alias_findings, noise_floor, period_findings, white_findings
+from modal.quality.spikes import sharp_samples, spike_findings
+from modal.quality.stuck import constant_findings, repeat_findings, stuck_findings
+from modal.quality.timing import timing_findings
+from modal.synthesis import AveragedSpectra, MeasuredFrf, averaged_spectra, measured_frf_of, segment_length
+from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+from okid.rows import as_records
+from okid.scaling import channel_scaling
+
+__all__ = ["check_quality"]
+
+AVERAGES = 32
+"""Segments without overlap that the coherence is made of, about: chance then gives 2 % an input."""
+LONGEST_SEGMENT = 8192
+SHORTEST_SEGMENT = 64
+"""Coherence of shorter ones, as gaps leave them, says nothing of the outputs."""
+FEWEST_AVERAGES = 8
+"""Of the longer segments, which smear less and are tried as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Spectra:
+    """What the records show line by line; empty where they are too short.
+
+    Attributes:
+        averaged: the sums; None where no segment is whole.
+        frf: None without inputs or with too few segments.
+        shares: what the inputs explain of each output.
+    """
+
+    averaged: AveragedSpectra | None
+    frf: MeasuredFrf | None
+    shares: Shares
+
+    @property
+    def frequencies(self) -> FloatArray:
+        return np.empty(0) if self.averaged is None else self.averaged.frequencies
+
+    def densities(self, n_channels: int) -> FloatArray:
+        if self.averaged is None:
+            return np.empty((0, n_channels))
+        return np.asarray(self.averaged.power * self.averaged.to_density, dtype=np.float64)
+
+
+@dataclass(slots=True, eq=False)
+class _Inputs:
+    """What an output's findings need to know of the inputs, filled as these are looked at."""
+
+    sharp: tuple[BoolArray, ...]
+    lines: list[Lines]
+    steady: list[bool]
+    hammers: list[tuple[list[tuple[int, int]], ...]]
+
+
+def check_quality(records: Record | Sequence[Record]) -> DataQuality:
+    """Look at the records as a test engineer would before anything is fitted to them.
+
+    Every channel is looked at by itself (dead, stuck, clipped, coarse, spikes, gaps, offset, hum, level), then the
+    channels against each other (copies, coherence, delays, drift, inputs that cannot be told apart). Nothing has to be
+    set; a few neighbouring channels are in memory at a time, a mapped file stays where it is.
+
+    Args:
+        records: one record or several of one system.
+
+    Raises:
+        InvalidDataError: records that do not belong together.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal(4000)
+        >>> tip = np.convolve(force, [0.0, 1.0, 1.6, 1.5, 0.8])[:4000]
+        >>> record = Record(force, np.clip(tip, -3.0, 3.0), 0.01, input_names=["force"], output_names=["tip"])
+        >>> quality = check_quality(record)
+        >>> quality.level, [(finding.what, finding.channels) for finding in quality.findings]
+        ('bad', [('clipped', ('tip',))])
+    """
+    several = as_records(records)
+    first = several[0]
+    scaling = channel_scaling(several)
+    spectra = _spectra(several)
+    densities = spectra.densities(first.n_inputs + first.n_outputs)
+    n_samples = [record.n_samples for record in several]
+    known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [], [])
+    findings: list[Finding] = []
+    statistics: list[ChannelStatistics] = []
+    for number, channel in enumerate(channels_of(several, scaling)):
+        resolution = resolution_of(channel)
+        density = densities[:, number]
+        findings += _channel_findings(
+            channel, several, known, resolution=resolution, spectrum=(spectra.frequencies, density)
+        )
+        explained = float(spectra.shares.explained[channel.index]) if channel.role == "output" else float("nan")
+        statistics.append(_statistics(channel, resolution, spectra.frequencies, density, explained))
+    findings += _findings_together(several, spectra, densities, findings)
+    findings.sort(key=lambda finding: LEVELS.index(finding.level))
+    return DataQuality(
+        channels=_channels(first, statistics, findings),
+        findings=tuple(findings),
+        coherence=spectra.frf,
+        frequencies=spectra.frequencies,
+        densities=densities,
+    )
+
+
+def _channel_findings(
+    channel: Channel,
+    records: Sequence[Record],
+    known: _Inputs,
+    *,
+    resolution: float,
+    spectrum: tuple[FloatArray, FloatArray],
+) -> list[Finding]:
+    """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
+    n = len(records)
+    lines = mains_lines(channel)
+    found = [
+        *constant_findings(channel, n),
+        *missing_findings(channel, n),
+        *stuck_findings(channel, records, resolution),
+    ]
+    clipped = clipping_findings(channel, n)
+    if clipped:  # the runs at the limit are those
+        found = [finding for finding in found if finding.what != "stuck"]
+    found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]
+    found += spike_findings(channel, resolution, known.sharp, n)
+    found += [*offset_findings(channel, n), *hum_findings(channel, lines, known.lines, n)]
+    found += [*level_findings(channel, known.steady, n), *ring_findings(channel, known.hammers, n)]
+    if channel.role == "input":
+        known.lines.append(lines)
+        known.steady.append(is_steady(channel))
+        sharp = sharp_samples(channel, resolution)
+        known.sharp = tuple(mask | more for mask, more in zip(known.sharp, sharp, strict=True))
+        if is_hammer(channel):
+            known.hammers.append(hits_of(channel))
+            found += hit_findings(channel, *spectrum, n)
+    return found
+
+
+def _findings_together(
+    records: Sequence[Record], spectra: _Spectra, densities: FloatArray, found: Sequence[Finding]
+) -> list[Finding]:
+    """Of channels against each other; what is dead or copied is not judged twice."""
+    first = records[0]
+    more = length_findings(records, has_coherence=spectra.frf is not None)
+    more += [*gap_findings(records), *copy_findings(records), *excitation_findings(records)]
+    useless = {finding.channel for finding in found if finding.what in {"constant", "white noise"}}
+    more += [f for f in white_findings(records, spectra.shares.explained) if f.channel not in useless]
+    useless |= {finding.channel for finding in more if finding.what == "white noise"}
+    moving = [i for i, name in enumerate(first.output_names) if name not in useless]
+    if spectra.averaged is not None:
+        output_densities = densities[:, first.n_inputs :]
+        more += alias_findings(first, spectra.frequencies, output_densities)
+        more += period_findings(records)
+        more += together_findings(first, spectra.averaged, spectra.frf)
+        if spectra.frf is not None:
+            power = spectra.averaged.power[:, first.n_inputs :]
+            more += coherence_findings(records, spectra.frf, power, spectra.shares, moving)
+    return [*more, *timing_findings(records, moving), *drift_findings(records)]
+
+
+def _spectra(records: Sequence[Record]) -> _Spectra:
+    """Of segments of two lengths those that explain more, and a pulse response where neither explains enough."""
+    first = records[0]
+    unknown = np.full(first.n_outputs, np.nan)
+    best: _Spectra | None = None
+    # without inputs there is no coherence to average for, and fine lines show more than smooth ones
+    for averages in (AVERAGES, FEWEST_AVERAGES) if first.n_inputs else (FEWEST_AVERAGES,):
+        length = min(LONGEST_SEGMENT, segment_length(records, averages=averages))
+        if best is not None and best.averaged is not None and length <= 2 * (len(best.frequencies) - 1):
+            continue
+        averaged = averaged_spectra(records, n_per_segment=length)
+        if averaged.n_averages == 0:
+            continue
+        frf, explained = None, unknown
+        if first.n_inputs and averaged.n_averages >= max(FEWEST_AVERAGES, 4 * first.n_inputs):
+            frf = measured_frf_of(averaged)
+        if frf is not None and length >= SHORTEST_SEGMENT:
+            explained = explained_share(frf, averaged.power[:, first.n_inputs :])
+        found = _Spectra(averaged=averaged, frf=frf, shares=Shares(spectra=explained, modelled=unknown))
+        too_coarse = best is not None and len(best.frequencies) <= SHORTEST_SEGMENT // 2
+        if best is None or too_coarse or np.nansum(explained) > np.nansum(best.shares.spectra):
+            best = found
+        if length >= SHORTEST_SEGMENT and (first.n_inputs == 0 or (explained >= FAIR).all()):
+            break
+    if best is None:
+        return _Spectra(averaged=None, frf=None, shares=Shares(spectra=unknown, modelled=unknown))
+    if first.n_inputs and not (best.shares.spectra >= FAIR).all():
+        shares = Shares(spectra=best.shares.spectra, modelled=modelled_share(records))
+        return replace(best, shares=shares)
+    return best
+
+
+def _statistics(
+    channel: Channel, resolution: float, frequencies: FloatArray, density: FloatArray, explained: float
+) -> ChannelStatistics:
+    floor = noise_floor(frequencies, density) if frequencies.size else float("nan")
+    with np.errstate(divide="ignore"):
+        ratio = float(20.0 * np.log10(np.float64(channel.std) / floor)) if floor > 0.0 and channel.std > 0.0 else np.nan
+    return ChannelStatistics(
+        n_samples=channel.n_samples,
+        n_missing=channel.n_missing,
+        mean=channel.mean,
+        std=channel.std,
+        smallest=channel.smallest,
+        largest=channel.largest,
+        resolution=resolution,
+        noise_floor=floor,
+        signal_to_noise=max(0.0, ratio) if np.isfinite(ratio) else float("nan"),
+        explained=explained,
+    )
+
+
+def _channels(
+    record: Record, statistics: Sequence[ChannelStatistics], findings: Sequence[Finding]
+) -> tuple[ChannelQuality, ...]:
+    names = (*record.input_names, *record.output_names)
+    units = (*record.input_units, *record.output_units)
+    return tuple(
+        ChannelQuality(
+            name=name,
+            role="input" if number < record.n_inputs else "output",
+            unit=unit,
+            statistics=numbers,
+            findings=tuple(finding for finding in findings if name in finding.channels),
+        )
+        for number, (name, unit, numbers) in enumerate(zip(names, units, statistics, strict=True))
+    )

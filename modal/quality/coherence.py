@@ -1,0 +1,241 @@
+"""How much of each output the inputs explain, in which bands little, and whether the segments are to blame.
+
+Segments that are short beside the decay of a resonance leak: coherence is low and nothing is wrong. So two lengths are
+tried, and where both leave much unexplained a pulse response in the time domain has the last word.
+
+Multiple coherence from K segments is positive by chance: without any relation its mean is n_inputs / K_e with K_e the
+number of independent segments (Carter, Knapp, Nuttall, IEEE Transactions on Audio and Electroacoustics 21(4), 1973,
+337-344, doi 10.1109/TAU.1973.1162496); half-overlapped Hann segments count as K / 1.056 (Welch 1967, doi
+10.1109/TAU.1967.1161901: variance 19/18 of that of as many independent ones).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal.quality.channel import named, percent, spoken
+from modal.quality.findings import Finding, Level
+from modal.quality.pulse import best_pulse, whole_rows
+from modal.synthesis import MeasuredFrf
+from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+from okid.rows import runs_of
+from okid.scaling import channel_scaling
+
+__all__ = ["FAIR", "Shares", "coherence_findings", "explained_share", "in_excess_of_chance", "modelled_share"]
+
+HARDLY = 0.1
+POOR = 0.5
+FAIR = 0.9
+LOW = 0.5
+"""Coherence below which the inputs explain less than half of a line."""
+STRONG = 0.01
+"""Of the output's largest density: only such lines matter."""
+LEAKAGE = 0.5
+"""What a pulse response leaves unexplained, over what the spectra leave: below it leakage is to blame."""
+GROUP = 4
+"""Outputs that share one observer."""
+MOST_BANDS = 3
+BRIDGED = 4
+"""Lines between two bands that are one band to a reader."""
+FEW_EVENTS = 4.0
+N_BLOCKS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Shares:
+    """How much of the outputs' power the inputs explain.
+
+    Attributes:
+        spectra: (n_outputs,) by multiple coherence in excess of chance, nan where not known.
+        modelled: (n_outputs,) by a pulse response, nan where it was not asked or there is none.
+    """
+
+    spectra: FloatArray
+    modelled: FloatArray
+
+    @property
+    def explained(self) -> FloatArray:
+        """(n_outputs,) the larger of the two, nan where neither is known."""
+        return np.asarray(np.fmax(self.spectra, self.modelled), dtype=np.float64)
+
+
+def in_excess_of_chance(coherence: FloatArray, n_averages: int, n_inputs: int) -> FloatArray:
+    """Multiple coherence less what chance gives: 0 without a relation (on average), 1 where all is explained.
+
+    Example:
+        >>> in_excess_of_chance(np.array([0.25, 1.0]), 8, 2).round(3).tolist()
+        [-0.019, 1.0]
+    """
+    chance = min(0.999, n_inputs * 1.056 / n_averages)
+    return np.asarray((coherence - chance) / (1.0 - chance), dtype=np.float64)
+
+
+def explained_share(frf: MeasuredFrf, power: FloatArray) -> FloatArray:
+    """(n_outputs,) power-weighted multiple coherence in excess of chance; nan where no line is known.
+
+    Args:
+        frf: with coherences.
+        power: (n_frequencies, n_outputs) of the outputs.
+    """
+    excess = in_excess_of_chance(frf.multiple_coherence, frf.n_averages, frf.frf.shape[2])
+    known = np.isfinite(excess)
+    known[0] = False
+    weight = np.where(known, power, 0.0)
+    total = weight.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        share = (weight * np.where(known, excess, 0.0)).sum(axis=0) / total
+    return np.where(total > 0.0, share, np.nan)
+
+
+def modelled_share(records: Sequence[Record]) -> FloatArray:
+    """(n_outputs,) share of the outputs' power that a pulse response explains from the inputs alone.
+
+    The pulse response is that of a long observer fitted to at most 6000 whole rows of the longest record; what is left
+    counts more by as much as the fitted numbers took of it.
+
+    Args:
+        records: of one system.
+
+    Returns:
+        nan where too few rows are whole, the output or every input is constant, or the pulse response diverges.
+    """
+    n_outputs = records[0].n_outputs
+    shares = np.full(n_outputs, np.nan)
+    part = whole_rows(records)
+    if part is None:
+        return shares
+    scaling = channel_scaling([part])
+    inputs = [i for i in range(part.n_inputs) if i not in scaling.constant_inputs]
+    moving = [i for i in range(n_outputs) if i not in scaling.constant_outputs]
+    for start in range(0, len(moving) if inputs else 0, GROUP):
+        outputs = moving[start : start + GROUP]
+        found = best_pulse(part.select(inputs=inputs, outputs=outputs))
+        if found is not None:
+            shares[outputs] = found[1]
+    return shares
+
+
+def coherence_findings(
+    records: Sequence[Record], frf: MeasuredFrf, power: FloatArray, shares: Shares, which: Sequence[int]
+) -> list[Finding]:
+    """Outputs of which the inputs explain little.
+
+    Args:
+        records: of one system.
+        frf: with coherences.
+        power: (n_frequencies, n_outputs).
+        shares: what is explained.
+        which: indices of the outputs to judge.
+    """
+    record = records[0]
+    few_events = _n_events(records) < FEW_EVENTS
+    unexplained: dict[Level, list[int]] = {"bad": [], "doubtful": [], "note": []}
+    leaking: list[int] = []
+    for i in which:
+        if not shares.spectra[i] < FAIR:
+            continue
+        if 1.0 - shares.modelled[i] < LEAKAGE * (1.0 - shares.spectra[i]):
+            leaking.append(i)
+            continue
+        share = shares.explained[i]
+        if few_events:  # one transient tells too little of the system to blame the channel
+            unexplained["note"].append(i)
+            continue
+        unexplained["bad" if share < HARDLY else "doubtful" if share < POOR else "note"].append(i)
+    found = [
+        _unexplained(record, level, outputs, shares.explained, _low_bands(frf, power, outputs, shares.explained))
+        for level, outputs in unexplained.items()
+        if outputs
+    ]
+    if few_events:
+        found = [replace(finding, sentence=_few_events_sentence(finding.sentence)) for finding in found]
+    return [*found, *_leakage(record, frf, shares, leaking)]
+
+
+def _unexplained(
+    record: Record, level: Level, which: Sequence[int], explained: FloatArray, bands: Sequence[tuple[float, float]]
+) -> Finding:
+    """One sentence for all outputs of a level."""
+    names = tuple(record.output_names[i] for i in which)
+    least, most = (max(0.0, float(f(explained[list(which)]))) for f in (np.min, np.max))
+    how_much = percent(least) if percent(least) == percent(most) else f"{percent(least)[:-2]} to {percent(most)}"
+    where = f", least in {_band_words(bands)}" if bands else ""
+    todo = {
+        "bad": "expect nothing of a fit before what drives it is measured as well, or the wiring is put right.",
+        "doubtful": "measure what else drives it, or expect little of a fit.",
+        "note": "a longer record averages noise away, a test at another level shows a nonlinearity.",
+    }[level]
+    return Finding(
+        level=level,
+        what="low coherence",
+        where=named(names),
+        sentence=f"the inputs explain {how_much} of the power of output{'s' * (len(names) > 1)} "
+        f"{named(names)}{where}: the rest is noise, forces that were not measured, or a nonlinearity; {todo}",
+        channels=names,
+        share=1.0 - least,
+    )
+
+
+def _few_events_sentence(sentence: str) -> str:
+    """What coherence says of records whose inputs move in few places: next to nothing."""
+    return (
+        f"{sentence.partition(': the rest is')[0]}, but the inputs change in few places, so chance decides that share: "
+        "judge by the fit, or measure with inputs that move all the time."
+    )
+
+
+def _n_events(records: Sequence[Record]) -> float:
+    """In how many of sixteen blocks a record the inputs' steps from sample to sample have their energy, about."""
+    energies = []
+    for record in records:
+        steps = np.nan_to_num(np.diff(record.inputs, axis=0))
+        size = max(1, len(steps) // N_BLOCKS)
+        energy = np.add.reduceat(np.square(steps), np.arange(0, max(1, len(steps)), size), axis=0)
+        energies.append(energy[:N_BLOCKS] / np.maximum(energy.sum(axis=0), np.finfo(float).tiny))
+    every = np.concatenate(energies)
+    return float((every.sum(axis=0) ** 2 / np.maximum(np.square(every).sum(axis=0), np.finfo(float).tiny)).min())
+
+
+def _leakage(record: Record, frf: MeasuredFrf, shares: Shares, leaking: Sequence[int]) -> list[Finding]:
+    if not leaking:
+        return []
+    names = tuple(record.output_names[i] for i in leaking)
+    worst = min(leaking, key=lambda i: float(shares.spectra[i]))
+    before = max(0.0, float(shares.spectra[worst]))
+    return [
+        Finding(
+            level="note",
+            what="leakage",
+            where=named(names),
+            sentence=f"measured coherence explains {percent(before)} of {named(record.output_names[worst])}"
+            f"{f', the least of {len(names)}' if len(names) > 1 else ''}, and a first model "
+            f"{percent(float(shares.modelled[worst]))}: the answer to the input outlasts the segments of "
+            f"{spoken(1.0 / float(frf.frequencies[1]))} s that the record allows, so measured frequency responses are "
+            "smeared; the identification works in time and is not.",
+            channels=names,
+            share=1.0 - before,
+        )
+    ]
+
+
+def _low_bands(
+    frf: MeasuredFrf, powers: FloatArray, outputs: Sequence[int], explained: FloatArray
+) -> list[tuple[float, float]]:
+    """The bands of the worst of some outputs with the most unexplained power among lines that matter."""
+    worst = min(outputs, key=lambda i: float(explained[i]))
+    coherence, power = frf.multiple_coherence[:, worst], powers[:, worst]
+    low: BoolArray = np.asarray((power > STRONG * power[1:].max()) & ~(coherence >= LOW), dtype=np.bool_)
+    low[0] = False
+    lost = np.where(low, power, 0.0)
+    for start, stop in runs_of(~low)[1:-1]:
+        if stop - start < BRIDGED:
+            low[start:stop] = True
+    runs = sorted(runs_of(low), key=lambda run: -float(lost[run[0] : run[1]].sum()))[:MOST_BANDS]
+    step = float(frf.frequencies[1])
+    return sorted((max(0.0, (a - 0.5) * step), (b - 0.5) * step) for a, b in runs)
+
+
+def _band_words(bands: Sequence[tuple[float, float]]) -> str:
+    return ", ".join(f"{spoken(low)} to {spoken(high)} Hz" for low, high in bands)

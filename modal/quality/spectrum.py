@@ -1,0 +1,150 @@
+"""What the spectrum of a channel tells: a bound on its noise, motion up to half the sampling frequency, few periods."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from modal.quality.channel import named, percent, spoken
+from modal.quality.findings import Finding
+from okid.arrays import FloatArray
+from okid.record import Record
+from okid.whiteness import centred, whiteness
+
+__all__ = ["alias_findings", "noise_floor", "period_findings", "white_findings"]
+
+SMOOTHED = 16
+"""Lines of the spectrum over which the floor is averaged."""
+ALIAS_SHARE = 0.01
+"""Of a channel's power that lies in the top tenth of the band."""
+NO_ROLL_OFF = 0.5
+"""Density at the very top over that between 0.6 and 0.8 of the band: an anti-alias filter leaves far less."""
+FEW_PERIODS = 10
+WHITE_LAGS = 20
+WHITE_ROWS = 20_000
+WHITE = 1.5
+"""Hosking's statistic over its degrees of freedom; 1 for white noise, and 1.5 at 20 lags with probability 0.07."""
+NOTHING = 0.05
+"""Explained share, chance taken off, below which the inputs explain nothing."""
+STRONGEST = 20.0
+"""Times the mean density of one periodogram that its largest line has at least, if there is a motion to speak of."""
+SHORTEST = 64
+
+
+def noise_floor(frequencies: FloatArray, density: FloatArray) -> float:
+    """Standard deviation of the most white noise that a channel can hold: its density nowhere exceeds the spectrum.
+
+    Args:
+        frequencies: (n_frequencies,) [Hz], evenly spaced.
+        density: (n_frequencies,) power spectral density [unit^2/Hz].
+
+    Example:
+        >>> round(noise_floor(np.linspace(0, 50, 101), np.full(101, 0.08)), 6)
+        2.0
+    """
+    inner = density[1:-1]
+    if inner.size < SMOOTHED:
+        return float("nan")
+    sums = np.concatenate([[0.0], np.cumsum(inner)])
+    lowest = float(((sums[SMOOTHED:] - sums[:-SMOOTHED]) / SMOOTHED).min())
+    return float(np.sqrt(max(lowest, 0.0) * frequencies[-1]))
+
+
+def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArray) -> list[Finding]:
+    """Outputs with motion up to half the sampling frequency; nothing is said of inputs that a converter held.
+
+    Args:
+        record: any of the records, for names and hold.
+        frequencies: (n_frequencies,) [Hz].
+        densities: (n_frequencies, n_outputs).
+    """
+    if record.input_hold == "zero_order" and record.n_inputs:
+        return []
+    top = frequencies > 0.9 * frequencies[-1]
+    very_top = (frequencies > 0.95 * frequencies[-1]) & (frequencies < frequencies[-1])
+    middle = (frequencies > 0.6 * frequencies[-1]) & (frequencies < 0.8 * frequencies[-1])
+    if not very_top.any() or not middle.any():
+        return []
+    total = np.maximum(densities[1:].sum(axis=0), np.finfo(float).tiny)
+    shares = densities[top].sum(axis=0) / total
+    flat = densities[very_top].mean(axis=0) > NO_ROLL_OFF * densities[middle].mean(axis=0)
+    which = np.flatnonzero((shares > ALIAS_SHARE) & flat)
+    if which.size == 0:
+        return []
+    names = tuple(record.output_names[i] for i in which)
+    share = float(shares[which].max())
+    return [
+        Finding(
+            level="note",
+            what="no roll-off",
+            where=named(names),
+            sentence=f"output{'s' * (len(names) > 1)} {named(names)} hold{'s' * (len(names) == 1)} up to "
+            f"{percent(share)} of "
+            f"the power above {spoken(0.9 * frequencies[-1])} Hz and no roll-off below half the sampling frequency: "
+            "without an anti-alias filter, motion above it is folded into the band; if there was none, sample faster.",
+            channels=names,
+            share=share,
+        )
+    ]
+
+
+def period_findings(records: Sequence[Record]) -> list[Finding]:
+    """Output-only records that hold few periods of their strongest motion.
+
+    Args:
+        records: without inputs; of others nothing is said, whose slow motion may be the inputs' doing.
+    """
+    longest = max(records, key=lambda record: record.n_samples)
+    if longest.n_inputs or longest.n_samples < SHORTEST:
+        return []
+    summed = np.zeros(longest.n_samples // 2 + 1)
+    for i in range(longest.n_outputs):
+        values = longest.outputs[:, i]
+        # no window: it would leave nothing of a decay but its end
+        power = np.square(np.abs(np.fft.rfft(np.nan_to_num(values - np.nanmean(values)))))
+        summed += power / max(float(power.sum()), np.finfo(float).tiny)
+    n_periods = 1 + int(summed[1:].argmax())
+    if n_periods >= FEW_PERIODS or summed[n_periods] < STRONGEST * summed[1:].mean():
+        return []
+    frequency = n_periods / longest.duration
+    return [
+        Finding(
+            level="doubtful",
+            what="too short",
+            where="whole record",
+            sentence=f"the strongest motion, at {spoken(frequency)} Hz or slower, has {n_periods:.0f} periods at most "
+            f"in the longest record of {spoken(longest.duration)} s: too few for a frequency or a damping ratio of "
+            f"it; record for {spoken(2 * FEW_PERIODS / frequency)} s or more, or take slow drift off first.",
+        )
+    ]
+
+
+def white_findings(records: Sequence[Record], explained: FloatArray) -> list[Finding]:
+    """Outputs that are white noise, which no structure's motion is, and that the inputs explain nothing of.
+
+    Args:
+        records: of one system.
+        explained: (n_outputs,) share of the power above chance that the inputs explain, nan where not known.
+    """
+    longest = max(records, key=lambda record: record.n_samples)
+    found: list[Finding] = []
+    for i, name in enumerate(longest.output_names):
+        values = longest.outputs[:WHITE_ROWS, [i]]
+        if len(values) < 10 * WHITE_LAGS or np.isnan(values).any() or values.std() == 0.0:
+            continue
+        if longest.n_inputs and not explained[i] < NOTHING:
+            continue
+        ratio = whiteness(centred([values / values.std()]), n_lags=WHITE_LAGS, n_fitted=0).ratio
+        if not ratio < WHITE:
+            continue
+        found.append(
+            Finding(
+                level="doubtful",
+                what="white noise",
+                where=named(name),
+                sentence=f"output {named(name)} is white noise (portmanteau ratio {ratio:.2g}, 1 for white)"
+                f"{' and has nothing to do with the inputs' if longest.n_inputs else ''}: there is no motion in it to "
+                "identify, only the noise of its sensor; look whether it is connected and its range is right.",
+                channels=(name,),
+            )
+        )
+    return found

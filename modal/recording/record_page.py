@@ -1,0 +1,247 @@
+"""The page "Record": what was measured, over time and over frequency, and what there is to say against it."""
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from modal.quality.findings import DataQuality, Finding
+from modal.recording.axis import SHARE_AXIS, Axis, linear_axis, log_axis
+from modal.recording.figure import Figure, Pane
+from modal.recording.names import label, with_unit
+from modal.recording.palette import BLUE, CYCLE, GOLD, ORANGE, RED, Colour
+from modal.recording.plan import DataPlan
+from modal.recording.quality_words import quality_text
+from modal.recording.series import TIMELINE, log_series, time_axis
+from modal.recording.tables import log_table
+from okid.arrays import FloatArray
+from okid.record import Record
+
+if TYPE_CHECKING:
+    import rerun
+
+__all__ = ["LEVEL_COLOURS", "OUTPUT_COLOURS", "log_record_page", "marked", "marks_path", "quality_path", "spectra_pane"]
+
+LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": RED, "doubtful": GOLD, "note": (140, 165, 210)}
+
+OUTPUT_COLOURS: Final[tuple[Colour, ...]] = (BLUE, ORANGE, *CYCLE[1:])
+"""For outputs of equal rank, in this order, again from the start when there are more."""
+
+MOST_MARKS: Final = 10
+SHORTEST_MARK: Final = 0.004
+SHOWN_SPECTRA: Final = 6
+SPECTRUM_DECADES: Final = 8.0
+
+
+def quality_path(plan: DataPlan) -> str:
+    """Where the quality of the data stands in words."""
+    return f"{plan.root}/quality/text"
+
+
+def marks_path(plan: DataPlan) -> str:
+    """The entity above the marks of findings on the time axis."""
+    return f"{plan.root}/quality/mark"
+
+
+def spectra_pane(plan: DataPlan) -> Pane:
+    """Where spectra and coherence are drawn."""
+    return Pane(f"{plan.root}/spectra/plot", 560.0, 570.0)
+
+
+def marked(quality: DataQuality) -> list[tuple[int, Finding]]:
+    """The findings that lie somewhere in time and are marked there, with their numbers in the words."""
+    placed = [(number, finding) for number, finding in enumerate(quality.findings, start=1) if finding.spans]
+    return placed[:MOST_MARKS]
+
+
+def log_record_page(
+    records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan, quality: DataQuality
+) -> None:
+    """Every measured channel over time, where each record stands, spectra and coherence, the quality in words.
+
+    Args:
+        records: what was measured.
+        recording: the stream.
+        plan: of these records.
+        quality: of these records.
+    """
+    import rerun as rr
+
+    _log_channels(records, recording, plan)
+    _log_places(records, recording, plan)
+    document = rr.TextDocument(quality_text(quality, records), media_type=rr.MediaType.MARKDOWN)
+    recording.log(quality_path(plan), document, static=True, strict=True)
+    _log_numbers(quality, recording, plan)
+    _log_marks(records, quality, recording, plan)
+    _draw_spectra(quality, recording, plan)
+
+
+def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+    times = time_axis(records, plan)
+    first = records[0]
+    for i, path in enumerate(plan.input_paths):
+        log_series(
+            recording,
+            path,
+            times,
+            [record.inputs[:, i] for record in records],
+            plan=plan,
+            name=with_unit(first.input_names[i], first.input_units[i]),
+            colour=CYCLE[i % len(CYCLE)],
+            interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
+        )
+    for i, path in enumerate(plan.output_paths):
+        channels = [record.outputs[:, i] for record in records]
+        log_series(recording, path, times, channels, plan=plan, name="measured", colour=BLUE, width=3.0)
+
+
+def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+    columns: dict[str, Iterable[object]] = {
+        "name": [record.name for record in records],
+        "n_samples": [record.n_samples for record in records],
+        "dt": [record.dt for record in records],
+        "start_time": [record.start_time for record in records],
+        "shown_from": plan.starts,
+        "samples_per_bucket": [max(part.bucket for part in kept) for kept in plan.levels],
+    }
+    log_table(recording, f"{plan.root}/records", "record", np.arange(1, len(records) + 1), columns)
+
+
+def _log_numbers(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+    found = quality.findings
+    findings: dict[str, Iterable[object]] = {
+        name: [getattr(finding, name) for finding in found] for name in ("what", "where", "sentence", "share")
+    }
+    # not "level": a name of a column has one type in the whole of Rerun, and levels of excitation are numbers
+    findings["severity"] = [one.level for one in found]
+    findings["channels"] = [", ".join(one.channels) for one in found]
+    for k, name in enumerate(("span_record", "span_from", "span_to")):
+        findings[name] = [[span[k] + (k == 0) for span in one.spans] for one in found]
+    log_table(recording, f"{plan.root}/quality/findings", "finding", np.arange(1, len(found) + 1), findings)
+    fields = ("mean", "std", "smallest", "largest", "noise_floor", "signal_to_noise", "explained", "n_missing")
+    channels: dict[str, Iterable[object]] = {
+        name: [getattr(one, name) for one in quality.channels] for name in ("name", "role", "unit")
+    }
+    channels["severity"] = [one.level for one in quality.channels]
+    channels |= {name: [getattr(one.statistics, name) for one in quality.channels] for name in fields}
+    index = np.arange(1, len(quality.channels) + 1)
+    log_table(recording, f"{plan.root}/quality/channels", "channel", index, channels)
+    lines = np.arange(1, quality.frequencies.size + 1)
+    spectra: dict[str, Iterable[object]] = {"frequency": quality.frequencies, "density": quality.densities}
+    log_table(recording, f"{plan.root}/spectra/numbers", "frequency_line", lines, spectra)
+    if quality.coherence is not None:
+        one = quality.coherence
+        lines = np.arange(1, one.frequencies.size + 1)
+        coherence: dict[str, Iterable[object]] = {
+            "frequency": one.frequencies,
+            "multiple_coherence": one.multiple_coherence,
+        }
+        log_table(recording, f"{plan.root}/coherence/numbers", "frequency_line", lines, coherence)
+
+
+def _log_marks(
+    records: Sequence[Record], quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan
+) -> None:
+    """A bar over every time of a finding, findings one below the other in the order of the words.
+
+    A bar is at least so long that it is seen; the table "quality/findings" has the times themselves.
+    """
+    import rerun as rr
+
+    shortest = SHORTEST_MARK * (plan.stop - plan.start)
+
+    for row, (number, finding) in enumerate(marked(quality), start=1):
+        times: list[float] = []
+        for record, begin, end in sorted(finding.spans):
+            dt = records[record].dt
+            start = begin + plan.shifts[record]
+            if times:  # bars that touch are one bar, and time never goes back
+                start = max(start, times[-1] + 0.25 * dt)
+            stop = max(end + plan.shifts[record], start + shortest, start + dt)
+            times += [start, stop, stop + 0.25 * dt]
+        path = f"{marks_path(plan)}/{row:02d}"
+        # an empty row after each bar breaks the line there
+        columns = rr.Scalars.columns(scalars=[-float(row)] * (len(times) // 3 * 2)).partition(
+            [1, 1, 0] * (len(times) // 3)
+        )
+        recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times)], columns, strict=True)
+        names = ", ".join(finding.channels) or "all channels"
+        style = rr.SeriesLines(
+            names=label(f"{number}. {finding.what}: {names}", 40),
+            colors=LEVEL_COLOURS[finding.level],
+            widths=6.0,
+            aggregation_policy="MinMax",
+        )
+        recording.log(path, style, static=True, strict=True)
+
+
+def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+    """Inputs over outputs over coherence, all over one axis of frequency."""
+    if not quality.frequencies.size:
+        return
+    n_inputs, n_outputs = len(plan.input_paths), len(plan.output_paths)
+    x = linear_axis("frequency [Hz]", 0.0, float(quality.frequencies[-1]))
+    bands = [("output", n_inputs, n_outputs, OUTPUT_COLOURS)]
+    if n_inputs:
+        bands = [("input", 0, n_inputs, CYCLE), *bands]
+    n_bands = len(bands) + (quality.coherence is not None)
+    edges = np.cumsum([0.0, *([0.34] * len(bands) + [0.32])[:n_bands]])
+    edges /= edges[-1]
+    for k, (role, start, count, colours) in enumerate(bands):
+        shown = range(start, start + min(count, SHOWN_SPECTRA))
+        figure = Figure(
+            recording=recording,
+            pane=spectra_pane(plan),
+            x=x,
+            y=_density_axis(f"{role}s [{_density_unit(quality, role)}]", quality.densities[:, shown]),
+            band=(float(edges[k]), float(edges[k + 1])),
+            part=f"{k}_{role}",
+        )
+        figure.frame()
+        for i, channel in enumerate(shown):
+            density = quality.densities[:, channel]
+            colour = colours[i % len(colours)]
+            figure.line(f"line/{i:02d}", quality.frequencies, np.where(density > 0, density, np.nan), colour, width=0.9)
+        figure.legend_row(
+            [(label(quality.channels[c].name, 14), colours[i % len(colours)]) for i, c in enumerate(shown)]
+        )
+    if quality.coherence is not None:
+        band = (float(edges[-2]), 1.0)
+        _draw_coherence(quality, recording, plan, x=x, band=band)
+
+
+def _draw_coherence(
+    quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan, *, x: Axis, band: tuple[float, float]
+) -> None:
+    one = quality.coherence
+    if one is None:
+        return
+    figure = Figure(
+        recording=recording,
+        pane=spectra_pane(plan),
+        x=x,
+        y=SHARE_AXIS,
+        band=band,
+        part="9_coherence",
+    )
+    figure.frame()
+    for i in range(min(len(plan.output_paths), SHOWN_SPECTRA)):
+        colour = OUTPUT_COLOURS[i % len(OUTPUT_COLOURS)]
+        figure.line(f"line/{i:02d}", one.frequencies, one.multiple_coherence[:, i], colour, width=0.8)
+
+
+def _density_unit(quality: DataQuality, role: str) -> str:
+    """Of the channels of a role: their own where they have one unit."""
+    units = {one.unit for one in quality.channels if one.role == role}
+    unit = units.pop() if len(units) == 1 else ""
+    if not unit:
+        return "unit²/Hz"
+    return f"({label(unit, 12)})²/Hz" if set(unit) & set("/ ^*") else f"{label(unit, 12)}²/Hz"
+
+
+def _density_axis(title: str, densities: FloatArray) -> Axis:
+    positive = densities[np.isfinite(densities) & (densities > 0)]
+    if not positive.size:
+        return log_axis(title, 0.1, 10.0)
+    high = float(positive.max())
+    return log_axis(title, max(float(positive.min()), high * 10.0**-SPECTRUM_DECADES), high)

@@ -1,0 +1,51 @@
+"""A figure as a page takes it: the SVG, the words below it, and the numbers that a script reads off it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from modal.plots.charts import Notes
+
+__all__ = ["Picture", "drawn", "readable"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Picture:
+    """One picture for a page.
+
+    Attributes:
+        svg: the `<svg>` element.
+        caption: what there is to see.
+        chart: numbers behind the picture as JSON, "" where there is nothing to read off.
+    """
+
+    svg: str
+    caption: str
+    chart: str = ""
+
+
+def drawn(figure: "Figure", name: str, caption: str) -> Picture:
+    """A picture that is looked at and no more."""
+    from modal import plots
+
+    return Picture(svg=plots.svg_text(figure, name=name, description=caption), caption=caption)
+
+
+def readable(figure: "Figure", name: str, caption: str, *, notes: "Mapping[str, Notes] | None" = None) -> Picture:
+    """A picture that a script can read values off and whose lines it can hide.
+
+    Args:
+        figure: of `modal.plots`.
+        name: of the picture in its page.
+        caption: what there is to see.
+        notes: more on the points of the lines with these labels.
+    """
+    from modal import plots
+    from modal.plots.charts import chart_text, tag_lines
+
+    tag_lines(figure, name)
+    svg = plots.svg_text(figure, name=name, description=caption)
+    return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))

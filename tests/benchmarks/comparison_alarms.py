@@ -1,0 +1,111 @@
+"""How often `diff` sees a change where there is none, and how often it sees one that is there.
+
+Random systems (tests/reference/random_problems.py), each measured several times with fresh noise: every pair of these
+results compares a system with itself. A real change that needs no model: the same samples with a time step smaller by
+the share d are a system whose frequencies are all higher by d / (1 - d) and whose damping ratios are the same.
+
+    python tests/benchmarks/comparison_alarms.py --systems 12 --realisations 5
+"""
+
+import argparse
+import itertools
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
+
+from random_problems import random_problem
+
+from modal.comparison import compare_results
+from modal.comparison_source import summary_of
+from modal.pipeline import identify
+from okid.record import Record
+
+SHARES = (0.0003, 0.001, 0.003, 0.01)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--systems", type=int, default=12)
+    parser.add_argument("--realisations", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args()
+    counts, seen = Counter(), {share: [] for share in SHARES}
+    for seed in range(options.first, options.first + options.systems):
+        results = [identified(seed, number) for number in range(options.realisations)]
+        for before, after in itertools.combinations(results, 2):
+            count(compare_results(before, after), counts)
+        for share in SHARES:
+            for before, after in itertools.pairwise(results):
+                seen[share].append(detected(compare_results(before, faster(after, share))))
+        print(seed, dict(counts), flush=True)
+    report(counts, seen)
+
+
+def identified(seed, number):
+    problem = random_problem(seed)
+    training = slice(0, problem.n_training)
+    record = Record(problem.inputs[training], problem.noisy(number)[training], problem.system.dt)
+    return summary_of(identify(record))
+
+
+def faster(result, share):
+    """The same samples with a shorter time step; poles and frequencies scale, nothing else moves."""
+    scale = 1.0 / (1.0 - share)
+    modes = tuple(
+        replace(
+            mode, pole=scale * mode.pole, frequency=scale * mode.frequency, frequency_std=scale * mode.frequency_std
+        )
+        for mode in result.modes
+    )
+    return replace(result, modes=modes, dt=result.dt / scale)
+
+
+def count(comparison, counts):
+    shifts = [shift for pair in comparison.pairs for shift in pair.shifts]
+    counts["comparisons"] += 1
+    counts["matched"] += len(comparison.pairs)
+    counts["lost or new system modes"] += sum(
+        one.mode.verdict == "system" for one in (*comparison.lost, *comparison.new)
+    )
+    counts["with a false alarm"] += any(shift.verdict == "beyond chance" for shift in shifts)
+    for what in ("frequency", "damping ratio", "shape"):
+        tested = [shift for shift in shifts if shift.what == what and np.isfinite(shift.p_value)]
+        counts[f"{what} tests"] += len(tested)
+        counts[f"{what} below 5 %"] += sum(shift.p_value < 0.05 for shift in tested)
+        counts[f"{what} beyond chance"] += sum(shift.verdict == "beyond chance" for shift in tested)
+
+
+def detected(comparison):
+    """(shift in joint standard deviations, seen) of every frequency."""
+    return [
+        (1.96 * abs(pair.frequency.change) / pair.frequency.half_width, pair.frequency.verdict == "beyond chance")
+        for pair in comparison.pairs
+        if np.isfinite(pair.frequency.half_width)
+    ]
+
+
+def report(counts, seen):
+    n = counts["comparisons"]
+    print(f"{n} comparisons of a system with itself, {counts['matched']} matched modes")
+    print(f"a false alarm in {counts['with a false alarm']} of them ({100 * counts['with a false alarm'] / n:.1f} %)")
+    for what in ("frequency", "damping ratio", "shape"):
+        tests = max(counts[f"{what} tests"], 1)
+        below, beyond = counts[f"{what} below 5 %"], counts[f"{what} beyond chance"]
+        print(f"{what}: {tests} tests, {100 * below / tests:.1f} % outside their interval, {beyond} beyond chance")
+    print(f"lost or new modes of the system: {counts['lost or new system modes']}")
+    for share, comparisons in seen.items():
+        flat = [found for one in comparisons for _, found in one]
+        some = np.mean([any(found for _, found in one) for one in comparisons])
+        print(
+            f"all frequencies up by {100 * share:g} %: seen in {100 * np.mean(flat):.0f} % of the modes, "
+            f"in at least one mode of {100 * some:.0f} % of the comparisons"
+        )
+
+
+if __name__ == "__main__":
+    main()

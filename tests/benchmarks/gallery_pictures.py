@@ -1,0 +1,107 @@
+"""The pictures of the gallery, of the README and of order.md, made anew from runs of the examples and of the demo.
+
+    python tests/benchmarks/gallery_pictures.py WORK [--viewer PROGRAM] [--only NAME ...]
+
+Examples write into WORK, unless their folder is there already. Pages are photographed by the browser that prints the
+PDF (`modal.report.pdf.find_browser`). Recordings are photographed by a program that is called as
+`PROGRAM IN.rrd OUT.png WIDTH HEIGHT --tab NAME`; without one their pictures stay as they are.
+"""
+
+import argparse
+import contextlib
+import io
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+PICTURES = Path(__file__).parents[2] / "modal" / "docs" / "pictures"
+WIDTH = 1000
+PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
+    "report": ("demo", "report.html", 0, 1235),
+    "gallery_motor": ("motor_propeller", "report.html", 688, 1556),
+    "gallery_records": ("many_records", "comparison.html", 0, 1080),
+}
+RECORDINGS = {
+    "recording_modes": ("demo", "recording.rrd", "Modes"),
+    "recording_order": ("demo", "recording.rrd", "Order"),
+    "gallery_frame": ("three_storey_frame", "recording.rrd", "Modes"),
+    "gallery_joint": ("loose_joint", "recording.rrd", "Discrepancy"),
+}
+DRAWN = {"gallery_mass": ("struck_mass", "1-full-order.png")}
+
+
+def run(name, folder):
+    """Let an example write its files, unless they are there."""
+    from modal.examples import loose_joint, many_records, motor_propeller, struck_mass, three_storey_frame
+
+    if folder.exists():
+        return
+    with contextlib.redirect_stdout(io.StringIO()) as told:
+        if name == "demo":
+            from modal.command import main
+
+            sys.argv = ["modal-report", "demo", "-o", str(folder)]
+            main()
+        elif name in ("loose_joint", "motor_propeller"):
+            {"loose_joint": loose_joint, "motor_propeller": motor_propeller}[name].main(["-o", str(folder)])
+        else:
+            modules = {"many_records": many_records, "struck_mass": struck_mass}
+            modules.get(name, three_storey_frame).main([str(folder)])
+    print(f"{name}\n{told.getvalue()}")
+
+
+def photograph_page(page, first, last, target):
+    """Some rows of a page in a window 1100 wide."""
+    from modal.report.pdf import find_browser
+
+    with tempfile.TemporaryDirectory() as profile:
+        options = ["--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--no-sandbox"]
+        options += ["--disable-component-update", "--disable-sync", "--disable-quic", "--hide-scrollbars"]
+        options += [f"--user-data-dir={profile}", f"--window-size=1100,{last}", f"--screenshot={target}"]
+        address = page.absolute().as_uri()
+        subprocess.run([find_browser(), *options, address], capture_output=True, timeout=180, check=True)
+    with Image.open(target) as whole:
+        part = whole.crop((0, first, whole.width, last))
+    part.save(target)
+
+
+def keep(photograph, target, *, width):
+    """Small enough for a document: the width that it is read at, 256 colours."""
+    with Image.open(photograph) as picture:
+        whole = picture.convert("RGB")
+    height = round(whole.height * width / whole.width)
+    small = whole if width == whole.width else whole.resize((width, height), Image.Resampling.LANCZOS)
+    small.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(target, optimize=True)
+    print(f"{target.name}: {small.width} x {small.height}, {target.stat().st_size / 1024:.0f} KiB")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--viewer", help="program that photographs a recording")
+    parser.add_argument("--only", nargs="+", default=[*PAGES, *RECORDINGS, *DRAWN], metavar="NAME")
+    given = parser.parse_args()
+    given.work.mkdir(parents=True, exist_ok=True)
+    taken = given.work / "taken.png"
+    for name in given.only:
+        folder = given.work / (PAGES | RECORDINGS | DRAWN)[name][0]
+        run(folder.name, folder)
+        if name in PAGES:
+            _, page, first, last = PAGES[name]
+            photograph_page(folder / page, first, last, taken)
+        elif name in DRAWN:
+            taken.write_bytes((folder / DRAWN[name][1]).read_bytes())
+        elif given.viewer is None:
+            continue
+        else:
+            _, file, tab = RECORDINGS[name]
+            command = [given.viewer, folder / file, taken, "1500", "900", "--tab", tab]
+            subprocess.run([*map(str, command)], check=True)
+        keep(taken, PICTURES / f"{name}.png", width=WIDTH if name in PAGES else 1200)
+
+
+if __name__ == "__main__":
+    main()

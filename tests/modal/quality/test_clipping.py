@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+from modal.quality.clipping import clipping_findings
+
+
+def noise(n=4000, width=30, seed=0):
+    values = np.random.default_rng(seed).standard_normal(n)
+    return values if width == 0 else np.convolve(values, np.hanning(width), "same")
+
+
+@pytest.mark.parametrize("width", [0, 30])
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_clipping_is_found_with_its_share(channel_of, width, share):
+    values = noise(width=width)
+    low, high = np.quantile(values, [share / 2, 1 - share / 2])
+    clipped = np.clip(values, low, high)
+    (finding,) = clipping_findings(channel_of(clipped), 1)
+    assert finding.level == "bad"
+    assert finding.share == pytest.approx(share, rel=0.1)
+    first = np.flatnonzero((clipped == low) | (clipped == high))[0]
+    assert finding.spans[0][1] == pytest.approx(first * 0.01)
+
+
+def test_one_side_alone_is_found(channel_of):
+    values = np.minimum(noise(), 1.5 * noise().std())
+    (finding,) = clipping_findings(channel_of(values), 1)
+    assert "-" not in finding.sentence.split(" of the samples")[0].split("limit")[1]
+
+
+@pytest.mark.parametrize("width", [0, 30])
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_converted_noise_is_not_clipped(channel_of, width, bits):
+    values = noise(width=width)
+    step = 2.6 * np.abs(values).max() / 2**bits
+    assert clipping_findings(channel_of(step * np.round(values / step)), 1) == []
+
+
+@pytest.mark.parametrize("bits", [7, 10, 14])
+def test_the_crests_of_a_converted_sine_are_not_clipped_but_those_of_a_clipped_one_are(channel_of, bits):
+    sine = np.sin(np.linspace(0, 300, 20_000))
+    step = 2.2 / 2**bits
+    assert clipping_findings(channel_of(step * np.round(sine / step)), 1) == []
+    cut = np.clip(sine, -0.9, 0.9)
+    assert [f.what for f in clipping_findings(channel_of(step * np.round(cut / step)), 1)] == ["clipped"]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.sign(np.sin(np.linspace(0.1, 300, 5000))),
+        np.random.default_rng(0).uniform(-1, 1, 5000),
+        np.repeat(np.random.default_rng(1).choice([-1.0, 0.0, 1.0], 700), 7),
+        np.tile(np.random.default_rng(2).standard_normal(500), 10),
+        np.sin(2 * np.pi * np.arange(5000) / 10),
+        1.0 - np.exp(-np.arange(20_000) / 200.0),
+        np.round(1000 * (1.0 - np.exp(-np.arange(2500) / 200.0))),
+        np.clip(np.round(9 * np.sin(np.linspace(0, 900, 5000))), -9, 7),
+    ],
+    ids=["square", "uniform", "three levels", "periodic", "ten samples a period", "settling", "settled", "few levels"],
+)
+@pytest.mark.parametrize("role", ["input", "output"])
+def test_signals_that_are_bounded_by_nature_are_not_clipped(channel_of, values, role):
+    assert clipping_findings(channel_of(values, role=role), 1) == []
+
+
+def test_the_rest_of_a_hammer_is_no_lower_limit(channel_of):
+    force = np.zeros(5000)
+    for start in range(100, 5000, 600):
+        force[start : start + 9] = np.hanning(11)[1:-1] * (1 + start / 5000)
+    assert clipping_findings(channel_of(force, role="input"), 1) == []
+
+
+def test_a_clipped_input_is_only_noted(channel_of):
+    (finding,) = clipping_findings(channel_of(np.clip(noise(width=0), -2, 2), role="input"), 1)
+    assert finding.level == "note"
+
+
+@pytest.mark.parametrize(("jitter", "n_found"), [(1e-11, 1), (1e-4, 0)])
+def test_a_limit_is_one_value_however_it_was_rounded(channel_of, jitter, n_found):
+    """A unit that was converted in between leaves the last digits different; a limit that moves is none."""
+    rng = np.random.default_rng(2)
+    values = noise()
+    limit = 1.5 * values.std()
+    clipped = np.where(values >= limit, limit * (1.0 + jitter * rng.random(values.size)), values)
+    assert len(clipping_findings(channel_of(clipped), 1)) == n_found

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+import scipy.signal
+
+from modal.quality.copies import copy_findings
+from modal.quality.slow import drift_findings
+from modal.quality.timing import timing_findings
+from okid.record import Record
+
+
+def answer(force, frequency=0.07, damping=0.03):
+    """One mode driven by a force, one sample late, as any sampled structure without feedthrough."""
+    radius = np.exp(-2 * np.pi * frequency * damping)
+    poles = [1.0, -2 * radius * np.cos(2 * np.pi * frequency), radius**2]
+    motion = scipy.signal.lfilter([0.0, 1.0], poles, force)
+    return motion / motion.std()
+
+
+@pytest.fixture
+def force():
+    return np.random.default_rng(0).standard_normal(5000)
+
+
+def noisy(values, seed=1):
+    return values + 0.02 * np.random.default_rng(seed).standard_normal(values.shape)
+
+
+@pytest.mark.parametrize(("factor", "level"), [(1.0, "bad"), (-1.0, "bad"), (2.5, "doubtful")])
+def test_a_copied_channel_is_named_with_its_factor(force, factor, level):
+    first = noisy(answer(force))
+    (finding,) = copy_findings([Record(force, np.column_stack([first, factor * first]), 0.01)])
+    assert finding.level == level
+    assert finding.channels == ("output_0", "output_1")
+    assert ("negative" in finding.sentence, "2.5 times" in finding.sentence) == (factor < 0, factor == 2.5)
+
+
+def test_channels_that_are_only_alike_are_not_copies(force):
+    first = answer(force)
+    assert copy_findings([Record(force, np.column_stack([first, noisy(first, 2) + 0.0]), 0.01)]) == []
+    assert len(copy_findings([Record(force, 2.0 * force, 0.01)])) == 1  # an output that is the input
+
+
+@pytest.mark.parametrize("early", [3, 8])
+def test_an_output_that_runs_ahead_of_the_input_is_named(force, early):
+    good, other = noisy(answer(force)), noisy(answer(force, 0.13), 3)
+    ahead = np.roll(other, -early - 1)
+    record = Record(force, np.column_stack([good, ahead]), 0.01).samples(0, 4900)
+    (finding,) = timing_findings([record], [0, 1])
+    assert finding.level == "bad"
+    assert finding.channels == ("output_1", "input_0")
+    assert f"{early} samples" in finding.sentence
+
+
+def test_a_common_delay_is_noted_and_none_is_not(force):
+    outputs = np.column_stack([noisy(answer(force)), noisy(answer(force, 0.13), 3)])
+    assert timing_findings([Record(force, outputs, 0.01)], [0, 1]) == []
+    late = np.roll(outputs, 9, axis=0)
+    (finding,) = timing_findings([Record(force, late, 0.01).samples(20)], [0, 1])
+    assert finding.level == "note"
+    assert "10 samples" in finding.sentence
+    assert timing_findings([Record(np.empty((5000, 0)), outputs, 0.01)], [0, 1]) == []
+
+
+@pytest.mark.parametrize(("size", "level"), [(0.0, None), (0.5, "note"), (3.0, "doubtful")])
+def test_drift_is_told_by_its_share(force, size, level):
+    slow = np.linspace(-1, 1, 5000) ** 3 + 0.5 * np.cos(np.linspace(0, 5, 5000))
+    drifting = noisy(answer(force)) + size * slow / slow.std()
+    record = Record(force, np.column_stack([noisy(answer(force, 0.2), 4), drifting]), 0.01)
+    found = drift_findings([record])
+    assert [finding.level for finding in found] == ([] if level is None else [level])
+    for finding in found:
+        assert finding.channels == ("output_1",)
+        assert finding.share == pytest.approx(size**2 / (1 + size**2), rel=0.15)
+
+
+def test_slow_motion_that_the_input_causes_is_no_drift():
+    rng = np.random.default_rng(5)
+    force = rng.standard_normal(5000)
+    slow = scipy.signal.lfilter([0.0, 0.002], [1.0, -0.998], force)
+    assert drift_findings([Record(force, noisy(slow / slow.std()), 0.01)]) == []

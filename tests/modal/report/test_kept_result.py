@@ -1,0 +1,36 @@
+"""The kept result: read back as it was, counted once, and not written where it would be very large."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modal.report import kept_result
+from modal.report.kept_result import keep_result, kept_size
+from modal.storage import load
+
+
+def test_it_is_the_result(tmp_path, identification):
+    path = keep_result(identification, tmp_path / "result.npz")
+    np.testing.assert_array_equal(load(path).records[0].outputs, identification.records[0].outputs)
+
+
+def test_its_size_is_that_of_the_arrays_in_the_file(tmp_path, identification):
+    path = keep_result(identification, tmp_path / "result.npz")
+    with np.load(path, allow_pickle=False) as archive:
+        assert kept_size(identification) == sum(archive[name].nbytes for name in archive.files if name != "result.json")
+
+
+def test_an_array_that_is_shared_counts_once(identification):
+    (record,) = identification.records
+    apart = (replace(record, outputs=record.outputs + 0.0),)
+    more = kept_size(replace(identification, predicted=apart)) - kept_size(identification)
+    assert more >= record.outputs.nbytes
+    assert kept_size(replace(identification, predicted=identification.records)) == kept_size(identification)
+
+
+def test_one_that_is_too_large_is_not_written(tmp_path, identification, monkeypatch):
+    monkeypatch.setattr(kept_result, "LARGEST_KEPT", kept_size(identification) - 1)
+    assert keep_result(identification, tmp_path / "result.npz") is None
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(kept_result, "LARGEST_KEPT", kept_size(identification))
+    assert keep_result(identification, tmp_path / "result.npz") is not None

@@ -1,0 +1,77 @@
+"""Time left in words, and requests to stop that are put off or raised."""
+
+import signal
+
+import pytest
+
+from modal.interruption import stop_politely, uninterrupted
+from modal.progress import progress_bar, time_left_text
+
+
+@pytest.mark.parametrize(
+    ("share", "elapsed", "text"),
+    [
+        (0.0, 100.0, ""),
+        (0.04, 100.0, ""),
+        (0.5, 1.0, ""),
+        (1.0, 50.0, ""),
+        (0.5, 4.0, "about 4 s left"),
+        (0.9, 2.0, "about 1 s left"),
+        (0.5, 41.0, "about 45 s left"),
+        (0.1, 20.0, "about 3 min left"),
+        (0.5, 5400.0, "about 1.5 h left"),
+    ],
+)
+def test_time_left(share, elapsed, text):
+    assert time_left_text(share, elapsed) == text
+
+
+def test_no_bar_where_nobody_looks(capsys):
+    with progress_bar() as tell:
+        tell("reading", 0.5)
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.fixture
+def handlers():
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield numbers
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_request_to_stop_waits_for_the_end_of_the_block(handlers):
+    done = []
+
+    def both_steps():
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            done.append("both")
+
+    with pytest.raises(KeyboardInterrupt):
+        both_steps()
+    assert done == ["both"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_block_without_a_request_changes_nothing(handlers):
+    before = [signal.getsignal(number) for number in handlers]
+    with uninterrupted():
+        assert signal.getsignal(signal.SIGINT) is not before[0]
+    assert [signal.getsignal(number) for number in handlers] == before
+
+
+def test_every_request_to_stop_is_an_interrupt_and_a_second_one_does_not_stop_the_clearing_up(handlers):
+    for number in handlers:
+        stop_politely()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        signal.raise_signal(number)  # at once again: nothing
+
+
+def test_what_nohup_ignores_stays_ignored(handlers):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    stop_politely()
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
