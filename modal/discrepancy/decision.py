@@ -79,7 +79,7 @@ def decide_nodes(
     best = _pruned(best, root, task)
     equals = [node for node in earned if len(node.effects) == len(best.effects)]
     equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
-    if len(equals) > 1:
+    if len(equals) > 1 and best.held_out_level <= NEAR_FLOOR:
         best = max(
             [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
         )
@@ -123,7 +123,11 @@ def _nothing(root: Node) -> Decision:
 
 
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
-    """The model with the fewest effects that explains the data; among its equals the most likely one."""
+    """The model with the fewest effects that explains the data; among its equals the most likely one.
+
+    Where none explains them, what is left is no noise and the likelihood counts it as if it were: there the held-out
+    error alone decides among those with the fewest effects.
+    """
     lowest = min(node.held_out_level for node in nodes)
     if not np.isfinite(lowest):
         return root
@@ -132,6 +136,8 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
     fewest = min(len(node.effects) for node in (within or good))
     equals = [node for node in (within or good) if len(node.effects) == fewest]
+    if not within:
+        return min(equals, key=lambda node: node.held_out_level)
     return max(equals, key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task))
 
 

@@ -111,14 +111,18 @@ def simulate_at(
     if trajectory is None:
         return None
     residual = weighted_residual(problem, trajectory)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = float(np.sum(residual**2))
+    if not np.isfinite(squares):  # a motion that escapes without leaving the range of numbers
+        return None
     return Estimate(
         assembly=assembly,
         unknowns=unknowns,
         trajectory=trajectory,
         scheme=scheme,
         slopes=slopes,
-        cost=float(np.sum(residual**2)) + _prior_cost(assembly, unknowns),
-        squares=float(np.sum(residual**2)),
+        cost=squares + _prior_cost(assembly, unknowns),
+        squares=squares,
         mean_square=_mean_square(problem, residual),
         at_bounds=_at_bounds(assembly, unknowns),
         iterations=0,

@@ -44,7 +44,8 @@ def run(name, folder):
             from modal.command import main
 
             sys.argv = ["modal-report", "demo", "-o", str(folder)]
-            main()
+            with contextlib.suppress(SystemExit):
+                main()
         elif name in ("loose_joint", "motor_propeller"):
             {"loose_joint": loose_joint, "motor_propeller": motor_propeller}[name].main(["-o", str(folder)])
         else:

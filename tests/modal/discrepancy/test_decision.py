@@ -90,6 +90,16 @@ def test_a_rival_that_cannot_be_told_apart_by_structure_does_not_block(task):
     assert one.runners[0].effects == (("sensor_gain", "place"),)
 
 
+@pytest.mark.parametrize(("floors", "chosen"), [(1.0, "gap_spring"), (200.0, "cubic_stiffness")])
+def test_far_above_the_floor_only_the_held_out_error_decides(task, floors, chosen):
+    """One is a little better on held-out records, the other on all: what is left decides which one counts."""
+    unseen = made_up(1.00 * floors, "cubic_stiffness", fit=1.40 * floors)
+    likely = made_up(1.02 * floors, "gap_spring", fit=1.20 * floors)
+    found = decide_nodes([made_up(5000.0), unseen, likely], task)
+    assert found.node.effects[0][0] == chosen
+    assert found.status == ("named" if floors == 1.0 else "unresolved")
+
+
 def test_fewer_effects_that_do_as_well_are_preferred(task, monkeypatch):
     monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(50.0))
     one = made_up(1.05, "cubic_stiffness")
