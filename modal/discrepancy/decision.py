@@ -22,6 +22,9 @@ __all__ = ["Decision", "decide_nodes", "doubted_units"]
 NEAR_FLOOR = 1.5
 """Held-out mean square, in units of the noise floor, up to which a model explains the data."""
 
+FAR_ABOVE = 10.0
+"""Held-out mean square, in units of the floor, beyond which a likelihood of white noise means nothing."""
+
 SAME = 1.05
 """Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
 
@@ -79,7 +82,7 @@ def decide_nodes(
     best = _pruned(best, root, task)
     equals = [node for node in earned if len(node.effects) == len(best.effects)]
     equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
-    if len(equals) > 1 and best.held_out_level <= NEAR_FLOOR:
+    if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
         best = max(
             [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
         )
@@ -125,8 +128,8 @@ def _nothing(root: Node) -> Decision:
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     """The model with the fewest effects that explains the data; among its equals the most likely one.
 
-    Where none explains them, what is left is no noise and the likelihood counts it as if it were: there the held-out
-    error alone decides among those with the fewest effects.
+    Far above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
+    alone decides among those with the fewest effects.
     """
     lowest = min(node.held_out_level for node in nodes)
     if not np.isfinite(lowest):
@@ -136,7 +139,7 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
     fewest = min(len(node.effects) for node in (within or good))
     equals = [node for node in (within or good) if len(node.effects) == fewest]
-    if not within:
+    if lowest > FAR_ABOVE:
         return min(equals, key=lambda node: node.held_out_level)
     return max(equals, key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task))
 
