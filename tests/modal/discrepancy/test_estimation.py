@@ -171,3 +171,11 @@ def test_a_model_that_cannot_be_simulated_gives_none():
     assembly, truth, problem = problem_of(["cubic_stiffness"])
     wild = replace(truth, common=np.array([90.0, 0.8, -1e5]))
     assert simulate_at(assembly, wild, problem) is None
+
+
+def test_a_residual_beyond_the_range_of_numbers_gives_none_and_no_warning():
+    """A motion may escape so far that its square is no number any more."""
+    assembly, unknowns, problem = problem_of(["cubic_stiffness"])
+    assert simulate_at(assembly, unknowns, problem) is not None
+    drive = replace(problem.drive, outputs=problem.drive.outputs + 1e160)
+    assert simulate_at(assembly, unknowns, replace(problem, drive=drive)) is None

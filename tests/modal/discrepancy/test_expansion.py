@@ -46,3 +46,40 @@ def test_a_correction_that_leads_astray_is_not_taken(current, monkeypatch):
 
 def test_the_model_stays_as_it_is_where_no_correction_is_needed(current, monkeypatch):
     assert observed(current, None, monkeypatch) is current[0]
+
+
+def candidate(key, fall, where="ground"):
+    return SimpleNamespace(key=key, where=where, fall=fall)
+
+
+@pytest.mark.parametrize(("best", "n_effects"), [(0.49, 4), (0.51, 1)])
+def test_where_no_candidate_convinces_several_effects_are_followed(best, n_effects):
+    """A changing stiffness may hide behind a sensor gain that takes ten times as much at first."""
+    names = ["sensor_gain", "time_varying_stiffness", "missing_mode", "gap_spring", "input_delay"]
+    found = module._promising([candidate(key, best if k == 0 else 0.01 / k) for k, key in enumerate(names)])
+    assert [one.key for one in found] == names[:n_effects]
+
+
+def test_a_law_too_hard_to_move_starts_again_much_weaker(monkeypatch):
+    tried = []
+
+    def within_reach(_assembly, unknowns, *_args, **_options):
+        return SimpleNamespace(size=unknowns.common[0])
+
+    def fitted(start, *_args, **_options):
+        tried.append(start.size)
+        stuck = start.size > 100.0
+        return SimpleNamespace(cost=50.0 if stuck else 1.0, iterations=0 if stuck else 4)
+
+    effect = SimpleNamespace(parameters=(SimpleNamespace(role="amplitude"),), neutral=(0.0,))
+    assembly = SimpleNamespace(
+        placements=(SimpleNamespace(effect=effect, common=(0,)),), common_of=lambda _position: slice(0, 1)
+    )
+    monkeypatch.setattr(module, "_within_reach", within_reach)
+    monkeypatch.setattr(module, "estimate", fitted)
+    for size, expected in ((500.0, [500.0, 50.0]), (20.0, [20.0])):
+        tried.clear()
+        unknowns = SimpleNamespace(common=np.array([size]), local=None)
+        fit = SimpleNamespace(assembly=assembly, unknowns=unknowns, trajectory=SimpleNamespace(states=None))
+        assert module._free_run(fit, SimpleNamespace(fit=None), 0.03).cost == 1.0
+        assert tried == expected

@@ -1,0 +1,75 @@
+"""What is done to a fitted model, on made-up estimates: when it is polished, sought again, or dropped early."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from modal.discrepancy import nodes as module
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.nodes import Node, polished
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Unknowns:
+    common: np.ndarray
+    local: np.ndarray
+
+
+def estimate_of(level, *keys, cost=100.0):
+    placements = tuple(SimpleNamespace(effect=CATALOGUE[key], where="ground") for key in keys)
+    return SimpleNamespace(
+        assembly=SimpleNamespace(placements=placements),
+        unknowns=Unknowns(common=np.zeros(1), local=np.zeros((1, 1))),
+        trajectory=SimpleNamespace(states=None),
+        level=level,
+        cost=cost,
+        smoothing=0.005,
+    )
+
+
+@pytest.fixture
+def task():
+    return SimpleNamespace(fit="fit", held_out="held", fine_fit="fine fit", fine_held_out="fine held")
+
+
+def node_with(level, *keys):
+    fitted = estimate_of(level, *keys)
+    return Node(fitted=fitted, held_out=estimate_of(level, *keys), coarse=fitted)
+
+
+@pytest.mark.parametrize(("cost", "taken"), [(99.0, True), (101.0, False), (None, False)])
+def test_a_finer_fit_is_taken_only_where_it_is_better(task, monkeypatch, cost, taken):
+    finer = None if cost is None else estimate_of(1.0, "coulomb_friction", cost=cost)
+    monkeypatch.setattr(module, "_finer", lambda *_args: finer)
+    node = node_with(1.5, "coulomb_friction")
+    assert (polished(node, task) is not node) == taken
+
+
+@pytest.mark.parametrize(("key", "polishes"), [("coulomb_friction", True), ("cubic_stiffness", False)])
+def test_only_laws_that_jump_are_polished(task, monkeypatch, key, polishes):
+    monkeypatch.setattr(module, "_finer", lambda *_args: estimate_of(1.0, key, cost=1.0))
+    node = node_with(1.5, key)
+    assert (polished(node, task) is not node) == polishes
+
+
+@pytest.mark.parametrize(("twice", "blurred"), [(50.5, False), (60.0, True), (None, True)])
+def test_a_gap_that_smoothing_does_not_change_is_not_taken_for_smoothing(monkeypatch, twice, blurred):
+    """An excess of 49 floors, and what twice the smoothing makes of it."""
+    monkeypatch.setattr(module, "simulate_at", lambda *_a, **_k: None if twice is None else estimate_of(twice))
+    assert module._blurred(estimate_of(50.0, "coulomb_friction"), "fit") == blurred
+
+
+def test_near_the_floor_smoothing_is_always_doubted(monkeypatch):
+    monkeypatch.setattr(module, "simulate_at", lambda *_a, **_k: estimate_of(1.9))
+    assert module._blurred(estimate_of(1.9, "coulomb_friction"), "fit")
+
+
+@pytest.mark.parametrize(
+    ("fit", "held_out", "doubtful"),
+    [(1.0, 1.05, False), (1.0, 1.2, True), (1.0, 2700.0, True), (50.0, 60.0, True), (50.0, 6000.0, False)],
+)
+def test_held_out_records_in_another_basin(fit, held_out, doubtful):
+    """At the floor on the records to fit, any excess on held-out ones may be a matter of their initial states."""
+    assert module._doubtful(estimate_of(held_out), estimate_of(fit)) == doubtful
