@@ -6,9 +6,11 @@ In units of the yield displacement, with the sign of the motion taken out, the s
 
 over the stretch h >= 0. Unloading is exact. Loading, s runs into 1 exponentially; q = -ln(1 - s) makes of it
 dq/dh = g(q) = (1 - s^n) / (1 - s), which stays between 1 and n: smooth, never stiff, and s never leaves its bound.
-It is integrated by Runge-Kutta steps that grow with h (s settles as it goes), and the derivative by n beside it.
+Since g depends on q alone, every loading is a piece of one curve, that from s = 0: the stretch H(q; n) = int dq / g,
+tabulated once for an exponent, takes q0 to the q1 with H(q1) = H(q0) + h, however long the stretch.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,15 +19,13 @@ from okid.arrays import FloatArray
 
 __all__ = ["Flow", "bouc_wen_flow"]
 
-MOST_STEPS = 10
-"""Runge-Kutta steps of a long stretch: the state is then right to 4e-5 for n up to 10 and to 2e-6 for n up to 3,
-however long the stretch."""
-SHORT, FEW_STEPS = 0.25, 4
-"""A stretch up to this share of the yield displacement needs no more than this number of steps."""
-GROWTH = 1.5
-"""Power of the number of a step to which the steps reach."""
+STEP, REACH = 0.02, 20.0
+"""Cells of the table in q and where it ends: from there on g is n to the eighth digit. Between the nodes cubics follow
+the curve to 1e-6 for n up to 10."""
 SETTLED = 36.0
-"""q from which s is 1 to the last digit; no stretch needs to be longer."""
+"""q from which s is 1 to the last digit."""
+GAUSS = np.polynomial.legendre.leggauss(3)
+"""Points and weights by which a cell is integrated: exact to 1e-12."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,6 +45,23 @@ class Flow:
     by_exponent: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Curve:
+    """Loading from s = 0 for one exponent, cell by cell of q = 0, STEP, ..., REACH, in powers of the share of a cell.
+
+    Attributes:
+        stretch: H at the nodes.
+        forward: (8, n_cells) coefficients of H over q, then of its derivative by n.
+        backward: (4, n_cells) coefficients of q over H.
+        last: Slopes of H and of its derivative by n beyond the last node.
+    """
+
+    stretch: FloatArray
+    forward: FloatArray
+    backward: FloatArray
+    last: tuple[float, float]
+
+
 def bouc_wen_flow(state: FloatArray, stretch: FloatArray, n: FloatArray) -> Flow:
     """The flow over `stretch` (n_samples,) >= 0 from `state` (n_samples,) in [-1, 1], for the exponent n >= 1.
 
@@ -54,45 +71,87 @@ def bouc_wen_flow(state: FloatArray, stretch: FloatArray, n: FloatArray) -> Flow
         array([-0.2   ,  0.7616])
     """
     unloading = np.minimum(stretch, np.maximum(-state, 0.0))
-    loading = np.minimum(stretch - unloading, SETTLED)
-    start = -np.log1p(-np.clip(state, 0.0, 1.0 - np.exp(-SETTLED)))
+    loading = stretch - unloading
     loads = stretch > unloading
-    q, by_n = start.copy(), np.zeros_like(start)
+    begun = np.clip(state, 0.0, 1.0 - np.exp(-SETTLED))
+    start = -np.log1p(-begun)
     exponent = np.broadcast_to(n, start.shape)
-    for n_steps, kind in ((FEW_STEPS, loads & (loading <= SHORT)), (MOST_STEPS, loads & (loading > SHORT))):
-        q[kind], by_n[kind] = _loaded(start[kind], loading[kind], exponent[kind], n_steps)
-    left, rate = np.exp(-q), _rate(q, n)[0]
+    if exponent.size and (exponent == exponent[0]).all():
+        q, by_n = _loaded(start, loading, float(exponent[0]))
+    else:
+        q, by_n = np.empty_like(start), np.empty_like(start)
+        for one in np.unique(exponent):
+            kind = exponent == one
+            q[kind], by_n[kind] = _loaded(start[kind], loading[kind], float(one))
+    left = np.minimum(np.exp(-q), 1.0 - 1e-16)
+    to_yield, from_start = (
+        -np.expm1(exponent * np.log1p(-rest)) for rest in (left, np.minimum(1.0 - begun, 1.0 - 1e-16))
+    )  # 1 - s^n
     return Flow(
-        value=np.where(loads, -np.expm1(-q), state + unloading),
-        by_state=np.where(loads, np.exp(start - q) * rate / _rate(start, n)[0], 1.0),
-        by_stretch=np.where(loads | (state >= 0.0), left * rate, 1.0),
-        by_exponent=np.where(loads, left * by_n, 0.0),
+        value=np.where(loads, 1.0 - left, state + unloading),
+        by_state=np.where(loads, to_yield / from_start, 1.0),
+        by_stretch=np.where(loads | (state >= 0.0), to_yield, 1.0),
+        by_exponent=np.where(loads, to_yield * by_n, 0.0),
     )
 
 
-def _loaded(start: FloatArray, loading: FloatArray, n: FloatArray, n_steps: int) -> tuple[FloatArray, FloatArray]:
-    """State variable q after loading and its derivative by n."""
-    q, by_n = start, np.zeros_like(start)
-    for share in np.diff((np.arange(n_steps + 1) / n_steps) ** GROWTH):
-        q, by_n = _runge_kutta(q, by_n, loading * share, n)
-    return q, by_n
+def _loaded(start: FloatArray, loading: FloatArray, n: float) -> tuple[FloatArray, FloatArray]:
+    """State variable q after loading, and its derivative by n in units of g(q)."""
+    curve = _curve(n)
+    stretch, before = _at(curve, start)
+    target = stretch + loading
+    cell = np.clip(np.searchsorted(curve.stretch, target, side="right") - 1, 0, curve.backward.shape[1] - 1)
+    share = np.minimum((target - curve.stretch[cell]) / (curve.stretch[1:] - curve.stretch[:-1])[cell], 1.0)
+    beyond = np.maximum(target - curve.stretch[-1], 0.0) / curve.last[0]
+    q = np.minimum(_cubic(curve.backward.take(cell, axis=1), share) + beyond, SETTLED)
+    return q, before - _at(curve, q)[1]
 
 
-def _rate(q: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """g(q) and its derivatives by q and n."""
-    left = np.exp(-np.minimum(q, SETTLED))
+def _at(curve: _Curve, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """H at q and its derivative by n."""
+    cell = np.minimum((q / STEP).astype(np.intp), curve.forward.shape[1] - 1)
+    share, beyond = np.minimum(q / STEP - cell, 1.0), np.maximum(q - REACH, 0.0)
+    found = curve.forward.take(cell, axis=1)
+    return (
+        _cubic(found[:4], share) + beyond * curve.last[0],
+        _cubic(found[4:], share) + beyond * curve.last[1],
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _curve(n: float) -> _Curve:
+    nodes: FloatArray = STEP * np.arange(round(REACH / STEP) + 1, dtype=np.float64)
+    inside = nodes[:-1, None] + 0.5 * STEP * (1.0 + GAUSS[0])
+    (slope, by_n), cells = _slope(nodes, n), [0.5 * STEP * values @ GAUSS[1] for values in _slope(inside, n)]
+    stretch, stretch_by_n = (np.concatenate([[0.0], np.cumsum(cell)]) for cell in cells)
+    width = np.diff(stretch)
+    return _Curve(
+        stretch=stretch,
+        forward=np.concatenate(
+            [
+                _coefficients(stretch, STEP * slope[:-1], STEP * slope[1:]),
+                _coefficients(stretch_by_n, STEP * by_n[:-1], STEP * by_n[1:]),
+            ]
+        ),
+        backward=_coefficients(nodes, width / slope[:-1], width / slope[1:]),
+        last=(float(slope[-1]), float(by_n[-1])),
+    )
+
+
+def _coefficients(values: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Cubics (4, n_cells) through the values at the nodes, with these slopes at both ends of each cell."""
+    rise = np.diff(values)
+    return np.stack([values[:-1], begin, 3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise])
+
+
+def _cubic(coefficients: FloatArray, share: FloatArray) -> FloatArray:
+    a, b, c, d = coefficients
+    return np.asarray(a + share * (b + share * (c + share * d)))
+
+
+def _slope(q: FloatArray, n: float) -> tuple[FloatArray, FloatArray]:
+    """1 / g(q) and its derivative by n."""
+    left = np.exp(-q)
     log = np.log1p(-np.minimum(left, 1.0 - 1e-16))
-    rate = -np.expm1(n * log) / left
-    power = np.exp(n * log)
-    return rate, rate - n * np.exp((n - 1.0) * log), -power * log / left
-
-
-def _runge_kutta(q: FloatArray, by_n: FloatArray, step: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray]:
-    q_slope, n_slope = np.zeros_like(q), np.zeros_like(q)
-    q_sum, n_sum = np.zeros_like(q), np.zeros_like(q)
-    for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-        rate, by_q, by_exponent = _rate(q + share * step * q_slope, n)
-        n_slope = by_q * (by_n + share * step * n_slope) + by_exponent
-        q_slope = rate
-        q_sum, n_sum = q_sum + weight * q_slope, n_sum + weight * n_slope
-    return q + step / 6.0 * q_sum, by_n + step / 6.0 * n_sum
+    whole = -np.expm1(n * log)
+    return left / whole, left * np.exp(n * log) * log / whole**2
