@@ -3,12 +3,15 @@
 From a model each effect is screened at each place in observer form, the promising ones are fitted in observer form
 (contractive: hardly any local minimum), then in free run, and judged on held-out records. Three distinct models are
 carried on, best first and until one explains the data, because the best single effect may be a wrong one that stands
-in for two. A step counts only where the
-held-out mean square falls by a tenth and the likelihood gains: with many samples a criterion on the likelihood alone
-finds an effect in nearly every record without one.
+in for two. A step counts only where the held-out mean square falls by a tenth and the likelihood gains: with many
+samples a criterion on the likelihood alone finds an effect in nearly every record without one. Where fewer than three
+count, the beam has room for models that take away half of what is left on the records to fit: of two effects that
+counteract each other, the right one alone may be worse than none on the held-out record.
 """
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from modal.discrepancy.expansion import ENOUGH, expand
 from modal.discrepancy.nodes import Node, Task, counts
@@ -17,6 +20,9 @@ __all__ = ["search"]
 
 BEAM = 3
 MOST_EFFECTS = 4
+LARGE_FALL = 0.5
+"""Share of what a model leaves on the records to fit that a further effect must take away to be gone on from although
+the held-out record does not show it yet."""
 
 
 def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
@@ -39,17 +45,20 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
         if min(node.held_out_level for node in front) <= ENOUGH and depth > 0:
             break
         children: list[Node] = []
+        hopeful: list[Node] = []
         for position, node in enumerate(front):
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
             found = expand(node, task)
             everything += found
             children += [child for child in found if counts(node, child, task)]
+            hopeful += [child for child in found if _hopeful(node, child)]
             if any(child.held_out_level <= ENOUGH for child in children):
                 break
-        if not children:
-            break
         front = _distinct(children)
+        front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
+        if not front:
+            break
     return tuple(everything)
 
 
@@ -60,6 +69,14 @@ def _named(node: Node) -> str:
 def _distinct(children: Sequence[Node]) -> list[Node]:
     kept: list[Node] = []
     for child in sorted(children, key=lambda node: node.held_out_level):
-        if all(set(child.effects) != set(other.effects) for other in kept):
+        if _new(child, kept):
             kept.append(child)
     return kept[:BEAM]
+
+
+def _hopeful(node: Node, child: Node) -> bool:
+    return bool(np.isfinite(child.held_out_level)) and child.fit_level <= (1.0 - LARGE_FALL) * node.fit_level
+
+
+def _new(child: Node, front: Sequence[Node]) -> bool:
+    return all(set(child.effects) != set(other.effects) for other in front)

@@ -7,14 +7,22 @@ from modal.discrepancy import search as module
 from modal.discrepancy.search import BEAM, MOST_EFFECTS, search
 
 
+def _held_out(level):
+    return level[0] if isinstance(level, tuple) else level
+
+
+def _fit(level):
+    return level[1] if isinstance(level, tuple) else None
+
+
 def landscape(levels):
-    """`expand` on a table {effects: {effect added: held-out level}}, and what it was called with."""
+    """`expand` on a table {effects: {effect added: level or (held-out, fit)}}, and what it was called with."""
     asked = []
 
     def expand(node, task):
         keys = tuple(key for key, _ in node.effects)
         asked.append(keys)
-        return [made_up(level, *keys, key) for key, level in levels.get(keys, {}).items()]
+        return [made_up(_held_out(level), *keys, key, fit=_fit(level)) for key, level in levels.get(keys, {}).items()]
 
     return expand, asked
 
@@ -57,6 +65,34 @@ def test_a_pair_is_found_that_the_best_single_effect_is_not_part_of(beam):
 def test_models_that_do_not_count_are_kept_but_not_followed(beam):
     found, asked = beam({(): {"cubic_stiffness": 49.0, "gap_spring": None}})
     assert found == [(), ("cubic_stiffness",), ("gap_spring",)]
+    assert asked == [()]
+
+
+def test_of_two_effects_that_counteract_the_right_one_is_followed_although_alone_it_is_worse(beam):
+    levels = {
+        (): {"cubic_stiffness": 20.0, "gap_spring": (60.0, 20.0), "input_gain": (55.0, 30.0)},
+        ("gap_spring",): {"input_saturation": 1.0},
+    }
+    found, asked = beam(levels)
+    assert ("gap_spring", "input_saturation") in found
+    assert asked == [(), ("cubic_stiffness",), ("gap_spring",)]  # the gain takes away less than half
+
+
+def test_the_beam_has_room_for_no_more_than_three(beam):
+    levels = {
+        (): {
+            "cubic_stiffness": 20.0,
+            "gap_spring": (60.0, 20.0),
+            "quadratic_drag": (70.0, 20.0),
+            "bilinear_stiffness": (80.0, 5.0),
+        }
+    }
+    _, asked = beam(levels)
+    assert asked == [(), ("cubic_stiffness",), ("gap_spring",), ("quadratic_drag",)]
+
+
+def test_a_model_that_escapes_is_not_followed_however_well_it_fits(beam):
+    _, asked = beam({(): {"cubic_stiffness": (None, 1.0)}})
     assert asked == [()]
 
 
