@@ -15,6 +15,7 @@ from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.estimation import Problem, covariance
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, sureness, without
+from modal.discrepancy.simpler_laws import has_limit, with_limits
 from modal.discrepancy.statements import number, times_floor_text
 
 __all__ = ["Decision", "decide_nodes", "doubted_units"]
@@ -88,13 +89,10 @@ def decide_nodes(
         )
     if best is root:
         return _nothing(root)
+    richer, best = best, _simplest(best, root, task)
     runners, margins, reasons = [], [], []
     for effect in best.effects:
-        rivals = [
-            node
-            for node in nodes
-            if effect not in node.effects and node is not root and np.isfinite(node.held_out_level)
-        ]
+        rivals = [node for node in [*nodes, richer] if node is not root and _rivals(node, best, effect, task)]
         runner = _strongest(rivals, root, task)
         margin = np.inf if runner is None else log_likelihood_gain(runner, best, task)
         runners.append(runner)
@@ -185,6 +183,25 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
     return best if best is root or counts(root, best, task) else root
+
+
+def _simplest(best: Node, root: Node, task: Task) -> Node:
+    """The model, or one with a limit of a law in its place where what the law has besides is no step from there."""
+    if best.held_out_level > NEAR_FLOOR:
+        return best
+    enough = [node for node in with_limits(best, task) if counts(root, node, task) and not counts(node, best, task)]
+    return min(enough, key=lambda node: node.held_out_level, default=best)
+
+
+def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:
+    """Whether a model explains the data without an effect of the best one.
+
+    A richer law of which the effect is a limit always fits about as well; it is a rival where it clearly fits better.
+    """
+    if effect in node.effects or not np.isfinite(node.held_out_level):
+        return False
+    contains = any(where == effect[1] and has_limit(key, effect[0]) for key, where in node.effects)
+    return not contains or log_likelihood_gain(best, node, task) > CLOSE_COMPANY
 
 
 def _weak(smaller: Node, best: Node, z: float) -> bool:

@@ -1,11 +1,11 @@
 """Models with some effects, fitted and judged on held-out records: what the search goes from and comes to."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns
+from modal.discrepancy.assembly import Placement, Unknowns
 from modal.discrepancy.effects.effect import Effect, jumps
 from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
 from modal.discrepancy.observer import observer_gain
@@ -18,6 +18,7 @@ __all__ = [
     "Task",
     "calibrated_node",
     "counts",
+    "instead",
     "log_likelihood_gain",
     "node_of",
     "on_other_floor",
@@ -261,9 +262,32 @@ def without(node: Node, placement: int, task: Task) -> Node:
     smaller = replace(assembly, placements=tuple(assembly.placements[i] for i in kept))
     common = np.delete(fitted.unknowns.common, np.r_[assembly.common_of(placement)])
     local = np.delete(fitted.unknowns.local, np.r_[assembly.own_of(placement)], axis=1)
-    start = simulate_at(smaller, Unknowns(common=common, local=local), task.fit, smoothing=SHARP)
+    return _compared(simulate_at(smaller, Unknowns(common=common, local=local), task.fit, smoothing=SHARP), node, task)
+
+
+def instead(node: Node, placement: int, law: Placement, values: Sequence[float], task: Task) -> Node:
+    """The model refitted with another law at the place of one of its effects, from these values.
+
+    The law has no states and no values of a record of its own.
+    """
+    fitted = node.coarse
+    assembly = fitted.assembly
+    items = list(assembly.placements)
+    items[placement] = law
+    own, span = assembly.own_of(placement), assembly.common_of(placement)
+    directions = fitted.unknowns.common[span][len(assembly.placements[placement].common) :]
+    common = np.concatenate(
+        [fitted.unknowns.common[: span.start], values, directions, fitted.unknowns.common[span.stop :]]
+    )
+    local = np.delete(fitted.unknowns.local, np.r_[own], axis=1)
+    changed = replace(assembly, placements=tuple(items))
+    return _compared(simulate_at(changed, Unknowns(common=common, local=local), task.fit, smoothing=SHARP), node, task)
+
+
+def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
+    """A smaller model, fitted only as far as it stays near the whole one."""
     if start is None:
-        return Node(fitted=fitted, held_out=None, coarse=fitted)
+        return Node(fitted=node.coarse, held_out=None, coarse=node.coarse)
     rough = start
     for far in CLEARLY:
         rough = estimate(rough, task.fit, iterations=4, standstill=ROUGH)

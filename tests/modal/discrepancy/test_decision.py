@@ -14,6 +14,14 @@ def task():
     return made_up_task()
 
 
+@pytest.fixture(autouse=True)
+def limits(monkeypatch):
+    """Simpler laws that `with_limits` offers for the best model: none, unless a test appends some."""
+    offered = []
+    monkeypatch.setattr(decision, "with_limits", lambda _node, _task: offered)
+    return offered
+
+
 def test_the_gain_is_that_of_two_variances(task):
     before, after = made_up(4.0), made_up(2.0, "cubic_stiffness", fit=1.0)
     assert log_likelihood_gain(before, after, task) == pytest.approx(N * np.log(4.0) + N * np.log(2.0))
@@ -185,3 +193,32 @@ def test_a_gain_like_a_wrong_unit_is_never_firm(gain, status):
     found = doubted_units(decision)
     assert found.status == status
     assert bool(found.reasons) == (status == "unresolved")
+
+
+@pytest.mark.parametrize(("held_out", "fit", "chosen"), [(1.05, 1.01, 0), (1.3, 1.01, 1), (1.05, 1.2, 0)])
+def test_a_law_is_replaced_by_its_limit_unless_the_held_out_error_tells_them_apart(task, limits, held_out, fit, chosen):
+    limit = made_up(held_out, "gap_spring", fit=fit)
+    limits.append(limit)
+    found = decide_nodes([made_up(50.0), made_up(1.0, "slack_in_hysteresis")], task)
+    assert found.node.effects[0][0] == ("gap_spring", "slack_in_hysteresis")[chosen]
+
+
+@pytest.mark.parametrize(("fit", "status"), [(1.01, "named"), (1.06, "unresolved")])
+def test_a_richer_law_unsettles_its_limit_only_where_it_clearly_fits_better(task, limits, fit, status):
+    """2 ln L is 20 or 68 lower without the further parameter; the held-out error falls by less than a tenth."""
+    limits.append(made_up(1.01, "gap_spring", fit=fit))
+    found = decide_nodes([made_up(50.0), made_up(1.0, "slack_in_hysteresis")], task)
+    assert found.node.effects == (("gap_spring", "ground"),)
+    assert found.status == status
+    assert bool(found.reasons) == (status == "unresolved")
+
+
+def test_a_richer_law_elsewhere_is_a_rival_like_any_other(task):
+    rich, best = made_up(1.01, ("slack_in_hysteresis", "element_1")), made_up(1.0, ("gap_spring", "element_0"))
+    assert decide_nodes([made_up(50.0), rich, best], task).status == "unresolved"
+
+
+def test_a_limit_is_not_looked_for_where_the_gap_is_open(task, limits):
+    limits.append(made_up(1.9, "gap_spring"))
+    found = decide_nodes([made_up(50.0), made_up(1.8, "slack_in_hysteresis")], task)
+    assert found.node.effects == (("slack_in_hysteresis", "ground"),)

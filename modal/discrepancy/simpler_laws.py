@@ -1,0 +1,78 @@
+"""Laws that are the limit of a richer one: where the richer one explains the data, its limits are fitted as well.
+
+A link that never slips is a gap spring, one that slips at once is dry friction. The search fits the most promising laws
+first and may end with the richer one, whose further parameter then stands for nothing; only a fit of its limit at the
+same place tells.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from modal.discrepancy.assembly import Assembly, Placement
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.nodes import Node, Task, instead
+from okid.arrays import FloatArray
+
+__all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limit:
+    """A law that another one turns into.
+
+    Attributes:
+        law: Key of the simpler law.
+        values: Its parameters by those of the richer one.
+    """
+
+    law: str
+    values: Callable[[Sequence[float] | FloatArray], tuple[float, ...]]
+
+
+LIMITS = {
+    "slack_in_hysteresis": (
+        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2])),  # yield displacement -> infinity
+        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],)),  # slack and yield displacement -> 0
+    ),
+    "bouc_wen_hysteresis": (Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],)),),  # yield -> 0
+}
+"""The limits of each law that has one."""
+
+
+def has_limit(law: str, simpler: str) -> bool:
+    """Whether a law turns into a simpler one."""
+    return any(limit.law == simpler for limit in LIMITS.get(law, ()))
+
+
+def with_limits(node: Node, task: Task) -> list[Node]:
+    """The models with one of the node's effects replaced by a limit of it, at the same place.
+
+    Args:
+        node: A fitted model.
+        task: Records and catalogue; a law that is not in the catalogue is not tried.
+
+    Returns:
+        One model a limit.
+    """
+    assembly, common = node.coarse.assembly, node.coarse.unknowns.common
+    found: list[Node] = []
+    for i, item in enumerate(assembly.placements):
+        values = common[assembly.common_of(i)][: len(item.common)]
+        limits = [limit for limit in LIMITS.get(item.effect.key, ()) if limit.law in task.catalogue]
+        found += [instead(node, i, _placed(assembly, i, limit.law), limit.values(values), task) for limit in limits]
+    return found
+
+
+def _placed(assembly: Assembly, i: int, law: str) -> Placement:
+    """The law at the place, its first stiffness held at zero where the linear one stands for it."""
+    item, effect = assembly.placements[i], CATALOGUE[law]
+    shared = getattr(effect, "beside_stiffness", ())
+    held = (0,) if shared and assembly.stiffness_parameter(i) is not None else ()
+    return Placement(
+        effect=effect,
+        where=item.where,
+        port=item.port,
+        displacement_scale=item.displacement_scale,
+        velocity_scale=item.velocity_scale,
+        held=held,
+    )
