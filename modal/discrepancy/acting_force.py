@@ -7,22 +7,39 @@ import numpy as np
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.drive import Drive, IndexArray
 from modal.discrepancy.driven import per_time
-from modal.discrepancy.effects.effect import Force, Memory
-from modal.discrepancy.force_line import ForceLine, add_rows, force_line
-from modal.discrepancy.plant import Port
+from modal.discrepancy.effects.effect import Force, Memory, jumps
+from modal.discrepancy.force_line import ForceLine, force_line, port_rows
+from modal.discrepancy.plant import Plant, Port, plant_matrices
 from modal.discrepancy.port_motion import motion_at, one_on
 from modal.discrepancy.scheme import Scheme
 from okid.arrays import FloatArray
 
-__all__ = ["ActingForce", "acting_forces"]
+__all__ = ["ActingForce", "Heard", "acting_forces"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Heard:
+    """A force as the outputs hear it directly: its law, and while it sticks the mean over the steps on both sides.
+
+    Attributes:
+        value: (n_times,).
+        slope: (n_times, n_parameters) derivative by each parameter.
+        by_now: (n_coordinates, n_times) dependence on the coordinates of the port.
+        by_next: (n_coordinates, n_times) dependence on those one time on; None where there is none.
+    """
+
+    value: FloatArray
+    slope: FloatArray
+    by_now: FloatArray
+    by_next: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ActingForce:
-    """A force along a trajectory.
+    """A force along a trajectory. What a step takes from it are lines: its start, its end, then each own state one on.
 
     Attributes:
-        port: Its place.
+        rows: (n_coordinates, n) the coordinates of its port over all states: displacement, velocity, own states.
         span: Where its own states stand among all states.
         force: The force at every time.
         line: The line that stands for it over every step.
@@ -32,7 +49,7 @@ class ActingForce:
         G: (n_outputs,) what it does to the outputs directly.
     """
 
-    port: Port
+    rows: FloatArray
     span: slice
     force: Force
     line: ForceLine
@@ -41,32 +58,52 @@ class ActingForce:
     E1: FloatArray
     G: FloatArray
 
-    def rows(self, times: IndexArray, n_all: int) -> FloatArray:
-        """Dependence (n_rows, n_all) of the force at these times on the states."""
-        found = np.zeros((len(times), n_all))
-        n = len(self.E0)
-        add_rows(found[:, :n], self.port, self.force.by_displacement[times], self.force.by_velocity[times])
-        found[:, self.span] = self.force.by_memory[times]
+    @property
+    def columns(self) -> FloatArray:
+        """(n, n_lines) where the lines enter a step."""
+        n_memory = self.span.stop - self.span.start
+        found = np.zeros((self.rows.shape[1], 2 + n_memory))
+        found[: len(self.E0), 0], found[: len(self.E0), 1] = self.E0, self.E1
+        found[self.span, 2:] = np.eye(n_memory)
         return found
 
-    def add_memory(self, before: FloatArray, following: FloatArray) -> None:
-        """Enter the own states one time on, and how they depend on the state at the start of the step."""
+    @property
+    def by_before(self) -> FloatArray:
+        """(n_coordinates, n_lines, n_times) dependence of the lines on the coordinates at the start of the step."""
         if self.memory is None:
-            return
-        n = len(self.E0)
-        following[:, self.span] = self.memory.value
-        before[:, self.span, self.span] = self.memory.by_memory
-        for own, state in enumerate(range(self.span.start, self.span.stop)):
-            by_displacement = self.memory.by_displacement_before[:, own]
-            add_rows(before[:, state, :n], self.port, by_displacement, self.memory.by_velocity_before[:, own])
+            return self.line.by_before
+        of = self.memory
+        own = np.stack([of.by_displacement_before.T, of.by_velocity_before.T, *of.by_memory.transpose(2, 1, 0)])
+        return np.concatenate([self.line.by_before, own], axis=1)
 
-    def add_memory_end(self, rows: FloatArray, n: int) -> None:
-        """Enter how the own states depend on the motion at the end of the step, in rows (n_times, n_memory, n)."""
+    @property
+    def by_after(self) -> FloatArray:
+        """(n_coordinates, n_lines, n_times) dependence on the coordinates at the end of the step."""
         if self.memory is None:
-            return
-        for own, state in enumerate(range(self.span.start, self.span.stop)):
-            by_displacement = self.memory.by_displacement_after[:, own]
-            add_rows(rows[:, state - n], self.port, by_displacement, self.memory.by_velocity_after[:, own])
+            return self.line.by_after
+        of = self.memory
+        own = np.zeros((len(self.rows), of.value.shape[1], len(of.value)))
+        own[0], own[1] = of.by_displacement_after.T, of.by_velocity_after.T
+        return np.concatenate([self.line.by_after, own], axis=1)
+
+    def law_alone(self) -> Heard:
+        """The law at every time, as an observer hears it."""
+        by_now = np.stack([self.force.by_displacement, self.force.by_velocity, *self.force.by_memory.T])
+        return Heard(value=self.force.value, slope=self.force.by_parameter, by_now=by_now, by_next=None)
+
+    def heard(self, lasts: IndexArray) -> Heard:
+        """The force as the outputs hear it; nothing is known of the steps that would leave the last times."""
+        law, lift = self.law_alone(), self.line.lift
+        if lift is None or not self.G.any():
+            return law
+        known = np.ones(len(law.value))
+        known[lasts] = 0.0
+        return Heard(
+            value=law.value + known * lift.value,
+            slope=law.slope + known[:, None] * lift.slope,
+            by_now=law.by_now + known * lift.by_before,
+            by_next=known * lift.by_after,
+        )
 
 
 def acting_forces(
@@ -102,18 +139,17 @@ def acting_forces(
             states[:, span],
             smoothing * drive.level,
             stiffness=None if at is None else float(unknowns.common[at]),
+            mobility=_mobility(assembly.plant, port, drive.dt) if jumps(effect) else 0.0,
         )
         after = one_on(motion)
         force = effect.force(values, motion)
         columns, direction = list(port.columns), unknowns.directions(assembly, i)
         found.append(
             ActingForce(
-                port=port,
+                rows=port_rows(port, n, n_all, span),
                 span=span,
                 force=force,
-                line=force_line(
-                    effect, values, port, motion, after, force=force, dt=drive.dt, n_states=n, n_all=n_all, memory=span
-                ),
+                line=force_line(effect, values, port, motion, after, force=force, dt=drive.dt),
                 memory=effect.advance(values, motion, after, drive.dt) if effect.n_memory else None,
                 E0=scheme.E0[:, columns] @ direction,
                 E1=scheme.E1[:, columns] @ direction,
@@ -121,3 +157,14 @@ def acting_forces(
             )
         )
     return tuple(found)
+
+
+def _mobility(plant: Plant, port: Port, dt: float) -> float:
+    """Velocity that a unit of force gives a port within one step.
+
+    Of the model as it was given: it belongs to the rule by which a step is taken, not to what is fitted.
+    """
+    if port.velocity is None:
+        return 0.0
+    E = plant_matrices(plant, plant.nominal).E[:, port.columns[0]]
+    return abs(float(port.velocity[: plant.n_states] @ E)) * dt

@@ -16,19 +16,19 @@ def band_of(transitions: FloatArray) -> FloatArray:
     """The band storage of the recursion.
 
     Args:
-        transitions: M (n_times, n, n); `transitions[k]` leads from time k to k + 1, the last one is not used. Zeros at
-            the last time of a record cut the recursion there.
+        transitions: M (n, n, n_times); `transitions[:, :, k]` leads from time k to k + 1, the last one is not used.
+            Zeros at the last time of a record cut the recursion there.
 
     Returns:
         (2 n, n_times n) in LAPACK's lower band storage, unit diagonal included.
     """
-    n_times, n, _ = transitions.shape
+    n, _, n_times = transitions.shape
     if n == 0:  # nothing is led on
         return np.zeros((0, 0))
     band = np.zeros((n_times, n, 2 * n))
     for row in range(n):
         for column in range(n):
-            band[:, column, n + row - column] = -transitions[:, row, column]
+            band[:, column, n + row - column] = -transitions[row, column]
     band[:, :, 0] = 1.0
     band[-1, :, 1:] = 0.0
     return band.reshape(n_times * n, 2 * n).T

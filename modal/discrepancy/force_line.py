@@ -4,6 +4,9 @@ A force enters a step as E0 start + E1 end. Its values at the ends would do to s
 middle of the step, w_m, the line is lifted by c = 2/3 (w_m - (w0 + w1)/2), which gives it the force's own mean to
 fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps brings its own
 line (`ForceEffect.step_force`).
+
+A force sees the states only through the motion at its port: displacement, velocity and its own states, which are fixed
+rows of them (`port_rows`). Dependences are kept by these few coordinates, time last.
 """
 
 from collections.abc import Sequence
@@ -16,7 +19,24 @@ from modal.discrepancy.plant import Port
 from modal.discrepancy.port_motion import midway, shifted
 from okid.arrays import FloatArray
 
-__all__ = ["ForceLine", "add_rows", "force_line"]
+__all__ = ["ForceLine", "Lift", "force_line", "port_rows"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Lift:
+    """What a sensor hears of a force at the start of each step besides its law, over n_times steps.
+
+    Attributes:
+        value: (n_times,).
+        slope: (n_times, n_parameters) derivative by each parameter.
+        by_before: (n_coordinates, n_times) dependence on the coordinates of the port at the start of the step.
+        by_after: (n_coordinates, n_times) dependence on those at its end.
+    """
+
+    value: FloatArray
+    slope: FloatArray
+    by_before: FloatArray
+    by_after: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -28,33 +48,38 @@ class ForceLine:
         end: (n_times,).
         start_slope: (n_times, n_parameters) derivative of `start`.
         end_slope: (n_times, n_parameters) derivative of `end`.
-        start_before: (n_times, n) dependence of `start` on the states at the start of the step.
-        start_after: (n_times, n) dependence of `start` on the states at its end.
-        end_before: (n_times, n) dependence of `end` on the states at the start.
-        end_after: (n_times, n) dependence of `end` on the states at the end.
+        by_before: (n_coordinates, 2, n_times) dependence of start and end on the coordinates of the port at the start
+            of the step.
+        by_after: (n_coordinates, 2, n_times) dependence on those at its end.
+        lift: What a sensor hears besides the law; None for laws that do not jump.
     """
 
     start: FloatArray
     end: FloatArray
     start_slope: FloatArray
     end_slope: FloatArray
-    start_before: FloatArray
-    start_after: FloatArray
-    end_before: FloatArray
-    end_after: FloatArray
+    by_before: FloatArray
+    by_after: FloatArray
+    lift: Lift | None = None
 
     def flow(self, column_start: FloatArray, column_end: FloatArray) -> FloatArray:
         """What the force adds to each step (n_times, n_states), entering in these columns."""
         return np.asarray(self.start[:, None] * column_start + self.end[:, None] * column_end)
 
 
-def add_rows(rows: FloatArray, port: Port, by_displacement: FloatArray, by_velocity: FloatArray) -> None:
-    """Add a dependence on the motion at a port to rows (n_times, n_states) over the plant's states."""
-    n = rows.shape[1]
+def port_rows(port: Port, n_states: int, n_all: int, memory: slice) -> FloatArray:
+    """The coordinates of a port as rows (2 + n_memory, n_all) over all states: displacement, velocity, own states.
+
+    What a port does not have is a row of zeros.
+    """
+    own = range(memory.start, memory.stop)
+    rows = np.zeros((2 + len(own), n_all))
     if port.displacement is not None:
-        rows += by_displacement[:, None] * port.displacement[:n]
+        rows[0, :n_states] = port.displacement[:n_states]
     if port.velocity is not None:
-        rows += by_velocity[:, None] * port.velocity[:n]
+        rows[1, :n_states] = port.velocity[:n_states]
+    rows[2 + np.arange(len(own)), own] = 1.0
+    return rows
 
 
 def force_line(
@@ -66,9 +91,6 @@ def force_line(
     *,
     force: Force,
     dt: float,
-    n_states: int,
-    n_all: int,
-    memory: slice,
 ) -> ForceLine:
     """The line that stands for a force over each step.
 
@@ -80,53 +102,44 @@ def force_line(
         after: Motion at the end of each step.
         force: The force at the start of each step.
         dt: Step [s].
-        n_states: Number of the plant's states.
-        n_all: Number of all states.
-        memory: Where the effect's own states stand among them.
 
     Returns:
         The line.
     """
     jump = effect.step_force(values, before, after)
     if jump is not None:
-        return _of_jump(jump, port, n_states, n_all)
-    at_times = np.zeros((len(force.value), n_all))
-    add_rows(at_times[:, :n_states], port, force.by_displacement, force.by_velocity)
-    at_times[:, memory] = force.by_memory
-    middle = _middle(effect, values, port, before, after, dt=dt, n_states=n_states, n_all=n_all, memory=memory)
+        return _of_jump(jump, 2 + effect.n_memory)
+    here = np.stack([force.by_displacement, force.by_velocity, *force.by_memory.T])
+    there = shifted(here.T).T
+    middle = _middle(effect, values, port, before, after, dt=dt)
     lift = 2.0 / 3.0 * (middle.value - 0.5 * (force.value + shifted(force.value)))
     slope = 2.0 / 3.0 * (middle.slope - 0.5 * (force.by_parameter + shifted(force.by_parameter)))
-    by_before = 2.0 / 3.0 * (middle.by_before - 0.5 * at_times)
-    by_after = 2.0 / 3.0 * (middle.by_after - 0.5 * shifted(at_times))
+    by_before = 2.0 / 3.0 * (middle.by_before - 0.5 * here)
+    by_after = 2.0 / 3.0 * (middle.by_after - 0.5 * there)
     return ForceLine(
         start=force.value + lift,
         end=shifted(force.value) + lift,
         start_slope=force.by_parameter + slope,
         end_slope=shifted(force.by_parameter) + slope,
-        start_before=at_times + by_before,
-        start_after=by_after,
-        end_before=by_before,
-        end_after=shifted(at_times) + by_after,
+        by_before=np.stack([here + by_before, by_before], axis=1),
+        by_after=np.stack([by_after, there + by_after], axis=1),
     )
 
 
-def _of_jump(jump: StepForce, port: Port, n_states: int, n_all: int) -> ForceLine:
-    none = np.zeros(len(jump.start))
-
-    def rows(by_velocity: FloatArray) -> FloatArray:
-        found = np.zeros((len(none), n_all))
-        add_rows(found[:, :n_states], port, none, by_velocity)
-        return found
-
+def _of_jump(jump: StepForce, n_coordinates: int) -> ForceLine:
+    by_before, by_after = np.zeros((2, n_coordinates, 2, len(jump.start)))
+    by_before[1] = jump.start_by_before, jump.end_by_before
+    by_after[1] = jump.start_by_after, jump.end_by_after
+    lift_before, lift_after = np.zeros((2, n_coordinates, len(jump.start)))
+    lift_before[1], lift_after[1] = jump.lift_by_before, jump.lift_by_after
     return ForceLine(
         start=jump.start,
         end=jump.end,
         start_slope=jump.start_by_parameter,
         end_slope=jump.end_by_parameter,
-        start_before=rows(jump.start_by_before),
-        start_after=rows(jump.start_by_after),
-        end_before=rows(jump.end_by_before),
-        end_after=rows(jump.end_by_after),
+        by_before=by_before,
+        by_after=by_after,
+        lift=Lift(value=jump.lift, slope=jump.lift_by_parameter, by_before=lift_before, by_after=lift_after),
     )
 
 
@@ -146,9 +159,6 @@ def _middle(
     after: Motion,
     *,
     dt: float,
-    n_states: int,
-    n_all: int,
-    memory: slice,
 ) -> _Middle:
     """The force in the middle of each step, with the effect's own states advanced half a step."""
     between = midway(port, before, after, dt)
@@ -158,26 +168,18 @@ def _middle(
         between = replace(between, memory=half.value)
     force = effect.force(values, between)
     by_displacement, by_velocity, slope = force.by_displacement, force.by_velocity, force.by_parameter
-    by_before, by_after = np.zeros((len(force.value), n_all)), np.zeros((len(force.value), n_all))
+    by_before, by_after = np.zeros((2, 2 + effect.n_memory, len(force.value)))
     if half is not None:
         by_displacement = by_displacement + np.sum(force.by_memory * half.by_displacement_after, axis=1)
         by_velocity = by_velocity + np.sum(force.by_memory * half.by_velocity_after, axis=1)
         slope = slope + np.einsum("km,kmp->kp", force.by_memory, half.by_parameter)
-        by_before[:, memory] = np.einsum("km,kmz->kz", force.by_memory, half.by_memory)
-        add_rows(
-            by_before[:, :n_states],
-            port,
-            np.sum(force.by_memory * half.by_displacement_before, axis=1),
-            np.sum(force.by_memory * half.by_velocity_before, axis=1),
-        )
+        by_before[0] = np.sum(force.by_memory * half.by_displacement_before, axis=1)
+        by_before[1] = np.sum(force.by_memory * half.by_velocity_before, axis=1)
+        by_before[2:] = np.einsum("km,kmz->zk", force.by_memory, half.by_memory)
     d0, d1, v0, v1 = _weights(port, dt)
     for rows, displacement, velocity in ((by_before, d0, v0), (by_after, d1, v1)):
-        add_rows(
-            rows[:, :n_states],
-            port,
-            displacement[0] * by_displacement + displacement[1] * by_velocity,
-            velocity[0] * by_displacement + velocity[1] * by_velocity,
-        )
+        rows[0] += displacement[0] * by_displacement + displacement[1] * by_velocity
+        rows[1] += velocity[0] * by_displacement + velocity[1] * by_velocity
     return _Middle(value=force.value, slope=slope, by_before=by_before, by_after=by_after)
 
 

@@ -5,22 +5,24 @@ The states X = [x; z] are those of the plant and of the effects. A step is
     x[k+1] = Ad x[k] + B0 u0[k] + B1 u1[k] + E0 w[k] + E1 w[k+1] + L (y[k] - yhat[k])
     z[k+1] = Z(z[k], motion[k], motion[k+1])
 
-with L = 0 for a free run and a Kalman gain for the observer form. What is implicit in X[k+1] enters through few rows
-(the force's dependence on the motion, the effects' states): X[k+1] = P0[k] X[k] + U V[k] X[k+1] + ..., so the inverse
-of I - U V[k] costs a small system a step (Woodbury).
+with L = 0 for a free run and a Kalman gain for the observer form. The outputs of a free run may hear of a force over
+the step to come as well (`modal.discrepancy.acting_force.Heard`), those of an observer, which acts on them at once, the
+law alone.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.acting_force import ActingForce, acting_forces
+from modal.discrepancy.acting_force import Heard, acting_forces
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import per_time
 from modal.discrepancy.effects.effect import Force, Memory
 from modal.discrepancy.force_line import ForceLine
+from modal.discrepancy.output_dependence import OutputDependence
 from modal.discrepancy.scheme import Scheme
+from modal.discrepancy.step_dependence import StepDependence, step_dependence
 from okid.arrays import FloatArray
 
 __all__ = ["Linearisation", "linearise"]
@@ -34,15 +36,13 @@ class Linearisation:
         states: X (n_times, n).
         forces: Each force at its place, along the trajectory.
         lines: The line that stands for each force over the steps.
+        heard: Each force as the outputs hear it.
         memories: Each force's own states one sample on; None where it has none.
         G: (n_outputs, n_forces) what each force does to the outputs directly.
-        before: P0 (n_times, n, n): dependence of each step on the state at its start.
-        U: (n, r) and
-        V: (n_times, r, n): dependence on the state at its end, U V[k].
-        inverse: (n_times, r, r) of I - V U.
+        steps: How each step depends on the states at both its ends.
+        sensors: How the outputs depend on the states.
         free: (n_rows, n_outputs) outputs before the sensors' effects.
         outputs: (n_rows, n_outputs) outputs of the model.
-        H: (n_rows, n_outputs, n) dependence of the outputs on the states.
         defect: (n_times, n) what each step misses; row k + 1 belongs to the step k -> k + 1, the first row of a record
             to its initial state.
         smoothing: Width of sharp laws, as a share of the motion's scale.
@@ -51,28 +51,15 @@ class Linearisation:
     states: FloatArray
     forces: tuple[Force, ...]
     lines: tuple[ForceLine, ...]
+    heard: tuple[Heard, ...]
     memories: tuple[Memory | None, ...]
     G: FloatArray
-    before: FloatArray
-    U: FloatArray
-    V: FloatArray
-    inverse: FloatArray
+    steps: StepDependence
+    sensors: OutputDependence
     free: FloatArray
     outputs: FloatArray
-    H: FloatArray
     defect: FloatArray
     smoothing: float
-
-    def advance(self, forcing: FloatArray) -> FloatArray:
-        """(I - U V)^-1 applied to forcings (n_columns, n_times, n) that stand at the times they lead from."""
-        if self.U.shape[1] == 0:
-            return forcing
-        rows = self.inverse @ (self.V @ forcing.transpose(1, 2, 0))
-        return forcing + np.ascontiguousarray(rows.transpose(2, 0, 1)) @ self.U.T
-
-    def transitions(self) -> FloatArray:
-        """M (n_times, n, n): the state at the end of a step by the state at its start."""
-        return self.before + self.U @ (self.inverse @ (self.V @ self.before))
 
 
 def linearise(
@@ -104,81 +91,49 @@ def linearise(
     """
     n, n_all, n_times = assembly.plant.n_states, states.shape[1], drive.n_times
     acting = acting_forces(assembly, unknowns, drive, scheme, states, smoothing=smoothing)
-    before = np.zeros((n_times, n_all, n_all))
-    before[:, :n, :n] = scheme.Ad
+    lasts = np.array(drive.firsts[1:]) - 1
+    heard = tuple(one.heard(lasts) if gain is None else one.law_alone() for one in acting)
     following = np.zeros((n_times, n_all))
     following[:, :n] = states[:, :n] @ scheme.Ad.T + drive.start @ scheme.B0.T + drive.end @ scheme.B1.T
-    U, V = _end_of_step(acting, n, n_all, n_times)
     free = states[drive.rows, :n] @ scheme.C.T + drive.sample[drive.rows] @ scheme.D.T
-    H = np.zeros((len(drive.rows), assembly.plant.n_outputs, n_all))
-    H[:, :, :n] = scheme.C
-    for one in acting:
-        before[:, :n] += one.E0[:, None] * one.line.start_before[:, None, :]
-        before[:, :n] += one.E1[:, None] * one.line.end_before[:, None, :]
+    for one, at_sensors in zip(acting, heard, strict=True):
         following[:, :n] += one.line.flow(one.E0, one.E1)
-        one.add_memory(before, following)
-        free += one.force.value[drive.rows, None] * one.G
-        H += one.G[:, None] * one.rows(drive.rows, n_all)[:, None, :]
+        if one.memory is not None:
+            following[:, one.span] = one.memory.value
+        free += at_sensors.value[drive.rows, None] * one.G
     outputs, factors = _sensed(assembly, unknowns, drive, free)
-    H *= factors[:, :, None]
+    sensors = OutputDependence(C=scheme.C, acting=acting, heard=heard, factors=factors, rows=drive.rows)
+    correction = None
     if gain is not None:
-        innovation = np.where(drive.present, drive.outputs - outputs, 0.0)
-        following[drive.rows, :n] += innovation @ gain.T
-        before[drive.rows, :n] -= gain @ (drive.present[:, :, None] * H)
-    defect = np.zeros_like(states)
-    defect[1:] = following[:-1] - states[1:]
-    lasts = np.array(drive.firsts[1:]) - 1
-    before[lasts] = 0.0
-    V[lasts] = 0.0
-    for record, begin in enumerate(drive.firsts[:-1]):
-        defect[begin] = -states[begin]
-        if initial is None:
-            defect[begin] += unknowns.local[record, list(assembly.initial)]
-        else:
-            defect[begin] += initial[record]
+        following[drive.rows, :n] += np.where(drive.present, drive.outputs - outputs, 0.0) @ gain.T
+        correction = np.zeros((n_all, n_all, n_times))
+        correction[:n, :, drive.rows] = -np.tensordot(gain, sensors.at_once(n_all) * drive.present.T, axes=(1, 1))
+    A, leading = np.zeros((n_all, n_all)), np.ones(n_times)
+    A[:n, :n], leading[lasts] = scheme.Ad, 0.0
     return Linearisation(
         states=states,
         forces=tuple(one.force for one in acting),
         lines=tuple(one.line for one in acting),
+        heard=heard,
         memories=tuple(one.memory for one in acting),
         G=np.stack([one.G for one in acting], axis=1) if acting else np.zeros((assembly.plant.n_outputs, 0)),
-        before=before,
-        U=U,
-        V=V,
-        inverse=_inverse(np.eye(U.shape[1]) - V @ U),
+        steps=step_dependence(A, acting, n_times, lasts=leading, correction=correction),
+        sensors=sensors,
         free=free,
         outputs=outputs,
-        H=H,
-        defect=defect,
+        defect=_defect(
+            drive, states, following, unknowns.local[:, list(assembly.initial)] if initial is None else initial
+        ),
         smoothing=smoothing,
     )
 
 
-def _end_of_step(acting: tuple[ActingForce, ...], n: int, n_all: int, n_times: int) -> tuple[FloatArray, FloatArray]:
-    """U and V: what each step takes from the state at its own end, two rows a force and one a state of an effect."""
-    n_rows = 2 * len(acting)
-    U = np.zeros((n_all, n_rows + n_all - n))
-    U[n:, n_rows:] = np.eye(n_all - n)
-    V = np.zeros((n_times, n_rows + n_all - n, n_all))
-    for position, one in enumerate(acting):
-        U[:n, 2 * position], U[:n, 2 * position + 1] = one.E0, one.E1
-        V[:, 2 * position], V[:, 2 * position + 1] = one.line.start_after, one.line.end_after
-        one.add_memory_end(V[:, n_rows:, :n], n)
-    return U, V
-
-
-def _inverse(matrices: FloatArray) -> FloatArray:
-    if matrices.shape[1] == 0:
-        return matrices
-    if matrices.shape[1] == 1:
-        return np.asarray(1.0 / matrices)
-    if matrices.shape[1] == 2:  # one force: the closed form costs a tenth of LAPACK's loop over small matrices
-        (a, b), (c, d) = matrices.transpose(1, 2, 0)
-        found = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
-        if not np.isfinite(found).all():
-            raise np.linalg.LinAlgError("a step has no unique end")
-        return np.ascontiguousarray(found.transpose(2, 0, 1))
-    return np.asarray(np.linalg.inv(matrices), dtype=float)
+def _defect(drive: Drive, states: FloatArray, following: FloatArray, initial: FloatArray) -> FloatArray:
+    defect = np.empty_like(states)
+    defect[1:] = following[:-1] - states[1:]
+    begins = list(drive.firsts[:-1])
+    defect[begins] = initial - states[begins]
+    return defect
 
 
 def _sensed(assembly: Assembly, unknowns: Unknowns, drive: Drive, free: FloatArray) -> tuple[FloatArray, FloatArray]:

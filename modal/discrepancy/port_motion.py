@@ -26,10 +26,12 @@ def motion_at(
     smoothing: float | FloatArray,
     *,
     stiffness: float | None = None,
+    mobility: float = 0.0,
 ) -> Motion:
     """Motion at a force's place along a trajectory of the plant's states (n_times, n_states).
 
-    `stiffness` is that of the place as calibrated, the port's own by default.
+    `stiffness` is that of the place as calibrated, the port's own by default; `mobility` the velocity that a unit of
+    force gives it within one step.
     """
     _, port = item.force_and_port
     n = states.shape[1]
@@ -48,6 +50,7 @@ def motion_at(
         velocity_scale=item.velocity_scale,
         stiffness=next((value for value in (stiffness, port.stiffness) if value is not None), 1.0),
         mass=1.0 if port.mass is None else port.mass,
+        mobility=mobility,
         smoothing=smoothing,
     )
 

@@ -157,8 +157,8 @@ def _memory(effect: ForceEffect, values: tuple[float, ...], motion: Motion, driv
         forcing = np.zeros((1, *z.shape))
         forcing[0, 1:] = (step.value - z[following])[:-1]
         forcing[0, list(drive.firsts[:-1])] = -z[list(drive.firsts[:-1])]
-        transitions = step.by_memory.copy()
-        transitions[lasts] = 0.0
+        transitions = step.by_memory.transpose(1, 2, 0).copy()
+        transitions[:, :, lasts] = 0.0
         change = solve_band(band_of(transitions), forcing)[0]
         z = z + change
         if not np.isfinite(z).all():

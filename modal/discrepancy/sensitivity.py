@@ -140,14 +140,12 @@ def respond(
     lasts = np.array(drive.firsts[1:]) - 1
     led[:, lasts] = 0.0
     forcing = np.zeros_like(led)
-    forcing[:, 1:] = about.advance(led)[:, :-1]
+    forcing[:, 1:] = about.steps.advance(led)[:, :-1]
     for position, source in enumerate(sources):
         if source.initial >= 0:
             forcing[position, list(drive.firsts[:-1]), source.initial] = 1.0
     states = solve_band(trajectory.band, forcing)
-    at_rows = states[:, drive.rows].transpose(1, 2, 0)
-    outputs = (about.H @ at_rows).transpose(2, 0, 1) + direct
-    return states, outputs
+    return states, about.sensors.outputs(states) + direct
 
 
 def force_response(drive: Drive, scheme: Scheme, column: int, force: FloatArray, n_all: int) -> Source:
@@ -183,15 +181,15 @@ def _linear(
     flow = np.zeros_like(about.states)
     flow[:, :n] = states @ slope.Ad.T + drive.start @ slope.B0.T + drive.end @ slope.B1.T
     outputs = states[drive.rows] @ slope.C.T + drive.sample[drive.rows] @ slope.D.T
-    for i, line, force in zip(assembly.forces, about.lines, about.forces, strict=True):
+    for i, line, heard in zip(assembly.forces, about.lines, about.heard, strict=True):
         effect, port = assembly.placements[i].force_and_port
         columns, direction = list(port.columns), unknowns.directions(assembly, i)
         flow[:, :n] += line.flow(slope.E0[:, columns] @ direction, slope.E1[:, columns] @ direction)
-        outputs += force.value[drive.rows, None] * (slope.G[:, columns] @ direction)
+        outputs += heard.value[drive.rows, None] * (slope.G[:, columns] @ direction)
         if effect.per_stiffness and assembly.stiffness_parameter(i) == j:
             k = float(unknowns.common[j])
             flow[:, :n] += line.flow(scheme.E0[:, columns] @ direction, scheme.E1[:, columns] @ direction) / k
-            outputs += force.value[drive.rows, None] * (scheme.G[:, columns] @ direction) / k
+            outputs += heard.value[drive.rows, None] * (scheme.G[:, columns] @ direction) / k
     return Source(flow=flow, outputs=outputs)
 
 
@@ -220,7 +218,7 @@ def _force_parameter(
     _, port = assembly.placements[placement].force_and_port
     position, columns = assembly.forces.index(placement), list(port.columns)
     direction, line = unknowns.directions(assembly, placement), about.lines[position]
-    slope = about.forces[position].by_parameter[:, j]
+    slope = about.heard[position].slope[:, j]
     flow = np.zeros_like(about.states)
     flow[:, :n] = line.start_slope[:, j, None] * (scheme.E0[:, columns] @ direction)
     flow[:, :n] += line.end_slope[:, j, None] * (scheme.E1[:, columns] @ direction)
@@ -260,4 +258,4 @@ def _direction(
     line, added = about.lines[position], [port.columns[column]]
     flow = np.zeros_like(about.states)
     flow[:, :n] = line.flow(scheme.E0[:, added[0]], scheme.E1[:, added[0]])
-    return Source(flow=flow, outputs=about.forces[position].value[drive.rows, None] * scheme.G[:, added[0]])
+    return Source(flow=flow, outputs=about.heard[position].value[drive.rows, None] * scheme.G[:, added[0]])

@@ -126,7 +126,7 @@ def simulate_states(
         found = _softened(about, states, smoothing, rise)
     if found is None:
         return None
-    return Trajectory(linearisation=found, band=band_of(found.transitions()), drive=driven)
+    return Trajectory(linearisation=found, band=band_of(found.steps.transitions), drive=driven)
 
 
 def allowed_rise(assembly: Assembly) -> float:
@@ -245,5 +245,5 @@ def _step(current: Linearisation) -> FloatArray:
     led[0, :-1] = current.defect[1:]
     forcing = np.empty_like(led)
     forcing[0, 0] = current.defect[0]
-    forcing[0, 1:] = current.advance(led)[0, :-1]
-    return solve_band(band_of(current.transitions()), forcing)[0]
+    forcing[0, 1:] = current.steps.advance(led)[0, :-1]
+    return solve_band(band_of(current.steps.transitions), forcing)[0]

@@ -58,14 +58,19 @@ class CoulombFriction(ForceEffect):
         width = before.smoothing * before.velocity_scale
         if not np.all(np.asarray(width) > 0.0):
             return None
-        line = jump_line(before.velocity, after.velocity, width)
+        size, mobility = values[0], before.mobility
+        line = jump_line(before.velocity, after.velocity, width, change=size * mobility)
         return StepForce(
-            start=values[0] * line.start,
-            end=values[0] * line.end,
-            start_by_before=values[0] * line.start_by_before,
-            start_by_after=values[0] * line.start_by_after,
-            end_by_before=values[0] * line.end_by_before,
-            end_by_after=values[0] * line.end_by_after,
-            start_by_parameter=line.start[:, None],
-            end_by_parameter=line.end[:, None],
+            start=size * line.start,
+            end=size * line.end,
+            start_by_before=size * line.start_by_before,
+            start_by_after=size * line.start_by_after,
+            end_by_before=size * line.end_by_before,
+            end_by_after=size * line.end_by_after,
+            start_by_parameter=(line.start + size * mobility * line.start_by_change)[:, None],
+            end_by_parameter=(line.end + size * mobility * line.end_by_change)[:, None],
+            lift=size * line.lift,
+            lift_by_before=size * line.lift_by_before,
+            lift_by_after=size * line.lift_by_after,
+            lift_by_parameter=(line.lift + size * mobility * line.lift_by_change)[:, None],
         )

@@ -20,6 +20,7 @@ class Motion:
         velocity_scale: Likewise of the velocity.
         stiffness: Linear stiffness at the port (1.0 where it is not known).
         mass: Mass at the port (1.0 where it is not known).
+        mobility: Velocity that a unit of force at the port gives within one step; 0: no steps, or not known.
         smoothing: Width over which sharp laws (sign, contact) are smoothed, as a share of the scale, for all samples
             or (n,) for each (a quiet record has a smaller width); 0: sharp.
     """
@@ -32,6 +33,7 @@ class Motion:
     velocity_scale: float
     stiffness: float = 1.0
     mass: float = 1.0
+    mobility: float = 0.0
     smoothing: float | FloatArray = 0.0
 
 
@@ -67,6 +69,10 @@ class StepForce:
         end_by_after: (n,) derivative of `end` by the velocity at the end.
         start_by_parameter: (n, n_parameters).
         end_by_parameter: (n, n_parameters).
+        lift: (n,) what a sensor at the start of the step hears of the force besides the law's own value there.
+        lift_by_before: (n,) derivative of `lift` by the velocity at the start of the step.
+        lift_by_after: (n,) derivative of `lift` by the velocity at its end.
+        lift_by_parameter: (n, n_parameters).
     """
 
     start: FloatArray
@@ -77,6 +83,10 @@ class StepForce:
     end_by_after: FloatArray
     start_by_parameter: FloatArray
     end_by_parameter: FloatArray
+    lift: FloatArray
+    lift_by_before: FloatArray
+    lift_by_after: FloatArray
+    lift_by_parameter: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -5,7 +5,7 @@ import pytest
 from engine_plants import VALUES, some_records, two_masses, with_effects
 
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.force_line import add_rows, force_line
+from modal.discrepancy.force_line import force_line, port_rows
 from modal.discrepancy.port_motion import motion_at, one_on
 
 
@@ -29,9 +29,6 @@ def line_of(key, path, smoothing=0.005):
         one_on(motion),
         force=effect.force(values, motion),
         dt=drive.dt,
-        n_states=4,
-        n_all=4,
-        memory=slice(4, 4),
     )
     nodes, weights = np.polynomial.legendre.leggauss(400)
     mean, moment = np.zeros(39), np.zeros(39)
@@ -65,11 +62,12 @@ def test_friction_that_reverses_within_a_step_has_its_mean_and_moment():
     assert np.count_nonzero(np.abs(mean) < 0.9 * size) == 1
 
 
-def test_rows_are_added_where_the_port_reads():
+def test_the_coordinates_of_a_port():
     plant = two_masses()
-    rows = np.ones((3, 4))
-    add_rows(rows, plant.port("between"), np.array([1.0, 2.0, 3.0]), np.array([10.0, 0.0, 0.0]))
-    assert np.array_equal(rows, [[0, 2, -9, 11], [-1, 3, 1, 1], [-2, 4, 1, 1]])
+    rows = port_rows(plant.port("between"), 4, 7, slice(5, 7))
+    assert np.array_equal(
+        rows, [[-1, 1, 0, 0, 0, 0, 0], [0, 0, -1, 1, 0, 0, 0], [0, 0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0, 1]]
+    )
 
 
 def test_what_the_line_adds_to_a_step():

@@ -242,3 +242,51 @@ def test_a_plant_without_states_is_its_law():
     u = np.concatenate([record.inputs for record in records])
     expected = 3.0 * u[:, 0] + 0.5 * u[:, 1] + 0.2 * u[:, 2] + VALUES["cubic_stiffness"][0] * u[:, 0] ** 3
     assert np.allclose(found.outputs[:, 0], expected)
+
+
+# --- dry friction under an accelerometer ------------------------------------------------------------------------------
+
+
+def accelerations_with_dry_friction(load, friction, n_steps=400):
+    """Implicit Euler steps with the sharp law (Moreau), `n_steps` a sample: velocities and accelerations at samples."""
+    dt = DT / n_steps
+    displacement, velocity = 0.0, 0.0
+    velocities, accelerations = [], []
+    for k in range(len(load) - 1):
+        velocities.append(velocity)
+        for j in range(n_steps):
+            force = load[k] + (load[k + 1] - load[k]) * (j + 1) / n_steps
+            free = velocity + dt * (force - STIFFNESS * (displacement + dt * velocity) - DAMPING * velocity) / MASS
+            after = np.sign(free) * max(abs(free) - dt * friction / MASS, 0.0)
+            if j == 0:
+                accelerations.append((after - velocity) / dt)
+            velocity = after
+            displacement += dt * velocity
+    return np.array(velocities), np.array(accelerations)
+
+
+@pytest.mark.parametrize("upsampling", [2, 4])
+def test_an_accelerometer_on_a_mass_that_sticks_reads_what_holds_it(upsampling):
+    """The law at a sample is that of a numerical creep there; the output has to hear the force that holds the mass."""
+    friction, scale = 6.0, 0.3
+    load = slow_noise(300, 4, 7.0)
+    velocities, wanted = accelerations_with_dry_friction(load[:, 0], friction)
+    model = StructuralModel.chain(
+        [MASS], [STIFFNESS], [DAMPING], force_dofs=[0], sensor_dofs=[0], sensor_kind="acceleration"
+    )
+    plant = structural_plant(model)
+    drive = drive_of([Record(load, np.zeros((len(load), 1)), DT, input_hold="linear")], upsampling)
+    item = place(plant, CATALOGUE["coulomb_friction"], "element_0", displacement_scale=0.1, velocity_scale=scale)
+    assembly = assemble(plant, [item])
+    unknowns = initial_unknowns(assembly, 1)
+    unknowns.common[assembly.common_of(0)] = [friction]
+    scheme, _ = scheme_and_slopes(plant, unknowns.common[: assembly.n_linear], drive.dt)
+    found = simulate_states(assembly, unknowns, drive, scheme, resting_states(assembly, drive))
+    assert found is not None
+    rests = np.abs(velocities) < 1e-9
+    inside = rests[1:-1] & rests[:-2] & rests[2:]
+    assert inside.sum() > 30
+    miss = (found.outputs[:-1, 0] - wanted)[1:-1]
+    assert np.abs(miss[inside]).max() < 0.15 * friction
+    assert np.sqrt(np.mean(miss[inside] ** 2)) < 0.05 * friction
+    assert np.median(np.abs(miss[~inside])) < 0.03 * friction

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from modal.discrepancy.effects.coulomb_friction import CoulombFriction
 from modal.discrepancy.effects.effect import Motion
-from modal.discrepancy.effects.jump import NEAR, jump, jump_line
+from modal.discrepancy.effects.jump import jump, jump_line
+from modal.discrepancy.effects.straight_path import NEAR
 
 speeds = st.floats(-50.0, 50.0).map(lambda v: round(v, 4))
 widths = st.floats(1e-3, 5.0)
@@ -49,21 +50,23 @@ def test_the_line_has_the_mean_and_the_moment_of_the_law_over_the_step(v0, v1, w
     np.testing.assert_allclose((line.end - line.start) / 12.0, moment, atol=2e-4)
 
 
+@pytest.mark.parametrize("change", [0.0, 0.1, 2.0])
 @pytest.mark.parametrize("width", [0.03, 1.0])
-def test_the_slopes_of_the_line_are_those_of_its_ends(width):
+def test_the_slopes_of_the_line_are_those_of_its_ends(width, change):
     rng = np.random.default_rng(5)
     before = rng.normal(size=400)
     after = before + rng.normal(size=400) * 10.0 ** rng.uniform(-3.0, 0.5, 400)
-    line, step = jump_line(before, after, width), 1e-6
-    for end in ("start", "end"):
-        for ends, claimed in (
-            ((step, 0.0), getattr(line, f"{end}_by_before")),
-            ((0.0, step), getattr(line, f"{end}_by_after")),
-        ):
+    line, step = jump_line(before, after, width, change=change), 1e-6
+    for part in ("start", "end", "lift"):
+        for by, moved in (("before", (step, 0.0, 0.0)), ("after", (0.0, step, 0.0)), ("change", (0.0, 0.0, step))):
+            if by == "change" and change == 0.0:  # it cannot fall further
+                continue
             above, below = (
-                getattr(jump_line(before + sign * ends[0], after + sign * ends[1], width), end) for sign in (1.0, -1.0)
+                jump_line(before + sign * moved[0], after + sign * moved[1], width, change=change + sign * moved[2])
+                for sign in (1.0, -1.0)
             )
-            found = (above - below) / (2.0 * step)
+            found = (getattr(above, part) - getattr(below, part)) / (2.0 * step)
+            claimed = getattr(line, f"{part}_by_{by}")
             wrong = np.abs(claimed - found) > 1e-2 / width  # the law's steepest slope is 1 / width
             assert np.mean(wrong) < 0.005  # where the short cut for a straight law begins, the value steps a little
 
@@ -79,16 +82,99 @@ def test_friction_over_a_step_is_its_force_times_the_line():
             displacement_scale=1.0,
             velocity_scale=2.0,
             smoothing=0.01,
+            mobility=0.4,
         )
         for _ in range(2)
     )
     found = CoulombFriction().step_force((0.7,), before, after)
-    line = jump_line(before.velocity, after.velocity, 0.02)
+    line = jump_line(before.velocity, after.velocity, 0.02, change=0.7 * 0.4)
     assert found is not None
     for field in fields(line):
-        np.testing.assert_allclose(getattr(found, field.name), 0.7 * getattr(line, field.name))
-    np.testing.assert_array_equal(found.start_by_parameter[:, 0], line.start)
-    np.testing.assert_array_equal(found.end_by_parameter[:, 0], line.end)
+        if not field.name.endswith("change"):
+            np.testing.assert_allclose(getattr(found, field.name), 0.7 * getattr(line, field.name))
+    step = 1e-6
+    above, below = (CoulombFriction().step_force((0.7 + sign * step,), before, after) for sign in (1.0, -1.0))
+    for part in ("start", "end", "lift"):
+        slope = (getattr(above, part) - getattr(below, part)) / (2.0 * step)
+        np.testing.assert_allclose(getattr(found, f"{part}_by_parameter")[:, 0], slope, atol=1e-6)
+
+
+def under_a_constant_load(v0, load, friction):
+    """A mass of one over a step of one: velocity at the end, mean and moment of the sign of the velocity; sharp.
+
+    Event by event: it slides until it stops, then reverses, goes on or sticks.
+    """
+    direction = np.sign(v0) or (np.sign(load) if abs(load) > friction else 0.0)
+    if direction == 0.0:
+        return 0.0, load / friction, 0.0
+    slowing = load - friction * direction
+    stop = -v0 / slowing if v0 * slowing < 0.0 else np.inf
+    if stop >= 1.0:
+        return v0 + slowing, direction, 0.0
+    later = load / friction if abs(load) <= friction else -direction
+    end = 0.0 if abs(load) <= friction else (load - friction * later) * (1.0 - stop)
+    mean = stop * direction + (1.0 - stop) * later
+    return end, mean, 0.5 * stop * (1.0 - stop) * (later - direction)
+
+
+@settings(deadline=None)
+@given(v0=st.floats(-3.0, 3.0), load=st.floats(-3.0, 3.0), friction=st.floats(0.1, 2.0))
+def test_where_the_law_is_far_from_resolved_the_line_is_exact_under_a_constant_load(v0, load, friction):
+    end, mean, moment = under_a_constant_load(v0, load, friction)
+    width = 1e-7
+    line = jump_line(np.array([v0]), np.array([end]), width, change=friction)
+    if abs(end) > 1e-2 and abs(v0) > 1e-2:
+        np.testing.assert_allclose(0.5 * (line.start + line.end), mean, atol=1e-4)
+        np.testing.assert_allclose((line.end - line.start) / 12.0, moment, atol=1e-4)
+
+
+def implicit_step(v0, load, friction, width):
+    """The velocity at which the step's own balance of momentum closes, by bisection: it rises with the velocity."""
+
+    def miss(v1):
+        line = jump_line(np.array([v0]), np.array([v1]), width, change=friction)
+        return v1 - v0 - load + friction * 0.5 * float(line.start[0] + line.end[0])
+
+    return scipy.optimize.brentq(miss, v0 - 10.0, v0 + 10.0, xtol=1e-15)
+
+
+@pytest.mark.parametrize("load", [0.0, 0.5, -0.9])
+@pytest.mark.parametrize("v0", [0.3, 1.0, -0.02])
+def test_a_mass_that_stops_within_a_step_sticks_from_then_on(v0, load):
+    """On a straight path its velocity would ring about zero with the sign changing at every step."""
+    width, velocities = 1e-4, [v0]
+    for _ in range(8):
+        velocities.append(implicit_step(velocities[-1], load, 1.0, width))
+    stuck = np.array(velocities[4:])
+    assert np.abs(stuck).max() < 4.0 * width
+    assert np.all(stuck * load >= -1e-9)
+    held, _ = jump(stuck, width)
+    np.testing.assert_allclose(held, load, atol=1e-3)
+
+
+@pytest.mark.parametrize("change", [0.5, 2.0, 3.0, 4.0, 6.0, 10.0, 100.0])
+def test_a_small_velocity_fades_without_ringing_whatever_the_step(change):
+    width = 1.0
+    for start in (1e-3, -1e-3):
+        assert implicit_step(start, 0.0, change, width) * start > -1e-12
+
+
+def test_the_value_at_a_moment_is_that_between_two_steps_while_a_mass_sticks():
+    """A load that rises in a straight line: the law at a time holds the mean load of the step before it."""
+    width, rise = 1e-5, 0.04
+    velocities = [0.0]
+    for k in range(15):
+        velocities.append(implicit_step(velocities[-1], rise * (k + 0.5), 1.0, width))
+    law, _ = jump(np.array(velocities), width)
+    line = jump_line(np.array(velocities[:-1]), np.array(velocities[1:]), width, change=1.0)
+    at = rise * np.arange(15)
+    assert np.abs(law[:-1] - at)[3:].max() > 0.4 * rise
+    np.testing.assert_allclose((law[:-1] + line.lift)[3:], at[3:], atol=0.04 * rise)
+
+
+def test_a_sliding_mass_has_no_lift():
+    line = jump_line(np.array([1.0, -2.0]), np.array([-1.0, -1.0]), 0.01, change=1.0)
+    np.testing.assert_allclose(line.lift, 0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("width", [1e-3, 0.3, 10.0])
