@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.discrepancy.assembly import Placement, Unknowns
-from modal.discrepancy.effects.effect import Effect, jumps
+from modal.discrepancy.effects.effect import Effect, is_sharp
 from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.trajectory import SHARP
@@ -44,7 +44,7 @@ smoothing."""
 DOUBTFUL = (1.1, 100.0)
 """A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
 FINE_STEPS = 4
-"""Steps a sample of the grid on which laws that jump are polished, at least."""
+"""Steps a sample of the grid on which sharp laws are polished, at least."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,7 +57,7 @@ class Task:
         upsampling: Steps of the simulation per sample.
         catalogue: The effects to try.
         report: Called with a sentence and the share done.
-        fine_fit: The records to fit on a finer grid, for laws that jump.
+        fine_fit: The records to fit on a finer grid, for sharp laws.
         fine_held_out: The held-out records likewise.
     """
 
@@ -121,8 +121,8 @@ def node_of(fitted: Estimate, task: Task) -> Node:
 
 
 def polished(node: Node, task: Task) -> Node:
-    """The node on a finer grid and sharper where a law of it jumps and that may matter; as it is otherwise."""
-    if node.fitted is not node.coarse or not any(jumps(item.effect) for item in node.coarse.assembly.placements):
+    """The node on a finer grid and sharper where a law of it jumps or has corners and that may matter; as it is otherwise."""
+    if node.fitted is not node.coarse or not any(is_sharp(item.effect) for item in node.coarse.assembly.placements):
         return node
     if not _blurred(node.coarse, task.fit):
         return node

@@ -36,6 +36,7 @@ class BilinearStiffness(ForceEffect):
     parameters = (ParameterKind(name="kb", meaning="stiffness on the positive side", dimension=(1, -1, 0)),)
     neutral = (0.0,)
     family = "even stiffness"
+    has_corners = True
     signature = "even lines, static shift; the same relative gap at every level"
     reference = "Chu, Shen 1992, doi 10.2514/3.11271"
 

@@ -27,6 +27,7 @@ __all__ = [
     "Situation",
     "StepForce",
     "Values",
+    "is_sharp",
     "jumps",
 ]
 
@@ -119,6 +120,7 @@ class ForceEffect(Effect):
             effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         n_memory: Number of states of its own.
+        has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
         beside_stiffness: Parameters of which, where the linear stiffness at the place is free as well, only the
             differences are determined: the smallest is held at zero.
@@ -127,6 +129,7 @@ class ForceEffect(Effect):
     needs: ClassVar[frozenset[str]] = frozenset({"displacement"})
     acts_at: ClassVar[str] = "motion"
     n_memory: ClassVar[int] = 0
+    has_corners: ClassVar[bool] = False
     per_stiffness: ClassVar[bool] = False
     beside_stiffness: ClassVar[tuple[str, ...]] = ()
 
@@ -231,3 +234,8 @@ class SensorEffect(Effect):
 def jumps(effect: Effect) -> bool:
     """Whether an effect is a force that jumps within a step and brings its own line over it (dry friction)."""
     return isinstance(effect, ForceEffect) and type(effect).step_force is not ForceEffect.step_force
+
+
+def is_sharp(effect: Effect) -> bool:
+    """Whether the grid of time and the smoothing limit how well an effect is known: it jumps or has corners."""
+    return jumps(effect) or (isinstance(effect, ForceEffect) and effect.has_corners)

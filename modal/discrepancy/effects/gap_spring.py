@@ -50,6 +50,7 @@ class GapSpring(ForceEffect):
     )
     neutral = (0.0, 0.0, 1.0)
     family = "odd stiffness"
+    has_corners = True
     beside_stiffness = ("k_in", "k_out")
     signature = "odd lines; stops: nothing below one level; freeplay: soft at low level, stiff at high"
     reference = "Shaw, Holmes 1983, doi 10.1016/0022-460X(83)90407-8"
