@@ -16,7 +16,6 @@ __all__ = [
     "FINE_STEPS",
     "Node",
     "Task",
-    "calibrated_node",
     "counts",
     "log_likelihood_gain",
     "node_of",
@@ -238,11 +237,6 @@ def _between(states: FloatArray, n_times: int) -> FloatArray:
     at = np.linspace(0.0, len(states) - 1.0, n_times)
     columns = [np.interp(at, np.arange(len(states)), column) for column in states.T]
     return np.array(columns).reshape(-1, n_times).T  # a plant without dynamics has none
-
-
-def calibrated_node(start: Estimate, task: Task, *, iterations: int = 12) -> Node:
-    """Fit the linear parameters and the initial states."""
-    return polished(node_of(estimate(start, task.fit, iterations=iterations), task), task)
 
 
 def counts(parent: Node, child: Node, task: Task) -> bool:

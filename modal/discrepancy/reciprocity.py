@@ -33,6 +33,8 @@ _LIKE = 1e-3
 """Defect of the equations, as a share of what tells one solution from the next: an error of a thousandth in a direction
 or shape lies below the noise of any measured record."""
 
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Structure:
@@ -134,45 +136,40 @@ def _equations(
 
 def _solution(equations: FloatArray, basis: FloatArray) -> FloatArray | None:
     """The one P that solves them; None where none or more than one does."""
-    n_unknowns = equations.shape[1]
     _, sizes, right = np.linalg.svd(equations)
-    sizes = np.concatenate([sizes, np.zeros(max(n_unknowns - len(sizes), 0))])
-    if n_unknowns > 1 and not sizes[-1] <= _LIKE * sizes[-2] > 0.0:
-        return None
-    if n_unknowns > 1 and sizes[-2] <= 1e-9 * sizes[0]:
+    sizes = np.concatenate([sizes, np.zeros(len(right) - len(sizes))])
+    if sizes[-1] > _LIKE * sizes[-2] or sizes[-2] <= _ROUNDING * sizes[0]:
         return None
     return np.asarray(np.tensordot(right[-1, : len(basis)], basis, axes=(0, 0)))
 
 
-def _structure(
-    A: FloatArray, metric: FloatArray, free: FloatArray, displacements: FloatArray
-) -> Structure | None:
-    """The structure of one P; None where masses or stiffnesses would not be positive."""
-    for sign in (1.0, -1.0):
-        for forces in _force_directions(A, sign * metric, free, displacements):
-            mass = forces.T @ (sign * metric @ A) @ forces
-            mass = (mass + mass.T) / 2
-            sizes = np.linalg.eigvalsh(mass)
-            if sizes[0] <= 1e-12 * sizes[-1]:
-                continue
-            forces = np.linalg.solve(np.linalg.cholesky(mass), forces.T).T
-            found = _modes(A, sign * metric, forces)
-            if found is not None:
-                return found
+def _structure(A: FloatArray, metric: FloatArray, free: FloatArray, displacements: FloatArray) -> Structure | None:
+    """The structure of one P, whose sign is open; None where masses or stiffnesses would not be positive."""
+    for signed in (metric, -metric):
+        for forces in _force_directions(signed, free, displacements):
+            mass = forces.T @ signed @ A @ forces
+            sizes = np.linalg.eigvalsh((mass + mass.T) / 2)
+            if sizes[0] > _ROUNDING * sizes[-1]:
+                unit = np.linalg.solve(np.linalg.cholesky((mass + mass.T) / 2), forces.T).T
+                return _modes(A, signed, unit)
     return None
 
 
-def _force_directions(
-    A: FloatArray, metric: FloatArray, free: FloatArray, displacements: FloatArray
-) -> list[FloatArray]:
-    """The directions of all forces: the free ones; with one unseen displacement a subspace of them, one of two."""
-    if free.shape[1] == len(A) // 2:
+def _force_directions(metric: FloatArray, free: FloatArray, displacements: FloatArray) -> list[FloatArray]:
+    """The directions of all forces: the free ones; with one displacement unseen a subspace of them, one of two.
+
+    Forces along the sensors are P^-1 D' with D the displacement rows. What else is free is a plane in which P has one
+    positive and one negative direction; the force that is missing lies where P is zero, on one of two lines, and of
+    these on the one with a positive mass.
+    """
+    if free.shape[1] == len(metric) // 2:
         return [free]
-    along = np.linalg.solve(metric, displacements.T)
-    along, _ = np.linalg.qr(along / np.linalg.norm(along, axis=0))
+    rows = displacements / np.linalg.norm(displacements, axis=1)[:, None]
+    along = np.linalg.solve(metric, rows.T)
+    along = along / np.linalg.norm(along, axis=0)
     if np.abs(along.T @ metric @ along).max() > _LIKE * np.abs(metric).max():
         return []
-    rest = scipy.linalg.null_space(np.vstack([along.T, displacements / np.linalg.norm(displacements, axis=1)[:, None]]))
+    rest = scipy.linalg.null_space(np.vstack([along.T, rows]))
     sizes, axes = np.linalg.eigh(rest.T @ metric @ rest)
     if not sizes[0] < 0.0 < sizes[-1]:
         return []
@@ -181,24 +178,19 @@ def _force_directions(
 
 
 def _modes(A: FloatArray, metric: FloatArray, forces: FloatArray) -> Structure | None:
-    """Undamped modes of the structure whose forces act in these directions, unit masses."""
+    """Undamped modes of the structure whose forces act in these directions, on unit masses."""
     n_modes = forces.shape[1]
     rows = forces.T @ metric
     both = np.vstack([rows, rows @ A])
-    if np.linalg.cond(both / np.linalg.norm(both, axis=1)[:, None]) > 1e9:
+    scale = np.linalg.norm(both, axis=1)
+    if np.linalg.cond(both / scale[:, None]) * _ROUNDING > 1.0:
         return None
-    lower = -np.linalg.solve(both.T, (rows @ A @ A).T).T
-    stiffness, damping = lower[:, :n_modes], lower[:, n_modes:]
-    if _asymmetry(stiffness) > _LIKE or _asymmetry(damping) > _LIKE * max(1.0, np.sqrt(np.abs(stiffness).max()) / max(np.abs(damping).max(), 1e-300)):
-        return None
+    matrices = -np.linalg.solve(both.T, (rows @ A @ A).T).T
+    stiffness, damping = matrices[:, :n_modes], matrices[:, n_modes:]
     squares, shapes = np.linalg.eigh((stiffness + stiffness.T) / 2)
-    if squares[0] <= 0.0:
+    if squares[0] <= _ROUNDING * squares[-1]:
         return None
     modal = shapes.T @ damping @ shapes
     return Structure(
         displacements=shapes.T @ rows, forces=forces @ shapes, stiffness=squares, damping=(modal + modal.T) / 2
     )
-
-
-def _asymmetry(matrix: FloatArray) -> float:
-    return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))

@@ -5,10 +5,10 @@ C A^-1 x, accelerometers the second derivative of C A^-2 x. A force cannot move 
 e in the state space is one with (displacement rows) e = 0: the null space of these rows. Half of the states of a
 structure at most are displacements; the other half is what a force can drive.
 
-Places are the outputs, and the differences of two of them. The direction of a force at a place is not known, so a port
-has several columns: the first, e_1, gives the displacement there an acceleration of -1 (the force opposes motion), the
-others add what a force at that place may do elsewhere and give it none. Forces are therefore counted per effective
-mass at the place, in length unit / s^2.
+Places are the outputs, and the differences of two of them (`state_space_ports`). Where the matrices show that the plant
+is a structure with symmetric M, C, K (`reciprocity`) and all its modes are measured, a force at a place is known to act
+along the sensor; else its direction is open, and a port has several columns. Forces are counted per effective mass at
+the place, in length unit / s^2.
 
 Where a displacement does not exist:
     - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
@@ -64,8 +64,9 @@ def state_space_plant(
 ) -> Plant:
     """The plant of a state space, in real modal form.
 
-    Uncertain are all linear forces inside the structure (`internal_changes`), because a wrong stiffness changes shapes
-    and static response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
+    Uncertain are stiffness and damping of a structure, which stay symmetric (`symmetric_changes`); where no symmetry
+    shows, all linear forces inside it (`internal_changes`), because a wrong stiffness changes shapes and static
+    response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
 
     Args:
         system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
@@ -91,7 +92,7 @@ def state_space_plant(
         >>> mass_on_spring = control.ss([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
         >>> plant = state_space_plant(mass_on_spring, sensor_kind="displacement")
         >>> [port.name for port in plant.ports], [parameter.name for parameter in plant.parameters]
-        (['output_0'], ['internal force 1 by modal state 1', 'internal force 1 by modal state 2'])
+        (['output_0'], ['stiffness of mode 1 (1.592 Hz)', 'damping of mode 1 (1.592 Hz)'])
     """
     continuous = continuous_system(system, input_hold=input_hold, dt=dt)
     n_outputs, n_inputs = continuous.D.shape
@@ -160,9 +161,11 @@ def _check_stable(A: FloatArray) -> None:
 
 
 def _structure(system: ContinuousSystem, motions: tuple[OutputMotion, ...], free: FloatArray) -> Structure | None:
-    """The structure behind the state space, where all outputs show a motion of one."""
+    """The structure behind the state space, where all outputs show its motion; what never oscillates may be tanks."""
     rows = [one.displacement[: len(system.A)] for one in motions if one.displacement is not None]
     if len(rows) < len(motions) or any(one.nature != "mechanical" for one in motions):
+        return None
+    if not np.iscomplex(np.linalg.eigvals(system.A)).any():
         return None
     return reciprocal_structure(system, np.array(rows), free)
 

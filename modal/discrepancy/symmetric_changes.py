@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from modal.discrepancy.internal_changes import MOST, REACH, InternalChanges
+from modal.discrepancy.internal_changes import MOST, InternalChanges
 from modal.discrepancy.motion_rows import OutputMotion
 from modal.discrepancy.plant import LinearParameter
 from modal.discrepancy.reciprocity import Structure
@@ -20,6 +20,10 @@ __all__ = ["symmetric_changes"]
 
 _CRITICAL_SHARE = 0.02
 """Standard deviation of the damping ratio of a mode that has none."""
+
+_REACH, _DAMPING_REACH = 3.0, 10.0
+"""Hard bounds, in standard deviations of the prior, and those of a mode's damping, which is often no more than a guess.
+Beside the diagonal three deviations are about what leaves a damping matrix positive, sqrt(C_aa C_bb)."""
 
 _UNDAMPED = 1e-6
 """Damping ratio below which a mode counts as undamped."""
@@ -57,11 +61,11 @@ def symmetric_changes(
     direct = np.array([one.direct for one in motions]) @ structure.forces
     entering = np.vstack([structure.forces, direct])
     kinds = (
-        ("stiffness", "1/s^2", np.diag(structure.stiffness), 2 * frequency_tolerance * structure.stiffness, 0),
-        ("damping", "1/s", structure.damping, damping, 1),
+        ("stiffness", "1/s^2", np.diag(structure.stiffness), 2 * frequency_tolerance * structure.stiffness, _REACH, 0),
+        ("damping", "1/s", structure.damping, damping, _DAMPING_REACH, 1),
     )
     parameters, slopes = [], []
-    for word, unit, matrix, spread, power in kinds:
+    for word, unit, matrix, spread, reach, power in kinds:
         rows = structure.displacements @ np.linalg.matrix_power(A, power)
         for a, b in combinations_with_replacement(range(n_modes), 2):
             change = np.outer(entering[:, a], rows[b])
@@ -73,19 +77,20 @@ def symmetric_changes(
                     unit,
                     nominal=float(matrix[a, b]),
                     deviation=float(np.sqrt(spread[a] * spread[b]) * (1.0 if a == b else np.sqrt(0.5))),
+                    reach=reach if a == b else _REACH,
                     least=0.0 if a == b else -np.inf,
                 )
             )
     return InternalChanges(parameters=tuple(parameters), slopes=np.array(slopes))
 
 
-def _entry(name: str, unit: str, *, nominal: float, deviation: float, least: float) -> LinearParameter:
+def _entry(name: str, unit: str, *, nominal: float, deviation: float, reach: float, least: float) -> LinearParameter:
     """Within so many deviations of its nominal value, and what stands on the diagonal never negative."""
     return LinearParameter(
         name=name,
         unit=unit,
         nominal=nominal,
         deviation=deviation,
-        lower=min(max(nominal - REACH * deviation, least), nominal),
-        upper=nominal + REACH * deviation,
+        lower=min(max(nominal - reach * deviation, least), nominal),
+        upper=nominal + reach * deviation,
     )

@@ -46,3 +46,33 @@ def test_a_correction_that_leads_astray_is_not_taken(current, monkeypatch):
 
 def test_the_model_stays_as_it_is_where_no_correction_is_needed(current, monkeypatch):
     assert observed(current, None, monkeypatch) is current[0]
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "given", "at_bound", "effects", "begin"),
+    [
+        (100.0, 95.0, False, (), "calibrated"),  # hardly better: the calibration stands
+        (100.0, 50.0, False, (), "given"),
+        (None, 50.0, False, (), "given"),
+        (100.0, None, False, (), "calibrated"),
+        (100.0, 50.0, False, (("cubic_stiffness", "element_0"),), "calibrated"),
+        (50.0, 100.0, True, (), "given"),
+    ],
+)
+def test_the_linear_parameters_that_lead_the_first_candidate_further_are_the_start_of_all(
+    current, monkeypatch, calibrated, given, at_bound, effects, begin
+):
+    fitted, _ = current
+    costs = {"calibrated": calibrated, "given": given}
+    tried = []
+
+    def fit(_node, _observed, candidate, _task, *, linear):
+        tried.append((candidate, linear))
+        cost = costs[linear]
+        return None if cost is None else SimpleNamespace(cost=cost, linear=linear, candidate=candidate)
+
+    monkeypatch.setattr(module, "_observed_fit", fit)
+    coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
+    found = module._observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
+    assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
+    assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
