@@ -59,8 +59,8 @@ def test_the_model_stays_as_it_is_where_no_correction_is_needed(current, monkeyp
         (50.0, 100.0, True, (), "given"),
     ],
 )
-def test_the_linear_parameters_that_lead_the_first_candidate_further_are_the_start_of_all(
-    current, monkeypatch, calibrated, given, at_bound, effects, begin
+def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
+    current, monkeypatch, *, calibrated, given, at_bound, effects, begin
 ):
     fitted, _ = current
     costs = {"calibrated": calibrated, "given": given}
