@@ -11,9 +11,12 @@ from typing import Literal
 
 __all__ = ["AMBIGUOUS", "AmbiguityClass", "Circumstance", "ambiguous_with"]
 
-Circumstance = Literal["always", "one_dof", "one_output", "one_level", "one_way", "small_motion", "large_motion"]
-"""What may hold of a plant and its records: one degree of freedom; one measured output; records of about one level; a
-velocity at the place that never reverses; motion small, or large, against the length that shapes the law."""
+Circumstance = Literal[
+    "always", "one_dof", "unknown_masses", "one_output", "one_level", "one_way", "small_motion", "large_motion"
+]
+"""What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one measured
+output; records of about one level; a velocity at the place that never reverses; motion small, or large, against the
+length that shapes the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +52,14 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         "added to the structure",
     ),
     AmbiguityClass(
+        effects=("sensor_gain",),
+        besides=("a wrong mass where the sensor is",),
+        circumstance="unknown_masses",
+        when="a state space does not tell its masses: a displacement counted g times as large is that of a mass g^2 "
+        "times as light, with stiffnesses to match",
+        separates="the mass there from the drawing or a scale, or a known mass added to it",
+    ),
+    AmbiguityClass(
         effects=("coulomb_friction", "constant_force"),
         circumstance="one_way",
         when="the velocity at the place never reverses, so that the friction never changes its sign",
@@ -60,7 +71,7 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         circumstance="one_output",
         when="one displacement is measured: its offset is the static deflection of a constant force",
         separates="a second output with M, C, K of the structure (a force then moves all in the proportions of the "
-        "flexibility, while in a state space its direction is free), or an accelerometer",
+        "flexibility, while in a state space its direction may be open), or an accelerometer",
     ),
     AmbiguityClass(
         effects=("input_delay",),

@@ -38,6 +38,8 @@ STANDSTILL = {FIRST_ITERATIONS: 3e-4, LAST_ITERATIONS: 3e-3}
 """The most promising finalist and its close rivals are fitted longest; a fit ends when an iteration gains less than
 this share."""
 MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
+BETTER = 0.9
+"""The given linear parameters are the better start where the first fit from them costs less than this share."""
 MOST_FREE, MOVING_FREE = 6, 0.03
 """First fits, in observer form and in free run, end when an iteration gains less than this share."""
 POLISHED = 1.5
@@ -64,7 +66,7 @@ def expand(node: Node, task: Task) -> list[Node]:
     worth = max(candidate.fall for candidate in candidates)
     if node.held_out_level <= ENOUGH and worth < WORTH_A_TRY:
         return []
-    observations = [_observed_fit(node, observed, candidate, task) for candidate in candidates]
+    observations = _observed_fits(node, observed, candidates, task)
     fitted = _worth([fit for fit in observations if fit is not None], observed)
     runs, found = _free_runs(_leading(fitted, RUNS), task, node)
     return _judged(_leading(runs, FINALISTS), task, found, reach=REACH_SHARP if node.effects else REACH)
@@ -135,10 +137,31 @@ def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:
     return assembly, Unknowns(common=np.clip(common, lower, upper), local=local)
 
 
-def _observed_fit(node: Node, observed: Estimate, candidate: Candidate, task: Task) -> Estimate | None:
+def _observed_fits(
+    node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task
+) -> list[Estimate | None]:
+    """Each candidate fitted in observer form, from calibrated linear parameters or from those given.
+
+    A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
+    that is plain; else the first candidate is fitted both ways, and the better way is gone with the others too.
+    """
+    if node.coarse.at_bounds[: node.coarse.assembly.n_linear].any():
+        return [_observed_fit(node, observed, candidate, task, linear="given") for candidate in candidates]
+    first = _observed_fit(node, observed, candidates[0], task, linear="calibrated")
+    linear: Literal["calibrated", "given"] = "calibrated"
+    if not node.effects:
+        other = _observed_fit(node, observed, candidates[0], task, linear="given")
+        if other is not None and (first is None or other.cost < BETTER * first.cost):
+            first, linear = other, "given"
+    return [first, *(_observed_fit(node, observed, candidate, task, linear=linear) for candidate in candidates[1:])]
+
+
+def _observed_fit(
+    node: Node, observed: Estimate, candidate: Candidate, task: Task, *, linear: Literal["calibrated", "given"]
+) -> Estimate | None:
     """Fit one candidate in observer form."""
     assembly, unknowns = _with(node.coarse, candidate)
-    if node.coarse.at_bounds[: assembly.n_linear].any():
+    if linear == "given":
         unknowns.common[: assembly.n_linear] = assembly.plant.nominal
     states = _widened(observed, candidate)
     smoothing = SOFT if node.effects else SOFTER

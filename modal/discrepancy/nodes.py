@@ -16,7 +16,6 @@ __all__ = [
     "FINE_STEPS",
     "Node",
     "Task",
-    "calibrated_node",
     "counts",
     "instead",
     "log_likelihood_gain",
@@ -121,7 +120,7 @@ def node_of(fitted: Estimate, task: Task) -> Node:
 
 
 def polished(node: Node, task: Task) -> Node:
-    """The node on a finer grid and sharper where a law of it jumps or has corners and that may matter; as it is otherwise."""
+    """The node on a finer grid and sharper where a law of it is sharp and that may matter; as it is otherwise."""
     if node.fitted is not node.coarse or not any(is_sharp(item.effect) for item in node.coarse.assembly.placements):
         return node
     if not _blurred(node.coarse, task.fit):
@@ -239,11 +238,6 @@ def _between(states: FloatArray, n_times: int) -> FloatArray:
     at = np.linspace(0.0, len(states) - 1.0, n_times)
     columns = [np.interp(at, np.arange(len(states)), column) for column in states.T]
     return np.array(columns).reshape(-1, n_times).T  # a plant without dynamics has none
-
-
-def calibrated_node(start: Estimate, task: Task, *, iterations: int = 12) -> Node:
-    """Fit the linear parameters and the initial states."""
-    return polished(node_of(estimate(start, task.fit, iterations=iterations), task), task)
 
 
 def counts(parent: Node, child: Node, task: Task) -> bool:

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from modal.discrepancy.calibration import calibrated_node
 from modal.discrepancy.checks import check_lengths, check_plant
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
@@ -13,7 +14,7 @@ from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_a
 from modal.discrepancy.gap import measure_gap
 from modal.discrepancy.given import Given, placed_assembly
 from modal.discrepancy.locate import Location, locate
-from modal.discrepancy.nodes import FINE_STEPS, Node, Task, calibrated_node, node_of, on_other_floor, polished
+from modal.discrepancy.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
 from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
 from modal.discrepancy.search import search
 from modal.discrepancy.steps import steps_per_sample

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from modal.discrepancy.advice import circumstances_of
+from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.checks import check_plant, check_records
 from modal.discrepancy.decision import Decision, decide_nodes
@@ -238,22 +239,4 @@ def _estimated(
             "the model could not be simulated along the records: its motion grows without bound; check the units of "
             "the inputs and the signs of its effects"
         )
-    found = estimate(start, problem, iterations=15)
-    observed = _by_observer(start, problem) if given.effects else None
-    return given, found if observed is None or observed.cost >= found.cost else observed, problem
-
-
-def _by_observer(start: Estimate, problem: Problem) -> Estimate | None:
-    """The fit by way of the observer form: a free run far from the records has minima of its own in the effects."""
-    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
-    gain = observer_gain(start, problem, steps)
-    if gain is None:
-        return None
-    observed = simulate_at(
-        start.assembly, start.unknowns, problem, states=start.trajectory.states, gain=gain, smoothing=start.smoothing
-    )
-    if observed is None:
-        return None
-    near = estimate(observed, problem, iterations=6)
-    free = simulate_at(start.assembly, near.unknowns, problem, states=near.trajectory.states, smoothing=start.smoothing)
-    return None if free is None else estimate(free, problem, iterations=15)
+    return given, fitted_either_way(start, problem, iterations=15), problem

@@ -5,10 +5,10 @@ C A^-1 x, accelerometers the second derivative of C A^-2 x. A force cannot move 
 e in the state space is one with (displacement rows) e = 0: the null space of these rows. Half of the states of a
 structure at most are displacements; the other half is what a force can drive.
 
-Places are the outputs, and the differences of two of them. The direction of a force at a place is not known, so a port
-has several columns: the first, e_1, gives the displacement there an acceleration of -1 (the force opposes motion), the
-others add what a force at that place may do elsewhere and give it none. Forces are therefore counted per effective
-mass at the place, in length unit / s^2.
+Places are the outputs, and the differences of two of them (`state_space_ports`). Where the matrices show that the plant
+is a structure with symmetric M, C, K (`reciprocity`) and all its modes are measured, a force at a place is known to act
+along the sensor; else its direction is open, and a port has several columns. Forces are counted per effective mass at
+the place, in length unit / s^2.
 
 Where a displacement does not exist:
     - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
@@ -25,15 +25,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import scipy
 
 from modal.discrepancy.continuous_time import ContinuousSystem, continuous_system
 from modal.discrepancy.internal_changes import internal_changes
 from modal.discrepancy.modal_form import modal_form
 from modal.discrepancy.motion_rows import OutputMotion, motion_of_outputs
-from modal.discrepancy.plant import Plant, Port
+from modal.discrepancy.plant import Plant
+from modal.discrepancy.reciprocity import Structure, reciprocal_structure
+from modal.discrepancy.state_space_ports import ports_of
 from modal.discrepancy.static_plant import static_plant
-from modal.discrepancy.tank_levels import is_length, tank_levels
+from modal.discrepancy.symmetric_changes import symmetric_changes
 from modal.structure import SensorKind
 from modal.structure_checks import matched_names, sensor_kinds, tolerance
 from okid.arrays import FloatArray
@@ -42,18 +43,6 @@ from okid.record import InputHold, Record
 from okid.record_checks import labels
 
 __all__ = ["state_space_plant"]
-
-_MOST_PAIRED = 12
-"""Outputs up to which every pair is a place; beyond, only neighbours in the order of the outputs are."""
-
-_ACCEPTS = {
-    "mechanical": frozenset({"motion", "force", "mass"}),
-    "shaft": frozenset({"motion", "force"}),
-    "flow": frozenset({"flow", "force"}),
-}
-
-_STILL = 1e-9
-"""Share of the largest pole below which a pole is an integrator."""
 
 _RANK = 1e-6
 """Singular values of the displacement rows below this share of the largest are rounding."""
@@ -75,8 +64,9 @@ def state_space_plant(
 ) -> Plant:
     """The plant of a state space, in real modal form.
 
-    Uncertain are all linear forces inside the structure (`internal_changes`), because a wrong stiffness changes shapes
-    and static response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
+    Uncertain are stiffness and damping of a structure, which stay symmetric (`symmetric_changes`); where no symmetry
+    shows, all linear forces inside it (`internal_changes`), because a wrong stiffness changes shapes and static
+    response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
 
     Args:
         system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
@@ -102,7 +92,7 @@ def state_space_plant(
         >>> mass_on_spring = control.ss([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
         >>> plant = state_space_plant(mass_on_spring, sensor_kind="displacement")
         >>> [port.name for port in plant.ports], [parameter.name for parameter in plant.parameters]
-        (['output_0'], ['internal force 1 by modal state 1', 'internal force 1 by modal state 2'])
+        (['output_0'], ['stiffness of mode 1 (1.592 Hz)', 'damping of mode 1 (1.592 Hz)'])
     """
     continuous = continuous_system(system, input_hold=input_hold, dt=dt)
     n_outputs, n_inputs = continuous.D.shape
@@ -120,20 +110,32 @@ def state_space_plant(
         damping_tolerance=tolerance(damping_tolerance, name="damping_tolerance"),
     )
     kinds = sensor_kinds(sensor_kind, n_outputs)
-    motions = motion_of_outputs(form.system, kinds, units[1])
-    ports, forces, direct = _ports(form.system, motions, names[1])
     modal = form.system
+    motions = motion_of_outputs(modal, kinds, units[1])
+    free = _free_directions(motions, len(modal.A))
+    structure = _structure(modal, motions, free)
+    ports, forces, direct = ports_of(
+        modal,
+        motions,
+        names[1],
+        forces=free if structure is None else structure.forces,
+        directions="any" if structure is None or free.shape[1] > structure.n_modes else "along_sensors",
+    )
     constant = np.block([[modal.A, modal.B, forces], [modal.C, modal.D, direct]])
     n_states = len(modal.A)
-    changes = internal_changes(modal.A, _free_directions(motions, n_states), motions, tolerance=frequency_tolerance)
+    if structure is None:
+        changes = internal_changes(modal.A, free, motions, tolerance=frequency_tolerance)
+    else:
+        changes = symmetric_changes(
+            modal.A, structure, motions, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance
+        )
     parameters = form.parameters if changes is None else changes.parameters
     slopes = np.zeros((len(parameters), *constant.shape))
     if changes is None:
         slopes[:, :n_states, :n_states] = form.slopes
-        nominal = np.array([parameter.nominal for parameter in parameters])
-        constant[:n_states, :n_states] -= np.tensordot(nominal, form.slopes, axes=(0, 0))
     else:
         slopes[:, :, :n_states] = changes.slopes
+    constant -= np.tensordot(np.array([parameter.nominal for parameter in parameters]), slopes, axes=(0, 0))
     return Plant(
         system=np.concatenate([constant[None], slopes]),
         n_states=n_states,
@@ -158,48 +160,14 @@ def _check_stable(A: FloatArray) -> None:
         )
 
 
-def _ports(
-    system: ContinuousSystem, motions: tuple[OutputMotion, ...], names: tuple[str, ...]
-) -> tuple[tuple[Port, ...], FloatArray, FloatArray]:
-    """The ports with their E and G."""
-    n_states = len(system.A)
-    held = _free_directions(motions, n_states)
-    levels = tank_levels(system, motions, names)
-    places = [(name, one, _accepted(one, levels)) for name, one in zip(names, motions, strict=True)]
-    for i, j in _pairs(motions):
-        # an absorber hangs on one place; between two its force would have nothing to stand on
-        places.append((f"{names[i]}-{names[j]}", motions[i].less(motions[j]), _accepted(motions[i], levels) - {"mass"}))
-    places += [(name, one, frozenset({"flow"})) for name, one in levels]
-    ports: list[Port] = []
-    columns: list[FloatArray] = [np.zeros((n_states, 0))]
-    n_columns = 0
-    for name, motion, accepts in places:
-        found = _opposing(np.eye(n_states) if motion.nature == "flow" else held, motion.driven)
-        if found is not None:
-            columns.append(found)
-            ports.append(
-                Port(
-                    name=name,
-                    displacement=motion.displacement,
-                    velocity=motion.velocity,
-                    columns=tuple(range(n_columns, n_columns + found.shape[1])),
-                    stiffness=_static_stiffness(system.A, motion, found[:, 0]),
-                    mass=1.0 if motion.nature == "mechanical" else None,
-                    length_unit=motion.unit,
-                    force_unit=motion.force_unit,
-                    accepts=accepts,
-                )
-            )
-            n_columns += found.shape[1]
-    forces = np.hstack(columns)
-    return tuple(ports), forces, np.array([motion.direct for motion in motions]) @ forces
-
-
-def _accepted(motion: OutputMotion, levels: tuple[tuple[str, OutputMotion], ...]) -> frozenset[str]:
-    """What may act where an output is; where it may be a level and its unit is no length, no mechanical law may."""
-    if motion.nature == "mechanical" and levels and not is_length(motion.unit):
-        return frozenset({"force"})
-    return _ACCEPTS[motion.nature]
+def _structure(system: ContinuousSystem, motions: tuple[OutputMotion, ...], free: FloatArray) -> Structure | None:
+    """The structure behind the state space, where all outputs show its motion; what never oscillates may be tanks."""
+    rows = [one.displacement[: len(system.A)] for one in motions if one.displacement is not None]
+    if len(rows) < len(motions) or any(one.nature != "mechanical" for one in motions):
+        return None
+    if not np.iscomplex(np.linalg.eigvals(system.A)).any():
+        return None
+    return reciprocal_structure(system, np.array(rows), free)
 
 
 def _free_directions(motions: tuple[OutputMotion, ...], n_states: int) -> FloatArray:
@@ -213,35 +181,3 @@ def _free_directions(motions: tuple[OutputMotion, ...], n_states: int) -> FloatA
     _, sizes, right = np.linalg.svd(scaled)
     rank = min(int((sizes > _RANK * sizes.max(initial=0.0)).sum()), n_states // 2)
     return np.ascontiguousarray(right[rank:].T)
-
-
-def _opposing(free: FloatArray, driven: FloatArray) -> FloatArray | None:
-    """Columns of E for a force at a place, None where none of the free directions moves it.
-
-    The first is the shortest direction e with driven e = -1; the others, of its length, have driven e = 0.
-    """
-    moves = free.T @ driven
-    size = float(np.linalg.norm(moves))
-    if size <= 1e-8 * float(np.linalg.norm(driven)) or size == 0:
-        return None
-    first = -moves / size**2
-    others = scipy.linalg.null_space(moves[None] / size) / size
-    return free @ np.hstack([first[:, None], others])
-
-
-def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray) -> float | None:
-    """Constant force by the displacement that it gives at the place, per effective mass; k / m for one DOF."""
-    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / _STILL:
-        return None
-    compliance = float(motion.displacement[: len(A)] @ np.linalg.solve(A, opposing))
-    return 1 / compliance if compliance > 0 else None
-
-
-def _pairs(motions: tuple[OutputMotion, ...]) -> list[tuple[int, int]]:
-    reach = len(motions) if len(motions) <= _MOST_PAIRED else 1
-    return [
-        (i, j)
-        for i, first in enumerate(motions)
-        for j, second in enumerate(motions[: i + reach + 1])
-        if j > i and (first.nature, first.unit) == (second.nature, second.unit)
-    ]

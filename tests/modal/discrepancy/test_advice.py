@@ -52,6 +52,22 @@ def test_a_shaft_that_turns_one_way():
     assert "one_way" in circumstances_of(plant, records(), root_with(plant, records(), forward))
 
 
+def test_the_masses_of_a_state_space_are_not_known():
+    from chains import Chain
+
+    from modal.discrepancy.state_space_plant import state_space_plant
+
+    def given(chain):
+        names = {name: getattr(chain.system, name) for name in "ABCD"}
+        return state_space_plant(SimpleNamespace(**names, dt=0.0), sensor_kind="displacement")
+
+    two, one, structure = given(Chain(1, 2, (0, 1), 0)), given(Chain(1, 1, (0,), 0)), structural_plant(nominal())
+    assert "unknown_masses" in circumstances_of(two, records(), root_with(two, records()))
+    # of one mass with one sensor all of that is one number
+    assert "unknown_masses" not in circumstances_of(one, records(), root_with(one, records()))
+    assert "unknown_masses" not in circumstances_of(structure, records(), root_with(structure, records()))
+
+
 def test_two_masses_with_three_sensors_are_told_apart():
     from engine_plants import some_records
 

@@ -47,5 +47,11 @@ def test_half_a_sample_of_delay_is_always_a_question_of_the_hold():
     assert "half a sample" in found.others("input_delay")[0]
 
 
+def test_a_sensor_of_a_state_space_may_sit_on_another_mass():
+    (found,) = ambiguous_with("sensor_gain", circumstances=["unknown_masses"])
+    assert "mass" in found.others("sensor_gain")[0]
+    assert not ambiguous_with("input_gain", circumstances=["unknown_masses"])
+
+
 def test_an_unknown_effect_is_in_no_class():
     assert ambiguous_with("mine", circumstances=get_args(Circumstance)) == ()

@@ -83,3 +83,33 @@ def test_a_law_too_hard_to_move_starts_again_much_weaker(monkeypatch):
         fit = SimpleNamespace(assembly=assembly, unknowns=unknowns, trajectory=SimpleNamespace(states=None))
         assert module._free_run(fit, SimpleNamespace(fit=None), 0.03).cost == 1.0
         assert tried == expected
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "given", "at_bound", "effects", "begin"),
+    [
+        (100.0, 95.0, False, (), "calibrated"),  # hardly better: the calibration stands
+        (100.0, 50.0, False, (), "given"),
+        (None, 50.0, False, (), "given"),
+        (100.0, None, False, (), "calibrated"),
+        (100.0, 50.0, False, (("cubic_stiffness", "element_0"),), "calibrated"),
+        (50.0, 100.0, True, (), "given"),
+    ],
+)
+def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
+    current, monkeypatch, *, calibrated, given, at_bound, effects, begin
+):
+    fitted, _ = current
+    costs = {"calibrated": calibrated, "given": given}
+    tried = []
+
+    def fit(_node, _observed, candidate, _task, *, linear):
+        tried.append((candidate, linear))
+        cost = costs[linear]
+        return None if cost is None else SimpleNamespace(cost=cost, linear=linear, candidate=candidate)
+
+    monkeypatch.setattr(module, "_observed_fit", fit)
+    coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
+    found = module._observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
+    assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
+    assert {linear for candidate, linear in tried if candidate != "a"} == {begin}

@@ -26,10 +26,10 @@ class OwnEffect(CubicStiffness):
 
 
 class System:
-    """Two masses with both displacements measured, without names for the directions of force."""
+    """Two masses with both displacements measured; one pushes the other by a feedback, so that directions are open."""
 
     dt = 0.0
-    A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-500.0, 200, -0.3, 0.2], [100, -100, 0.1, -0.1]])
+    A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-500.0, 200, -0.3, 0.0], [-100, -100, 0.0, -0.1]])
     B = np.array([[0.0], [0.0], [1.0], [0.0]])
     C = np.eye(4)[:2]
     D = np.zeros((2, 1))

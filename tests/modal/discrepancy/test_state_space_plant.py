@@ -19,9 +19,15 @@ class StateSpace:
         self.A, self.B, self.C, self.D, self.dt = A, B, C, D, dt
 
 
-def first_order_chain(kinds: list[str], dofs: list[int], *, mix: np.ndarray | None = None) -> StateSpace:
-    """The chain in states [x; v], driven at DOF 1, seen in other states z = mix [x; v]."""
+def first_order_chain(
+    kinds: list[str], dofs: list[int], *, mix: np.ndarray | None = None, feedback: float = 0.0
+) -> StateSpace:
+    """The chain in states [x; v], driven at DOF 1, seen in other states z = mix [x; v].
+
+    A force on DOF 0 by the displacement of DOF 2 alone, `feedback`, is what no spring gives.
+    """
     mass, damping, stiffness = chain_matrices(MASSES, SPRINGS, DAMPERS)
+    stiffness[0, 2] += feedback
     lower = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     A = np.vstack([np.hstack([np.zeros((3, 3)), np.eye(3)]), lower])
     B = np.concatenate([np.zeros(3), np.linalg.solve(mass, [0.0, 1.0, 0.0])])[:, None]
@@ -91,13 +97,14 @@ def test_rows_are_the_true_displacement_and_velocity(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["displacement", "velocity", "acceleration"])
-def test_directions_hold_every_physical_force_and_nothing_else(kind: str) -> None:
+def test_without_symmetry_directions_hold_every_physical_force_and_nothing_else(kind: str) -> None:
     """With all three DOFs measured the directions at a port span the accelerations M^-1 b of the chain."""
     mix = np.random.default_rng(3).standard_normal((6, 6))
-    system = first_order_chain([kind] * 3, [0, 1, 2], mix=mix)
+    system = first_order_chain([kind] * 3, [0, 1, 2], mix=mix, feedback=150.0)
     plant = state_space_plant(system, sensor_kind=kind)
     m = nominal(plant)
     mass, damping, stiffness = chain_matrices(MASSES, SPRINGS, DAMPERS)
+    stiffness[0, 2] += 150.0
     power = {"displacement": 0, "velocity": 1, "acceleration": 2}[kind]
     for port in plant.ports:
         columns = list(port.columns)
@@ -128,7 +135,8 @@ def test_the_first_direction_opposes_and_the_others_leave_the_place_alone(kind: 
 
 def test_a_spring_at_an_output_is_found_among_the_directions() -> None:
     """A stiffer ground spring on mass 0 equals w = k d at output_0 with one choice of direction."""
-    plant = state_space_plant(first_order_chain(["acceleration"] * 3, [0, 1, 2]), sensor_kind="acceleration")
+    system = first_order_chain(["acceleration"] * 3, [0, 1, 2], feedback=150.0)
+    plant = state_space_plant(system, sensor_kind="acceleration")
     m, port = nominal(plant), plant.port("output_0")
     columns = list(port.columns)
     mass, damping, stiffness = chain_matrices(MASSES, SPRINGS, DAMPERS)
@@ -137,6 +145,7 @@ def test_a_spring_at_an_output_is_found_among_the_directions() -> None:
     assert direction[0] == pytest.approx(1.0 / MASSES[0])  # the first component carries what happens at the place
     row = 55.0 * port.displacement[None, :6]
     A = m.A + m.E[:, columns] @ direction[:, None] @ row
+    stiffness[0, 2] += 150.0
     stiffness[0, 0] += 55.0
     wanted = np.linalg.eigvals(
         np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
@@ -172,7 +181,7 @@ def test_parameters_are_forces_that_move_no_displacement_at_once() -> None:
 
 @pytest.mark.parametrize("kind", ["displacement", "acceleration"])
 def test_a_wrong_stiffness_anywhere_lies_within_the_parameters(kind: str) -> None:
-    """The chain with one spring 4 % stiffer, found by least squares on the entries of F, to second order at least."""
+    """The chain with one spring 4 % stiffer, found by least squares on the entries of K and C, exactly."""
     kinds, dofs = [kind] * 3, [0, 1, 2]
     plant = state_space_plant(first_order_chain(kinds, dofs), sensor_kind=kind)
     mass, damping, stiffness = chain_matrices(MASSES, [SPRINGS[0], 1.04 * SPRINGS[1], SPRINGS[2]], DAMPERS)

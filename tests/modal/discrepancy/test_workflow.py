@@ -1,6 +1,6 @@
 """The whole workflow on records from a Runge-Kutta loop: no effect, one, one beside another, other models."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import control
 import numpy as np
@@ -173,3 +173,29 @@ def test_a_catalogue_is_a_mapping():
     fit, held_out, _ = experiment(None, n_samples=80)
     with pytest.raises(InvalidDataError, match="the catalogue is a mapping from keys to effects and a list was given"):
         diagnose(nominal(), fit, held_out, catalogue=["cubic_stiffness"])
+
+
+@pytest.mark.parametrize(("effect", "place"), [("input_gain", "input_0"), ("sensor_gain", "output_0")])
+def test_the_gain_of_the_input_and_of_the_driven_sensor_are_told_apart_in_a_state_space(effect, place):
+    """Any linear force would make them one: what else changes in y' = g y is stiffness, but no symmetric one."""
+    masses, stiffnesses, dampings = (1.0, 1.4), (100.0, 80.0), (0.6, 0.5)
+    fit, held_out, _ = experiment(
+        masses=masses, stiffnesses=stiffnesses, dampings=dampings, levels=(3.0, 2.0), n_samples=400
+    )
+
+    def measured(record):
+        if effect == "input_gain":
+            return replace(record, inputs=record.inputs / 0.8)
+        return replace(record, outputs=record.outputs * [0.8, 1.0])
+
+    guess = nominal(masses=masses, stiffnesses=(104.0, 77.0), dampings=(0.5, 0.6))
+    lower = -np.linalg.solve(guess.mass, np.hstack([guess.stiffness, guess.damping]))
+    A = np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower])
+    system = control.ss(A, [[0.0], [0.0], [1.0], [0.0]], np.eye(4)[:2], np.zeros((2, 1)))
+    found = diagnose(
+        system, [measured(one) for one in fit], [measured(one) for one in held_out], sensor_kind="displacement"
+    )
+    assert [(one.effect, one.where) for one in found.findings] == [(effect, place)]
+    assert found.status == "named"
+    assert found.findings[0].parameters[0].value == pytest.approx(0.8, abs=0.01)
+    assert any("mass" in other for other in found.findings[0].ambiguous_with) == (effect == "sensor_gain")
