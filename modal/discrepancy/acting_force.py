@@ -10,7 +10,7 @@ from modal.discrepancy.driven import per_time
 from modal.discrepancy.effects.effect import Force, Memory
 from modal.discrepancy.force_line import ForceLine, add_rows, force_line
 from modal.discrepancy.plant import Port
-from modal.discrepancy.port_motion import motion_at, one_on
+from modal.discrepancy.port_motion import motion_at, one_on, step_compliance
 from modal.discrepancy.scheme import Scheme
 from okid.arrays import FloatArray
 
@@ -95,6 +95,7 @@ def acting_forces(
         first = span.stop
         values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
         at = assembly.stiffness_parameter(i)
+        columns, direction = list(port.columns), unknowns.directions(assembly, i)
         motion = motion_at(
             item,
             states[:, :n],
@@ -102,10 +103,10 @@ def acting_forces(
             states[:, span],
             smoothing * drive.level,
             stiffness=None if at is None else float(unknowns.common[at]),
+            step_compliance=step_compliance(assembly.plant, port, direction, drive.dt),
         )
         after = one_on(motion)
         force = effect.force(values, motion)
-        columns, direction = list(port.columns), unknowns.directions(assembly, i)
         found.append(
             ActingForce(
                 port=port,

@@ -2,8 +2,8 @@
 
 A force enters a step as E0 start + E1 end. Its values at the ends would do to second order; with the force in the
 middle of the step, w_m, the line is lifted by c = 2/3 (w_m - (w0 + w1)/2), which gives it the force's own mean to
-fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps brings its own
-line (`ForceEffect.step_force`).
+fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps, or that stops
+the motion within a step, brings its own line (`ForceEffect.step_force`).
 """
 
 from collections.abc import Sequence
@@ -113,9 +113,10 @@ def force_line(
 def _of_jump(jump: StepForce, port: Port, n_states: int, n_all: int) -> ForceLine:
     none = np.zeros(len(jump.start))
 
-    def rows(by_velocity: FloatArray) -> FloatArray:
+    def rows(slope: FloatArray) -> FloatArray:
         found = np.zeros((len(none), n_all))
-        add_rows(found[:, :n_states], port, none, by_velocity)
+        by_displacement, by_velocity = (slope, none) if jump.reads == "displacement" else (none, slope)
+        add_rows(found[:, :n_states], port, by_displacement, by_velocity)
         return found
 
     return ForceLine(

@@ -1,6 +1,7 @@
 """What a force law reads and what it gives back: the motion at a port, the force, its line over a step, its states."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from okid.arrays import FloatArray
 
@@ -20,6 +21,8 @@ class Motion:
         velocity_scale: Likewise of the velocity.
         stiffness: Linear stiffness at the port (1.0 where it is not known).
         mass: Mass at the port (1.0 where it is not known).
+        step_compliance: Displacement that a force of 1 takes away within a step, where it moves it at once (a flow);
+            0 elsewhere.
         smoothing: Width over which sharp laws (sign, contact) are smoothed, as a share of the scale, for all samples
             or (n,) for each (a quiet record has a smaller width); 0: sharp.
     """
@@ -32,6 +35,7 @@ class Motion:
     velocity_scale: float
     stiffness: float = 1.0
     mass: float = 1.0
+    step_compliance: float = 0.0
     smoothing: float | FloatArray = 0.0
 
 
@@ -56,17 +60,18 @@ class Force:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StepForce:
-    """The straight line that stands for a force over each step, for laws that jump within it.
+    """The straight line that stands for a force over each step, for laws that jump or stop the motion within it.
 
     Attributes:
         start: (n,) value at the start of the step.
         end: (n,) value at its end.
-        start_by_before: (n,) derivative of `start` by the velocity at the start of the step.
-        start_by_after: (n,) derivative of `start` by the velocity at its end.
-        end_by_before: (n,) derivative of `end` by the velocity at the start.
-        end_by_after: (n,) derivative of `end` by the velocity at the end.
+        start_by_before: (n,) derivative of `start` by the motion at the start of the step.
+        start_by_after: (n,) derivative of `start` by the motion at its end.
+        end_by_before: (n,) derivative of `end` by the motion at the start.
+        end_by_after: (n,) derivative of `end` by the motion at the end.
         start_by_parameter: (n, n_parameters).
         end_by_parameter: (n, n_parameters).
+        reads: The motion that the law reads, and the derivatives are by.
     """
 
     start: FloatArray
@@ -77,6 +82,7 @@ class StepForce:
     end_by_after: FloatArray
     start_by_parameter: FloatArray
     end_by_parameter: FloatArray
+    reads: Literal["displacement", "velocity"] = "velocity"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
