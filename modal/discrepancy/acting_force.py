@@ -9,8 +9,7 @@ from modal.discrepancy.drive import Drive, IndexArray
 from modal.discrepancy.driven import per_time
 from modal.discrepancy.effects.effect import Force, Memory, jumps
 from modal.discrepancy.force_line import ForceLine, force_line, port_rows
-from modal.discrepancy.plant import Plant, Port, plant_matrices
-from modal.discrepancy.port_motion import motion_at, one_on
+from modal.discrepancy.port_motion import motion_at, one_on, step_compliance, step_mobility
 from modal.discrepancy.scheme import Scheme
 from okid.arrays import FloatArray
 
@@ -132,6 +131,7 @@ def acting_forces(
         first = span.stop
         values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
         at = assembly.stiffness_parameter(i)
+        columns, direction = list(port.columns), unknowns.directions(assembly, i)
         motion = motion_at(
             item,
             states[:, :n],
@@ -139,11 +139,11 @@ def acting_forces(
             states[:, span],
             smoothing * drive.level,
             stiffness=None if at is None else float(unknowns.common[at]),
-            mobility=_mobility(assembly.plant, port, drive.dt) if jumps(effect) else 0.0,
+            mobility=step_mobility(assembly.plant, port, drive.dt) if jumps(effect) else 0.0,
+            step_compliance=step_compliance(assembly.plant, port, direction, drive.dt),
         )
         after = one_on(motion)
         force = effect.force(values, motion)
-        columns, direction = list(port.columns), unknowns.directions(assembly, i)
         found.append(
             ActingForce(
                 rows=port_rows(port, n, n_all, span),
@@ -157,14 +157,3 @@ def acting_forces(
             )
         )
     return tuple(found)
-
-
-def _mobility(plant: Plant, port: Port, dt: float) -> float:
-    """Velocity that a unit of force gives a port within one step.
-
-    Of the model as it was given: it belongs to the rule by which a step is taken, not to what is fitted.
-    """
-    if port.velocity is None:
-        return 0.0
-    E = plant_matrices(plant, plant.nominal).E[:, port.columns[0]]
-    return abs(float(port.velocity[: plant.n_states] @ E)) * dt

@@ -12,13 +12,25 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.drive import Drive
+from modal.discrepancy.bounded_step import bounded_step
+from modal.discrepancy.drive import Drive, IndexArray
+from modal.discrepancy.hard_steps import moved, reach_of, walls
 from modal.discrepancy.scheme import Scheme, scheme_and_slopes
 from modal.discrepancy.sensitivity import Sensitivity, sensitivity
 from modal.discrepancy.trajectory import SHARP, Trajectory, resting_states, simulate_states
 from okid.arrays import BoolArray, FloatArray
 
-__all__ = ["Estimate", "Problem", "covariance", "estimate", "normal_equations", "simulate_at", "weighted_residual"]
+__all__ = [
+    "Estimate",
+    "Problem",
+    "covariance",
+    "estimate",
+    "held_unknowns",
+    "normal_equations",
+    "sensitivity_of",
+    "simulate_at",
+    "weighted_residual",
+]
 
 FIRST_DAMPING = 1e-3
 TRIALS = 5
@@ -124,7 +136,7 @@ def simulate_at(
         cost=squares + _prior_cost(assembly, unknowns),
         squares=squares,
         mean_square=_mean_square(problem, residual),
-        at_bounds=_at_bounds(assembly, unknowns),
+        at_bounds=_at_bounds(assembly, unknowns, problem.drive.dt),
         iterations=0,
         gain=gain,
         smoothing=smoothing,
@@ -151,11 +163,11 @@ def estimate(
     """
     current, damping = start, FIRST_DAMPING
     for iteration in range(iterations):
-        slopes = _sensitivity(current, problem)
+        slopes = sensitivity_of(current, problem)
         gram, score = normal_equations(current, problem, slopes)
         better = None
         for _ in range(TRIALS):
-            step = _bounded_step(current, gram, score, damping, free_common=problem.free_common)
+            step = _step(current, gram, score, damping, free_common=problem.free_common)
             better = _trial(current, problem, slopes, step)
             damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
             if better is not None:
@@ -169,7 +181,8 @@ def estimate(
     return current
 
 
-def _sensitivity(current: Estimate, problem: Problem) -> Sensitivity:
+def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:
+    """Derivatives by everything that is fitted to the records."""
     slopes = current.slopes if problem.free_common else ()
     return sensitivity(
         current.assembly,
@@ -210,56 +223,30 @@ def normal_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -
     return gram, score
 
 
-def _bounded_step(
-    current: Estimate, gram: FloatArray, score: FloatArray, damping: float, *, free_common: bool
-) -> FloatArray:
-    """Damped Gauss-Newton step, unknowns at a bound that it would cross held there."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] = 1.0 + damping
-    lower, upper, at = np.full(len(score), -np.inf), np.full(len(score), np.inf), np.zeros(len(score))
+def _step(current: Estimate, gram: FloatArray, score: FloatArray, damping: float, *, free_common: bool) -> FloatArray:
+    """The damped step within the bounds, and within the reach of hard limits."""
+    at = np.zeros(len(score))
+    lower, upper, reach = np.full(len(score), -np.inf), np.full(len(score), np.inf), np.full(len(score), np.inf)
     if free_common:
         n = current.assembly.n_common
-        lower[:n], upper[:n] = current.assembly.bounds()
         at[:n] = current.unknowns.common
-    free = scale > 1e-140
-    step = np.zeros(len(score))
-    for _ in range(len(score)):
-        index = np.flatnonzero(free)
-        step[:] = 0.0
-        matrix = scaled[np.ix_(index, index)]
-        step[index] = _solve(matrix, score[index] / scale[index]) / scale[index]
-        crossing = free & ((at + step < lower) | (at + step > upper))
-        if not crossing.any():
-            return step
-        held = np.clip(at, lower, upper) - at
-        stuck = crossing & (((at <= lower) & (step < 0.0)) | ((at >= upper) & (step > 0.0)))
-        if not stuck.any():
-            bound = np.clip(at + step, lower, upper) - at
-            return np.where(crossing, bound, step)
-        free &= ~stuck
-        step[stuck] = held[stuck]
-    return step
-
-
-def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    try:
-        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))
-    except scipy.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
+        lower[:n], upper[:n] = current.assembly.bounds()
+        reach[:n] = reach_of(at[:n], walls(current.assembly, current.unknowns, current.trajectory.drive.dt))
+    return bounded_step(gram, score, damping, at=at, lower=lower, upper=upper, reach=reach)
 
 
 def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: FloatArray) -> Estimate | None:
     n_common, n_local = len(slopes.common), len(slopes.local)
     n_records = problem.drive.n_records
-    moved = step[n_common:].reshape(n_records, n_local)
-    common = current.unknowns.common.copy()
-    common[:n_common] += step[:n_common]
-    unknowns = Unknowns(common=common, local=current.unknowns.local + moved)
+    own = step[n_common:].reshape(n_records, n_local)
+    common = current.unknowns.common
+    if n_common:
+        common = moved(common, step[:n_common], walls(current.assembly, current.unknowns, problem.drive.dt))
+    unknowns = Unknowns(common=common, local=current.unknowns.local + own)
     states = current.trajectory.states + np.tensordot(step[:n_common], slopes.common_states, axes=(0, 0))
     for record in range(n_records):
         times = problem.drive.times_of(record)
-        states[times] += np.tensordot(moved[record], slopes.local_states[:, times], axes=(0, 0))
+        states[times] += np.tensordot(own[record], slopes.local_states[:, times], axes=(0, 0))
     found = simulate_at(
         current.assembly, unknowns, problem, states=states, gain=current.gain, smoothing=current.smoothing, start="near"
     )
@@ -271,9 +258,8 @@ def covariance(current: Estimate, problem: Problem) -> FloatArray:
 
     What is held, or sits on a hard bound, has none: the others' is that given the bound.
     """
-    gram, _ = normal_equations(current, problem, _sensitivity(current, problem))
-    lower, upper = current.assembly.bounds()
-    held = np.flatnonzero((lower == upper) | current.at_bounds)
+    gram, _ = normal_equations(current, problem, sensitivity_of(current, problem))
+    held = held_unknowns(current)
     gram[held, :] = 0.0
     gram[:, held] = 0.0
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -281,6 +267,12 @@ def covariance(current: Estimate, problem: Problem) -> FloatArray:
     inverse[held, :] = 0.0
     inverse[:, held] = 0.0
     return np.asarray(inverse * max(1.0, current.level))
+
+
+def held_unknowns(current: Estimate) -> IndexArray:
+    """Which common unknowns are held, or sit on a hard bound."""
+    lower, upper = current.assembly.bounds()
+    return np.flatnonzero((lower == upper) | current.at_bounds)
 
 
 def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:
@@ -300,6 +292,7 @@ def _mean_square(problem: Problem, residual: FloatArray) -> FloatArray:
     return found
 
 
-def _at_bounds(assembly: Assembly, unknowns: Unknowns) -> BoolArray:
+def _at_bounds(assembly: Assembly, unknowns: Unknowns, dt: float) -> BoolArray:
     lower, upper = assembly.bounds()
+    upper = np.minimum(upper, walls(assembly, unknowns, dt))
     return np.asarray((unknowns.common <= lower) | (unknowns.common >= upper))

@@ -2,8 +2,8 @@
 
 A force enters a step as E0 start + E1 end. Its values at the ends would do to second order; with the force in the
 middle of the step, w_m, the line is lifted by c = 2/3 (w_m - (w0 + w1)/2), which gives it the force's own mean to
-fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps brings its own
-line (`ForceEffect.step_force`).
+fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps, or that stops
+the motion within a step, brings its own line (`ForceEffect.step_force`).
 
 A force sees the states only through the motion at its port: displacement, velocity and its own states, which are fixed
 rows of them (`port_rows`). Dependences are kept by these few coordinates, time last.
@@ -127,11 +127,15 @@ def force_line(
 
 
 def _of_jump(jump: StepForce, n_coordinates: int) -> ForceLine:
+    read = 0 if jump.reads == "displacement" else 1
     by_before, by_after = np.zeros((2, n_coordinates, 2, len(jump.start)))
-    by_before[1] = jump.start_by_before, jump.end_by_before
-    by_after[1] = jump.start_by_after, jump.end_by_after
-    lift_before, lift_after = np.zeros((2, n_coordinates, len(jump.start)))
-    lift_before[1], lift_after[1] = jump.lift_by_before, jump.lift_by_after
+    by_before[read] = jump.start_by_before, jump.end_by_before
+    by_after[read] = jump.start_by_after, jump.end_by_after
+    lift = None
+    if jump.lift is not None:
+        lift_before, lift_after = np.zeros((2, n_coordinates, len(jump.start)))
+        lift_before[read], lift_after[read] = jump.lift.by_before, jump.lift.by_after
+        lift = Lift(value=jump.lift.value, slope=jump.lift.by_parameter, by_before=lift_before, by_after=lift_after)
     return ForceLine(
         start=jump.start,
         end=jump.end,
@@ -139,7 +143,7 @@ def _of_jump(jump: StepForce, n_coordinates: int) -> ForceLine:
         end_slope=jump.end_by_parameter,
         by_before=by_before,
         by_after=by_after,
-        lift=Lift(value=jump.lift, slope=jump.lift_by_parameter, by_before=lift_before, by_after=lift_after),
+        lift=lift,
     )
 
 

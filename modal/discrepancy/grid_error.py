@@ -21,13 +21,14 @@ def grid_error(node: Node) -> FloatArray:
         node: A fitted model.
 
     Returns:
-        (n_common,) in the unknowns' units; zero where there was one grid only, because no law of the model jumps.
+        (n_common,) in the unknowns' units; zero where there was one grid only, because no law of the model jumps, and
+        for what is held at a bound.
 
     References:
         Richardson, Gaunt, The deferred approach to the limit, Phil. Trans. R. Soc. A 226, 1927,
         https://doi.org/10.1098/rsta.1927.0008
     """
     fine, coarse = node.fitted, node.coarse
-    change = np.abs(fine.unknowns.common - coarse.unknowns.common)
+    change = np.where(fine.at_bounds, 0.0, np.abs(fine.unknowns.common - coarse.unknowns.common))
     ratio = coarse.trajectory.drive.dt / fine.trajectory.drive.dt
     return np.asarray(change / (max(ratio, LEAST_RATIO) - 1.0))

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement, Unknowns
+from modal.discrepancy.assembly import Assembly, Placement, Unknowns
 from modal.discrepancy.effects.effect import Effect, is_sharp
-from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.trajectory import SHARP
 from okid.arrays import FloatArray
@@ -17,12 +17,12 @@ __all__ = [
     "Node",
     "Task",
     "counts",
+    "dropped",
     "instead",
     "log_likelihood_gain",
     "node_of",
     "on_other_floor",
     "polished",
-    "sureness",
     "without",
 ]
 
@@ -248,15 +248,19 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
     return falls and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
 
 
-def without(node: Node, placement: int, task: Task) -> Node:
-    """The model refitted without one of its effects."""
-    fitted = node.coarse
+def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
+    """The model without one of its effects, all else as it is."""
     assembly = fitted.assembly
     kept = [i for i in range(len(assembly.placements)) if i != placement]
     smaller = replace(assembly, placements=tuple(assembly.placements[i] for i in kept))
     common = np.delete(fitted.unknowns.common, np.r_[assembly.common_of(placement)])
     local = np.delete(fitted.unknowns.local, np.r_[assembly.own_of(placement)], axis=1)
-    return _compared(simulate_at(smaller, Unknowns(common=common, local=local), task.fit, smoothing=SHARP), node, task)
+    return smaller, Unknowns(common=common, local=local)
+
+
+def without(node: Node, placement: int, task: Task) -> Node:
+    """The model refitted without one of its effects."""
+    return _compared(simulate_at(*dropped(node.coarse, placement), task.fit, smoothing=SHARP), node, task)
 
 
 def instead(node: Node, placement: int, law: Placement, values: Sequence[float], task: Task) -> Node:
@@ -288,19 +292,3 @@ def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
         if rough.cost > far * node.coarse.cost:
             return node_of(rough, task)
     return polished(node_of(estimate(rough, task.fit, iterations=12), task), task)
-
-
-def sureness(node: Node, task: Task) -> list[float]:
-    """How many standard deviations each effect is from none, by the surest of its amplitudes; infinite without any."""
-    assembly = node.coarse.assembly
-    spread = np.sqrt(np.maximum(np.diag(covariance(node.coarse, task.fit)), 0.0))
-    found = []
-    for i, item in enumerate(assembly.placements):
-        begin, kinds = assembly.common_of(i).start, item.effect.parameters
-        sizes = [
-            abs(node.coarse.unknowns.common[begin + position] - item.effect.neutral[j]) / spread[begin + position]
-            for position, j in enumerate(item.common)
-            if kinds[j].role == "amplitude" and spread[begin + position] > 0.0
-        ]
-        found.append(float(max(sizes, default=np.inf)))
-    return found

@@ -7,10 +7,10 @@ import numpy as np
 from modal.discrepancy.assembly import Placement
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Motion
-from modal.discrepancy.plant import Port
+from modal.discrepancy.plant import Plant, Port, plant_matrices
 from okid.arrays import FloatArray
 
-__all__ = ["midway", "motion_at", "one_on", "shifted"]
+__all__ = ["midway", "motion_at", "one_on", "shifted", "step_compliance", "step_mobility"]
 
 
 def shifted(values: FloatArray) -> FloatArray:
@@ -27,11 +27,12 @@ def motion_at(
     *,
     stiffness: float | None = None,
     mobility: float = 0.0,
+    step_compliance: float = 0.0,
 ) -> Motion:
     """Motion at a force's place along a trajectory of the plant's states (n_times, n_states).
 
     `stiffness` is that of the place as calibrated, the port's own by default; `mobility` the velocity that a unit of
-    force gives it within one step.
+    force gives it within one step, `step_compliance` the displacement that it takes away, where it moves it at once.
     """
     _, port = item.force_and_port
     n = states.shape[1]
@@ -51,8 +52,29 @@ def motion_at(
         stiffness=next((value for value in (stiffness, port.stiffness) if value is not None), 1.0),
         mass=1.0 if port.mass is None else port.mass,
         mobility=mobility,
+        step_compliance=step_compliance,
         smoothing=smoothing,
     )
+
+
+def step_compliance(plant: Plant, port: Port, direction: FloatArray, dt: float) -> float:
+    """Displacement at a port that a force of 1 along `direction` takes away within a step; 0 where it takes none.
+
+    A force moves no displacement at once, so only ports that take flows are looked at. Counted in the model as it was
+    given, so that the way a step is taken does not depend on what is fitted.
+    """
+    if port.displacement is None or "flow" not in port.accepts:
+        return 0.0
+    column = plant_matrices(plant, plant.nominal).E[:, list(port.columns)] @ direction
+    return max(-float(port.displacement[: plant.n_states] @ column) * dt, 0.0)
+
+
+def step_mobility(plant: Plant, port: Port, dt: float) -> float:
+    """Velocity that a force of 1 gives a port within a step; of the model as it was given, likewise."""
+    if port.velocity is None:
+        return 0.0
+    column = plant_matrices(plant, plant.nominal).E[:, port.columns[0]]
+    return abs(float(port.velocity[: plant.n_states] @ column)) * dt
 
 
 def one_on(motion: Motion) -> Motion:

@@ -32,6 +32,9 @@ TOLERANCE = 1e-8
 ITERATIONS = 25
 NEAR_ITERATIONS = 10
 """Newton iterations from a trajectory that is near already: a trial step that needs more is taken for too long."""
+BRIM_PATIENCE = {"far": 400, "near": 40}
+"""Likewise with a brim: where a level was thought to stand at it and still rises, a step of Newton's method mends one
+step of time, and a tank takes hundreds of these to fill."""
 LADDER = (0.3, 0.1, 0.03, 0.012, 0.005, 0.002)
 MEMORY_RISE = 30.0
 SMALLEST_SHARE = 0.1
@@ -116,8 +119,11 @@ def simulate_states(
         return linearise(assembly, unknowns, driven, scheme, trial, smoothing=width, gain=gain)
 
     rise = allowed_rise(assembly)
-    found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS, rise)
-    if found is None:
+    if rise == np.inf:
+        found = _newton(about, states, smoothing, BRIM_PATIENCE[start], rise)
+    else:
+        found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS, rise)
+    if found is None and rise < np.inf:
         marched = _march(
             assembly, unknowns, driven, scheme, states, smoothing=smoothing, budget=BUDGET[start], gain=gain
         )
@@ -133,9 +139,13 @@ def allowed_rise(assembly: Assembly) -> float:
     """Factor by which a Newton step may raise the defect.
 
     A law with memory is piecewise linear: full steps settle one piece after the other although the defect rises on the
-    way. Beside a law that jumps they do not settle.
+    way. Beside a law that jumps they do not settle. Nor does the defect tell anything of a brim, where it is as large
+    as the brim is hard: the level of a tank rises with the one before and its overflow is convex, and then full steps
+    settle from any start (Ortega, Rheinboldt 1970, section 13.3, https://doi.org/10.1137/1.9780898719468).
     """
-    effects = [assembly.placements[i].effect for i in assembly.forces]
+    effects = [assembly.placements[i].force_and_port[0] for i in assembly.forces]
+    if any(effect.is_brim for effect in effects):
+        return np.inf
     return MEMORY_RISE if assembly.n_memory and not any(jumps(effect) for effect in effects) else 1.0
 
 

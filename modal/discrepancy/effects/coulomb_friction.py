@@ -7,6 +7,7 @@ import numpy as np
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
 from modal.discrepancy.effects.jump import jump, jump_line
 from modal.discrepancy.effects.memoryless import memoryless
+from modal.discrepancy.effects.motion import StepLift
 
 __all__ = ["CoulombFriction"]
 
@@ -69,8 +70,10 @@ class CoulombFriction(ForceEffect):
             end_by_after=size * line.end_by_after,
             start_by_parameter=(line.start + size * mobility * line.start_by_change)[:, None],
             end_by_parameter=(line.end + size * mobility * line.end_by_change)[:, None],
-            lift=size * line.lift,
-            lift_by_before=size * line.lift_by_before,
-            lift_by_after=size * line.lift_by_after,
-            lift_by_parameter=(line.lift + size * mobility * line.lift_by_change)[:, None],
+            lift=StepLift(
+                value=size * line.lift,
+                by_before=size * line.lift_by_before,
+                by_after=size * line.lift_by_after,
+                by_parameter=(line.lift + size * mobility * line.lift_by_change)[:, None],
+            ),
         )

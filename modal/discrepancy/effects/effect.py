@@ -121,6 +121,7 @@ class ForceEffect(Effect):
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         n_memory: Number of states of its own.
         has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
+        is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
         beside_stiffness: Parameters of which, where the linear stiffness at the place is free as well, only the
             differences are determined: the smallest is held at zero.
@@ -130,6 +131,7 @@ class ForceEffect(Effect):
     acts_at: ClassVar[str] = "motion"
     n_memory: ClassVar[int] = 0
     has_corners: ClassVar[bool] = False
+    is_brim: ClassVar[bool] = False
     per_stiffness: ClassVar[bool] = False
     beside_stiffness: ClassVar[tuple[str, ...]] = ()
 
@@ -232,7 +234,7 @@ class SensorEffect(Effect):
 
 
 def jumps(effect: Effect) -> bool:
-    """Whether an effect is a force that jumps within a step and brings its own line over it (dry friction)."""
+    """Whether an effect is a force that changes all at once and brings its own line over a step (friction, a brim)."""
     return isinstance(effect, ForceEffect) and type(effect).step_force is not ForceEffect.step_force
 
 

@@ -1,10 +1,11 @@
 """What a force law reads and what it gives back: the motion at a port, the force, its line over a step, its states."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from okid.arrays import FloatArray
 
-__all__ = ["Force", "Memory", "Motion", "StepForce"]
+__all__ = ["Force", "Memory", "Motion", "StepForce", "StepLift"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -21,6 +22,8 @@ class Motion:
         stiffness: Linear stiffness at the port (1.0 where it is not known).
         mass: Mass at the port (1.0 where it is not known).
         mobility: Velocity that a unit of force at the port gives within one step; 0: no steps, or not known.
+        step_compliance: Displacement that a force of 1 takes away within a step, where it moves it at once (a flow);
+            0 elsewhere.
         smoothing: Width over which sharp laws (sign, contact) are smoothed, as a share of the scale, for all samples
             or (n,) for each (a quiet record has a smaller width); 0: sharp.
     """
@@ -34,6 +37,7 @@ class Motion:
     stiffness: float = 1.0
     mass: float = 1.0
     mobility: float = 0.0
+    step_compliance: float = 0.0
     smoothing: float | FloatArray = 0.0
 
 
@@ -57,22 +61,37 @@ class Force:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StepLift:
+    """What a sensor at the start of each step hears of a force besides the law's own value there.
+
+    Attributes:
+        value: (n,).
+        by_before: (n,) derivative by the motion at the start of the step.
+        by_after: (n,) derivative by the motion at its end.
+        by_parameter: (n, n_parameters).
+    """
+
+    value: FloatArray
+    by_before: FloatArray
+    by_after: FloatArray
+    by_parameter: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StepForce:
-    """The straight line that stands for a force over each step, for laws that jump within it.
+    """The straight line that stands for a force over each step, for laws that jump or stop the motion within it.
 
     Attributes:
         start: (n,) value at the start of the step.
         end: (n,) value at its end.
-        start_by_before: (n,) derivative of `start` by the velocity at the start of the step.
-        start_by_after: (n,) derivative of `start` by the velocity at its end.
-        end_by_before: (n,) derivative of `end` by the velocity at the start.
-        end_by_after: (n,) derivative of `end` by the velocity at the end.
+        start_by_before: (n,) derivative of `start` by the motion at the start of the step.
+        start_by_after: (n,) derivative of `start` by the motion at its end.
+        end_by_before: (n,) derivative of `end` by the motion at the start.
+        end_by_after: (n,) derivative of `end` by the motion at the end.
         start_by_parameter: (n, n_parameters).
         end_by_parameter: (n, n_parameters).
-        lift: (n,) what a sensor at the start of the step hears of the force besides the law's own value there.
-        lift_by_before: (n,) derivative of `lift` by the velocity at the start of the step.
-        lift_by_after: (n,) derivative of `lift` by the velocity at its end.
-        lift_by_parameter: (n, n_parameters).
+        lift: What a sensor hears of the force besides the law's own value; None for nothing.
+        reads: The motion that the law reads, and the derivatives are by.
     """
 
     start: FloatArray
@@ -83,10 +102,8 @@ class StepForce:
     end_by_after: FloatArray
     start_by_parameter: FloatArray
     end_by_parameter: FloatArray
-    lift: FloatArray
-    lift_by_before: FloatArray
-    lift_by_after: FloatArray
-    lift_by_parameter: FloatArray
+    lift: StepLift | None = None
+    reads: Literal["displacement", "velocity"] = "velocity"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

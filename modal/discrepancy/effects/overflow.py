@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
 from modal.discrepancy.effects.memoryless import memoryless
 from modal.discrepancy.effects.smoothing import positive_part
+from modal.discrepancy.effects.stiff_step import WALL, share_of_end
+from okid.arrays import FloatArray
 
 __all__ = ["Overflow"]
 
@@ -21,9 +23,12 @@ class Overflow(ForceEffect):
     Signature: the measured level is flat at the top, near one value, where the simulated level goes on rising; below
     the brim the simulation is right.
 
-    Law: `q = rate max(h - limit, 0)`, with a large rate; a parabola over limit +- smoothing x scale rounds the corner.
+    Law: `q = rate max(h - limit, 0)`, with a large rate; a parabola over limit +- smoothing x scale rounds the corner,
+    over less where the rate is large for a step of the simulation: what the level does within a step is then as smooth
+    as with a soft brim, and the level at which a full tank stands is not blurred.
 
-    Parameters: rate [flow / level], not negative; limit [level].
+    Parameters: rate [flow / level], not negative; limit [level]. Of a brim as hard as a wall any large rate does: only
+    the limit is known then, and a rate that no step of the simulation can tell from a wall's is held there.
 
     Confused with: the saturation of the pump (the loss then follows the drive, not the level); the saturation of the
     level sensor (the level downstream is then right); a power-law outflow, where the level only just reaches the brim.
@@ -45,6 +50,7 @@ class Overflow(ForceEffect):
     reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
     needs = frozenset({"displacement"})
     acts_at = "flow"
+    is_brim = True
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
         """High quantiles of the level."""
@@ -56,6 +62,38 @@ class Overflow(ForceEffect):
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The overflow and its derivatives: a ramp with a corner of finite width."""
-        rate, limit = values
-        ramp, slope = positive_part(motion.displacement - limit, motion.smoothing * motion.displacement_scale)
-        return memoryless(motion, rate * ramp, (ramp, -rate * slope), by_displacement=rate * slope)
+        (rate, softer), limit = _told(values[0], motion), values[1]
+        hardness = 1.0 + rate * motion.step_compliance
+        width = motion.smoothing * motion.displacement_scale / hardness
+        ramp, slope = positive_part(motion.displacement - limit, width)
+        narrower = -width * motion.step_compliance / hardness * slope * (1.0 - slope)
+        by_rate = softer * (ramp + rate * narrower)
+        return memoryless(motion, rate * ramp, (by_rate, -rate * slope), by_displacement=rate * slope)
+
+    def step_force(self, values: Values, before: Motion, after: Motion) -> StepForce | None:
+        """The line over each step, with more of its end the harder the brim: the level neither rings nor escapes."""
+        if before.step_compliance <= 0.0:
+            return None
+        rate, softer = _told(values[0], before)
+        share, stiffer = share_of_end(rate * before.step_compliance)
+        start, end = self.force(values, before), self.force(values, after)
+        of_start, of_end = 2.0 - 2.0 * share, 2.0 * share - 1.0
+        by_parameter = np.expand_dims(of_start, -1) * start.by_parameter + np.expand_dims(of_end, -1) * end.by_parameter
+        by_parameter[:, 0] += 2.0 * stiffer * softer * before.step_compliance * (end.value - start.value)
+        return StepForce(
+            start=of_start * start.value + of_end * end.value,
+            end=end.value,
+            start_by_before=of_start * start.by_displacement,
+            start_by_after=of_end * end.by_displacement,
+            end_by_before=np.zeros_like(end.value),
+            end_by_after=end.by_displacement,
+            start_by_parameter=by_parameter,
+            end_by_parameter=end.by_parameter,
+            reads="displacement",
+        )
+
+
+def _told(rate: float | FloatArray, motion: Motion) -> tuple[float | FloatArray, float | FloatArray]:
+    """The rate as far as a step can tell it from that of a wall, and its slope: 1 / rate plus that of a wall."""
+    share = 1.0 / (1.0 + rate * motion.step_compliance / WALL)
+    return rate * share, share**2

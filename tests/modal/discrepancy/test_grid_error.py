@@ -8,9 +8,11 @@ import pytest
 from modal.discrepancy.grid_error import grid_error
 
 
-def fitted(value, dt):
+def fitted(value, dt, *, at_bound=False):
     return SimpleNamespace(
-        unknowns=SimpleNamespace(common=np.array([value])), trajectory=SimpleNamespace(drive=SimpleNamespace(dt=dt))
+        unknowns=SimpleNamespace(common=np.array([value])),
+        trajectory=SimpleNamespace(drive=SimpleNamespace(dt=dt)),
+        at_bounds=np.array([at_bound]),
     )
 
 
@@ -30,3 +32,9 @@ def test_one_grid_only_tells_nothing():
 def test_where_only_the_smoothing_was_sharpened_the_whole_change_counts():
     node = SimpleNamespace(fitted=fitted(5.0, 0.1), coarse=fitted(5.2, 0.1))
     np.testing.assert_allclose(grid_error(node), [0.2])
+
+
+def test_what_is_held_at_a_bound_has_no_error():
+    """The rate of a wall is four times as large for steps a quarter as long: no error of the rate."""
+    node = SimpleNamespace(fitted=fitted(400.0, 0.1, at_bound=True), coarse=fitted(100.0, 0.4, at_bound=True))
+    np.testing.assert_array_equal(grid_error(node), [0.0])

@@ -264,7 +264,7 @@ def test_cubic_and_quadratic_stiffness_predict_unseen_multisines_of_the_silverbo
 
 
 @pytest.mark.slow
-def test_flows_by_a_power_of_the_level_are_found_in_cascaded_tanks(shared_data):
+def test_a_brim_and_flows_by_a_power_of_the_level_are_found_in_cascaded_tanks(shared_data):
     folder = shared_data / "cascaded_tanks"
     known, unseen = (
         read_record(folder / f"{name}.csv", inputs=["pump"], outputs=["level"], input_hold="zero_order")
@@ -274,9 +274,9 @@ def test_flows_by_a_power_of_the_level_are_found_in_cascaded_tanks(shared_data):
     rate, gain = 0.0141, 2.06
     linear = control.ss([[-rate, 0.0], [rate, -rate]], [[gain * rate], [0.0]], [[0.0, 1.0]], [[0.0]])
     diagnosis = diagnose(linear, known, unseen)
-    assert "power_law_flow" in names(diagnosis)
+    assert {"power_law_flow", "overflow"} <= set(names(diagnosis))
     assert any("upstream" in finding.where for finding in diagnosis.findings)
-    assert explained(diagnosis)[0] > 0.93
+    assert explained(diagnosis)[0] > 0.95
 
 
 @pytest.mark.parametrize("name", ["tiger700_14p4V", "tiger700_15p0V"])

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from brim_problem import Tank
 from engine_plants import some_records, two_masses, with_effects
 
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.port_motion import midway, motion_at, one_on, shifted
+from modal.discrepancy.port_motion import midway, motion_at, one_on, shifted, step_compliance
+from modal.discrepancy.state_space_plant import state_space_plant
 
 
 def situation():
@@ -68,3 +70,15 @@ def test_the_middle_without_displacement_or_velocity_is_the_mean():
     assert np.allclose(flow.displacement, (motion.displacement + after.displacement) / 2)
     shaft = midway(replace(item.port, displacement=None), motion, after, 0.1)
     assert np.allclose(shaft.velocity, (motion.velocity + after.velocity) / 2)
+
+
+def test_a_flow_moves_its_level_at_once_and_a_force_moves_no_displacement():
+    """States of a third of the level: a flow of 1 takes 1 / s from the level, so dt in a step."""
+    tank = state_space_plant(Tank, sensor_kind="displacement")
+    (port,) = (port for port in tank.ports if "flow" in port.accepts)
+    direction = np.ones(len(port.columns))
+    assert step_compliance(tank, port, direction, 0.2) == pytest.approx(0.2)
+    assert step_compliance(tank, port, -direction, 0.2) == 0.0  # it would raise the level
+    assert step_compliance(tank, replace(port, displacement=None), direction, 0.2) == 0.0
+    plant, _, item = situation()
+    assert step_compliance(plant, item.port, np.ones(len(item.port.columns)), 0.2) == 0.0

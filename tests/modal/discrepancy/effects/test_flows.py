@@ -2,13 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from differences import force_disagreement
+from differences import by_value, central, disagreement, force_disagreement
 from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.discrepancy.effects.effect import Motion, Situation
 from modal.discrepancy.effects.overflow import Overflow
 from modal.discrepancy.effects.power_law_flow import PowerLawFlow
+from modal.discrepancy.effects.stiff_step import WALL
 
 exponents = st.floats(0.06, 2.9)
 rates = st.floats(0.01, 100.0)
@@ -135,3 +136,64 @@ def test_neither_flow_may_be_negative_by_its_bounds():
     for effect in (PowerLawFlow(), Overflow()):
         assert effect.acts_at == "flow"
         assert np.all(effect.force(effect.neutral, tank([1.0, 2.0])).value == 0.0)
+
+
+# --- over a step -----------------------------------------------------------------------------------------------------
+
+
+def about_the_brim(seed, compliance, smoothing=0.2):
+    """Levels before and after a step, most within the rounded corner of a brim at 0.3."""
+    rng = np.random.default_rng(seed)
+    before, after = (tank(0.3 + rng.uniform(-0.4, 0.4, 30), scale=1.0, smoothing=smoothing) for _ in range(2))
+    return replace(before, step_compliance=compliance), replace(after, step_compliance=compliance)
+
+
+@given(seed=seeds, rate=st.floats(0.1, 10.0), compliance=st.floats(0.05, 2.0))
+def test_the_line_over_a_step_has_the_derivatives_that_it_claims(seed, rate, compliance):
+    before, after = about_the_brim(seed, compliance)
+
+    def line(values=(rate, 0.3), shift=(0.0, 0.0)):
+        start = replace(before, displacement=before.displacement + shift[0])
+        end = replace(after, displacement=after.displacement + shift[1])
+        return Overflow().step_force(values, start, end)
+
+    here = line()
+    assert here.reads == "displacement"
+    for name in ("start", "end"):
+        for which, shifted in (("before", lambda x: (x, 0.0)), ("after", lambda x: (0.0, x))):
+            found = central(lambda x, name=name, shifted=shifted: getattr(line(shift=shifted(x)), name), 0.0)
+            assert disagreement(getattr(here, f"{name}_by_{which}"), found) < 1e-4
+        for j in range(2):
+            found = by_value(lambda values, name=name: getattr(line(values), name), (rate, 0.3), j)
+            assert disagreement(getattr(here, f"{name}_by_parameter")[:, j], found) < 1e-4
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e4, 1e8, 1e15])
+def test_a_step_onto_a_hard_brim_ends_at_the_brim_and_stays(rate):
+    """One step of h' = 1 - q from below and one from the brim: h1 = h0 + dt - compliance x mean of the line."""
+    dt, limit = 0.1, 1.0
+    for start in (0.95, 1.0):
+
+        def miss(end, start=start):
+            motions = [replace(tank([h], scale=0.3, smoothing=0.005), step_compliance=dt) for h in (start, end)]
+            line = Overflow().step_force([rate, limit], *motions)
+            return end - (start + dt - dt * 0.5 * (line.start[0] + line.end[0]))
+
+        low, high = 0.9, 1.2
+        for _ in range(80):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if miss(middle) < 0.0 else (low, middle)
+        assert abs(low - limit) < 2.0 / rate + dt / WALL
+
+
+def test_the_corner_of_a_hard_brim_is_narrower():
+    """Nine times as hard as a step is long: a tenth of the width."""
+    level = np.linspace(-0.5, 0.5, 101)
+    soft, hard = (replace(tank(level, scale=1.0, smoothing=0.305), step_compliance=c) for c in (0.0, 1.0))
+    assert np.count_nonzero(Overflow().force([9.0, 0.0], soft).value) == 81
+    assert np.count_nonzero(Overflow().force([9.0, 0.0], hard).value) == 54
+
+
+def test_where_a_flow_moves_nothing_at_once_there_is_no_line_of_its_own():
+    before, after = about_the_brim(0, 0.0)
+    assert Overflow().step_force((2.0, 0.3), before, after) is None
