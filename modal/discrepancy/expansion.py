@@ -12,6 +12,7 @@ from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate, screen_candidates
 from modal.discrepancy.settling import settled_stiffness
+from modal.discrepancy.simpler_laws import has_limit
 from modal.discrepancy.trajectory import SHARP
 from okid.arrays import FloatArray
 
@@ -265,7 +266,17 @@ def _widened(observed: Estimate, candidate: Candidate) -> FloatArray:
 def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
     """The fits that win a good share of what the best one wins over the model without the effect."""
     most = max((observed.cost - fit.cost for fit in fits), default=0.0)
-    return [fit for fit in fits if observed.cost - fit.cost >= LEAST_SHARE * most]
+    good = [fit for fit in fits if observed.cost - fit.cost >= LEAST_SHARE * most]
+    return [fit for fit in good if not any(_is_limit(other, fit) and other.cost <= fit.cost for other in good)]
+
+
+def _is_limit(simple: Estimate, rich: Estimate) -> bool:
+    """Whether a fit's last effect is a limit of the other's at the same place.
+
+    A richer law that does not even fit as well is followed through its limit: its own fit has gone astray.
+    """
+    one, other = simple.assembly.placements[-1], rich.assembly.placements[-1]
+    return one.where == other.where and has_limit(other.effect.key, one.effect.key)
 
 
 def _leading(fits: Sequence[Estimate], most: int) -> list[Estimate]:

@@ -35,8 +35,9 @@ SHARPER = tuple(SHARP / share for share in (1.0, 2.5, 5.0, 10.0, 20.0))
 """Small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits with a
 second effect found none, and those that did took longer."""
 ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
-"""Without an effect that it needs, a model is fitted only as far as its cost, after every four iterations, stays within
-these factors of the whole model's; an iteration that gains less than the first share ends the four."""
+"""Without an effect that it needs, a model is fitted, and then judged, only as far as its cost, after every four
+iterations, stays within these factors of the whole model's; an iteration that gains less than the first share ends the
+four."""
 NEARLY, BLUR = 2.0, 0.1
 """What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
 smoothing."""
@@ -283,12 +284,12 @@ def instead(node: Node, placement: int, law: Placement, values: Sequence[float],
 
 
 def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
-    """A smaller model, fitted only as far as it stays near the whole one."""
+    """A smaller model, fitted and judged only as far as it stays near the whole one."""
     if start is None:
         return Node(fitted=node.coarse, held_out=None, coarse=node.coarse)
     rough = start
     for far in CLEARLY:
         rough = estimate(rough, task.fit, iterations=4, standstill=ROUGH)
         if rough.cost > far * node.coarse.cost:
-            return node_of(rough, task)
+            return Node(fitted=rough, held_out=None, coarse=rough)
     return polished(node_of(estimate(rough, task.fit, iterations=12), task), task)

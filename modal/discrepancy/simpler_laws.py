@@ -15,6 +15,8 @@ from okid.arrays import FloatArray
 
 __all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]
 
+Values = Sequence[float] | FloatArray
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:
@@ -23,18 +25,23 @@ class Limit:
     Attributes:
         law: Key of the simpler law.
         values: Its parameters by those of the richer one.
+        near: Whether the richer one may be near it, by its parameters and the standard deviation of the displacement.
     """
 
     law: str
-    values: Callable[[Sequence[float] | FloatArray], tuple[float, ...]]
+    values: Callable[[Values], tuple[float, ...]]
+    near: Callable[[Values, float], bool]
 
 
 LIMITS = {
     "slack_in_hysteresis": (
-        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2])),  # yield displacement -> infinity
-        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],)),  # slack and yield displacement -> 0
+        # a link that seldom slips, and one that slips in most cycles
+        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2]), near=lambda v, size: v[1] + v[2] >= size),
+        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] + v[2] <= size),
     ),
-    "bouc_wen_hysteresis": (Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],)),),  # yield -> 0
+    "bouc_wen_hysteresis": (
+        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] <= size),
+    ),
 }
 """The limits of each law that has one."""
 
@@ -52,13 +59,14 @@ def with_limits(node: Node, task: Task) -> list[Node]:
         task: Records and catalogue; a law that is not in the catalogue is not tried.
 
     Returns:
-        One model a limit.
+        One model a limit that is near and not there already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     found: list[Node] = []
     for i, item in enumerate(assembly.placements):
         values = common[assembly.common_of(i)][: len(item.common)]
-        limits = [limit for limit in LIMITS.get(item.effect.key, ()) if limit.law in task.catalogue]
+        limits = [limit for limit in LIMITS.get(item.effect.key, ()) if limit.near(values, item.displacement_scale)]
+        limits = [one for one in limits if one.law in task.catalogue and (one.law, item.where) not in node.effects]
         found += [instead(node, i, _placed(assembly, i, limit.law), limit.values(values), task) for limit in limits]
     return found
 

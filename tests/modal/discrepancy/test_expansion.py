@@ -7,6 +7,7 @@ import pytest
 from engine_records import experiment, nominal
 
 from modal.discrepancy import expansion as module
+from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
@@ -113,3 +114,27 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     found = module._observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
     assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
     assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
+
+
+def fit_of(key, cost, where="element_0"):
+    item = SimpleNamespace(effect=CATALOGUE[key], where=where)
+    return SimpleNamespace(assembly=SimpleNamespace(placements=(item,)), cost=cost)
+
+
+@pytest.mark.parametrize(
+    ("rich", "where", "kept"),
+    [
+        (99.0, "element_0", ["coulomb_friction", "bouc_wen_hysteresis"]),
+        (101.0, "element_0", ["coulomb_friction"]),  # its own fit has gone astray
+        (101.0, "element_1", ["coulomb_friction", "bouc_wen_hysteresis"]),
+    ],
+)
+def test_a_law_that_fits_no_better_than_its_limit_is_followed_through_the_limit(rich, where, kept):
+    fits = [fit_of("coulomb_friction", 100.0), fit_of("bouc_wen_hysteresis", rich, where)]
+    found = module._worth(fits, SimpleNamespace(cost=1000.0))
+    assert [fit.assembly.placements[-1].effect.key for fit in found] == kept
+
+
+def test_a_limit_is_not_followed_through_the_richer_law():
+    fits = [fit_of("coulomb_friction", 100.0), fit_of("bouc_wen_hysteresis", 50.0)]
+    assert len(module._worth(fits, SimpleNamespace(cost=1000.0))) == 2

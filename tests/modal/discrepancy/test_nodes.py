@@ -47,8 +47,19 @@ def test_a_finer_fit_is_taken_only_where_it_is_better(task, monkeypatch, cost, t
     assert (polished(node, task) is not node) == taken
 
 
-@pytest.mark.parametrize(("key", "polishes"), [("coulomb_friction", True), ("cubic_stiffness", False)])
-def test_only_laws_that_jump_are_polished(task, monkeypatch, key, polishes):
+@pytest.mark.parametrize(
+    ("key", "polishes"),
+    [
+        ("coulomb_friction", True),
+        ("overflow", True),
+        ("gap_spring", True),
+        ("slack_in_hysteresis", True),
+        ("bilinear_stiffness", True),
+        ("cubic_stiffness", False),
+        ("input_saturation", False),
+    ],
+)
+def test_only_laws_that_jump_or_have_corners_are_polished(task, monkeypatch, key, polishes):
     monkeypatch.setattr(module, "_finer", lambda *_args: estimate_of(1.0, key, cost=1.0))
     node = node_with(1.5, key)
     assert (polished(node, task) is not node) == polishes
@@ -73,3 +84,19 @@ def test_near_the_floor_smoothing_is_always_doubted(monkeypatch):
 def test_held_out_records_in_another_basin(fit, held_out, doubtful):
     """At the floor on the records to fit, any excess on held-out ones may be a matter of their initial states."""
     assert module._doubtful(estimate_of(held_out), estimate_of(fit)) == doubtful
+
+
+@pytest.mark.parametrize(
+    ("costs", "judged"),
+    [([99.0, 25.0, 8.0, 8.0], True), ([101.0], False), ([99.0, 31.0], False), ([99.0, 25.0, 11.0], False)],
+)
+def test_a_model_without_what_it_needs_is_neither_fitted_nor_judged_to_the_end(task, monkeypatch, costs, judged):
+    """Costs after each four iterations; the whole model's is 1."""
+    left = list(costs)
+    monkeypatch.setattr(module, "estimate", lambda *_a, **_k: estimate_of(left[0], cost=left.pop(0)))
+    monkeypatch.setattr(module, "_judged", lambda *_args: estimate_of(2.0))
+    whole = node_with(1.0)
+    whole = Node(fitted=whole.fitted, held_out=whole.held_out, coarse=estimate_of(1.0, cost=1.0))
+    found = module._compared(estimate_of(500.0), whole, task)
+    assert (found.held_out is not None) == judged
+    assert left == []

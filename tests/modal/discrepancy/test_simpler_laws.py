@@ -1,17 +1,19 @@
 """Laws and their limits: the same force along a path, and what is fitted in a law's place."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from engine_plants import some_records, two_masses, with_effects
 
-from modal.discrepancy import nodes
+from modal.discrepancy import nodes, simpler_laws
+from modal.discrepancy.assembly import Unknowns
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Motion
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
-from modal.discrepancy.nodes import node_of
+from modal.discrepancy.nodes import Node, node_of
 from modal.discrepancy.simpler_laws import LIMITS, has_limit, with_limits
 from okid.record import Record
 
@@ -74,6 +76,8 @@ def slack_at_work():
     drive = drive_of(some_records(plant, missing=0.0))
     assembly, unknowns = with_effects(plant, ["slack_in_hysteresis", "sensor_gain"], drive.n_records)
     unknowns.common[assembly.common_of(0)] = [40.0, 1e3, 0.05]
+    item = replace(assembly.placements[0], displacement_scale=0.2)
+    assembly = replace(assembly, placements=(item, assembly.placements[1]))
     unknowns.local[:] = 0.0  # at rest, the slack in its middle
     floor = np.full((drive.n_records, plant.n_outputs), 1e-8)
     simulated = simulate_at(assembly, unknowns, Problem(drive=drive, floor=floor))
@@ -90,22 +94,53 @@ def slack_at_work():
     return node_of(estimate(start, fit, iterations=1), task), task
 
 
-def test_the_limits_of_a_law_are_fitted_in_its_place(slack_at_work):
+def test_the_limit_of_a_law_is_fitted_in_its_place(slack_at_work):
     node, task = slack_at_work
-    found = with_limits(node, task)
-    assert [one.effects[0][0] for one in found] == ["gap_spring", "coulomb_friction"]
-    assert all(one.effects[1] == node.effects[1] for one in found)
-    assert all(one.effects[0][1] == node.effects[0][1] for one in found)
-    gap, friction = found
-    assert gap.fit_level < 1.0 < friction.fit_level  # the record is that of a gap, without noise
-    k_in, k_out, opening = gap.fitted.unknowns.common[gap.fitted.assembly.common_of(0)][:3]
+    (found,) = with_limits(node, task)
+    assert found.effects == (("gap_spring", node.effects[0][1]), node.effects[1])
+    assert found.fit_level < 1.0  # the record is that of a gap, without noise
+    k_in, k_out, opening = found.fitted.unknowns.common[found.fitted.assembly.common_of(0)][:3]
     np.testing.assert_allclose([k_out - k_in, opening], [40.0, 0.05], rtol=1e-3)
 
 
 def test_a_law_that_is_not_in_the_catalogue_is_not_tried(slack_at_work):
     node, task = slack_at_work
     small = SimpleNamespace(**{**vars(task), "catalogue": {"coulomb_friction": CATALOGUE["coulomb_friction"]}})
-    assert [one.effects[0][0] for one in with_limits(node, small)] == ["coulomb_friction"]
+    assert with_limits(node, small) == []
+
+
+@pytest.mark.parametrize(("size", "tried"), [(0.9, ["gap_spring"]), (1.1, ["coulomb_friction"])])
+def test_only_a_limit_that_may_be_near_is_tried(slack_at_work, monkeypatch, size, tried):
+    """Slack and yield displacement are 1.0 together."""
+    node, task = slack_at_work
+    asked = []
+    monkeypatch.setattr(simpler_laws, "instead", lambda _node, _i, law, _values, _task: asked.append(law.effect.key))
+    with_limits(at_scale(node, size), task)
+    assert asked == tried
+
+
+def at_scale(node, size):
+    fitted = node.coarse
+    items = (replace(fitted.assembly.placements[0], displacement_scale=size), *fitted.assembly.placements[1:])
+    common = fitted.unknowns.common.copy()
+    common[fitted.assembly.common_of(0)] = [40.0, 0.9, 0.1]
+    changed = replace(
+        fitted,
+        assembly=replace(fitted.assembly, placements=items),
+        unknowns=Unknowns(common=common, local=fitted.unknowns.local),
+    )
+    return Node(fitted=changed, held_out=None, coarse=changed)
+
+
+def test_a_limit_that_is_there_already_is_not_tried(slack_at_work, monkeypatch):
+    node, task = slack_at_work
+    monkeypatch.setattr(simpler_laws, "instead", lambda *_args: pytest.fail("tried"))
+    fitted = node.coarse
+    both = replace(fitted.assembly.placements[0], effect=CATALOGUE["gap_spring"])
+    twice = replace(fitted.assembly, placements=(*fitted.assembly.placements, both))
+    common = np.concatenate([fitted.unknowns.common, [0.0, 1.0, 0.1]])
+    changed = replace(fitted, assembly=twice, unknowns=Unknowns(common=common, local=fitted.unknowns.local))
+    assert with_limits(Node(fitted=changed, held_out=None, coarse=changed), task) == []
 
 
 def test_a_limit_that_cannot_be_simulated_is_no_model(slack_at_work, monkeypatch):
