@@ -20,7 +20,7 @@ from modal.discrepancy.callable_model import Simulator, run_callable
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.driven import drive_inputs
-from modal.discrepancy.effects.effect import Effect, InputEffect, SensorEffect, jumps
+from modal.discrepancy.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.given import placed_assembly
 from modal.discrepancy.placed import PlacedEffect
@@ -148,7 +148,7 @@ def along_plant(model: PlantModel, record: Record, catalogue: Mapping[str, Effec
     Raises:
         NumericalError: Its motion grows without bound.
     """
-    sharp = any(jumps(catalogue[one.effect]) for one in model.effects)
+    sharp = any(is_sharp(catalogue[one.effect]) for one in model.effects)
     steps = steps_per_sample(model.plant, model.linear, [record]) * (FINER if sharp else 1)
     drive = drive_of([_blank(model, record)], steps)
     assembly, unknowns = placed_assembly(model.plant, model.linear, model.effects, drive, catalogue)

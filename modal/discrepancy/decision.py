@@ -187,10 +187,11 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
 
 
 def _simplest(best: Node, root: Node, task: Task) -> Node:
-    """The model, or one with a limit of a law in its place where what the law has besides is no step from there."""
+    """The model, or one with a limit of a law in its place that does as well on held-out records."""
     if best.held_out_level > NEAR_FLOOR:
         return best
-    enough = [node for node in with_limits(best, task) if counts(root, node, task) and not counts(node, best, task)]
+    most = min(SAME * best.held_out_level, NEAR_FLOOR)
+    enough = [one for one in with_limits(best, task) if one.held_out_level <= most and counts(root, one, task)]
     return min(enough, key=lambda node: node.held_out_level, default=best)
 
 
@@ -206,7 +207,7 @@ def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool
 
 
 def _weak(smaller: Node, best: Node, z: float) -> bool:
-    """Whether an effect may be none by its standard deviation, and the held-out error does not clearly need it.
+    """Whether an effect may be none by what it changes in the outputs, and the held-out error does not clearly need it.
 
     The size of a hard limit (a brim, a stop) is hardly known where anything large will do: only the error tells.
     """

@@ -1,4 +1,4 @@
-"""How far the parameters of a law that jumps may be off because time and the jump itself are taken in steps."""
+"""How far the parameters of a sharp law may be off because time and the law itself are taken in steps."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def grid_error(node: Node) -> FloatArray:
         node: A fitted model.
 
     Returns:
-        (n_common,) in the unknowns' units; zero where there was one grid only, because no law of the model jumps, and
+        (n_common,) in the unknowns' units; zero where there was one grid only, and
         for what is held at a bound.
 
     References:

@@ -68,7 +68,8 @@ def reciprocal_structure(system: ContinuousSystem, displacements: FloatArray, fr
 
     Returns:
         The structure; None where the system is none, where the measured displacements are fewer than the modes by more
-        than one, or where a single one leaves nothing to check it by.
+        than one, or where too little is measured to check it by (a single displacement of several modes; two modes
+        without a driving point).
 
     Example:
         >>> A = np.array([[-0.2, 1.99], [-1.99, -0.2]])
@@ -116,7 +117,11 @@ def _metrics(A: FloatArray) -> FloatArray | None:
 def _equations(
     system: ContinuousSystem, displacements: FloatArray, free: FloatArray | None, basis: FloatArray
 ) -> list[FloatArray]:
-    """Homogeneous equations in the numbers of P (and a factor): of each driving point, then of none."""
+    """Homogeneous equations in the numbers of P (and a factor): of each driving point, then of none.
+
+    Without a driving point two modes would give three equations for four numbers: some P solves them for any system.
+    One mode has one direction of force in any case.
+    """
     n_states = len(basis)
     still = np.zeros((0, n_states))
     if free is not None:
@@ -129,7 +134,7 @@ def _equations(
                 at_point = (basis @ (push / np.linalg.norm(push))).T
                 at_point = np.column_stack([at_point, -row / np.linalg.norm(row)])
                 found.append(np.vstack([at_point, np.column_stack([still, np.zeros(len(still))])]))
-    if free is not None:
+    if len(still) >= n_states or n_states == 2:  # else nothing would be left to check the one solution by
         found.append(still)
     return found
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 from modal.discrepancy.assembly import Assembly, Placement
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.nodes import Node, Task, instead
+from modal.discrepancy.placed import possible_places
 from okid.arrays import FloatArray
 
 __all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]
@@ -18,7 +20,7 @@ __all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]
 Values = Sequence[float] | FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Limit:
     """A law that another one turns into.
 
@@ -66,14 +68,17 @@ def with_limits(node: Node, task: Task) -> list[Node]:
     for i, item in enumerate(assembly.placements):
         values = common[assembly.common_of(i)][: len(item.common)]
         limits = [limit for limit in LIMITS.get(item.effect.key, ()) if limit.near(values, item.displacement_scale)]
-        limits = [one for one in limits if one.law in task.catalogue and (one.law, item.where) not in node.effects]
-        found += [instead(node, i, _placed(assembly, i, limit.law), limit.values(values), task) for limit in limits]
+        for limit in limits:
+            law = task.catalogue.get(limit.law)
+            there = (limit.law, item.where) in node.effects
+            if law is CATALOGUE[limit.law] and not there and item.where in possible_places(assembly.plant, law):
+                found.append(instead(node, i, _placed(assembly, i, law), limit.values(values), task))
     return found
 
 
-def _placed(assembly: Assembly, i: int, law: str) -> Placement:
+def _placed(assembly: Assembly, i: int, effect: Effect) -> Placement:
     """The law at the place, its first stiffness held at zero where the linear one stands for it."""
-    item, effect = assembly.placements[i], CATALOGUE[law]
+    item = assembly.placements[i]
     shared = getattr(effect, "beside_stiffness", ())
     held = (0,) if shared and assembly.stiffness_parameter(i) is not None else ()
     return Placement(

@@ -41,7 +41,7 @@ class StepDependence:
     def advance(self, forcing: FloatArray) -> FloatArray:
         """(I - U K1 R)^-1 applied to forcings (n_columns, n_times, n) that stand at the times they lead from."""
         n_columns, n_times, n = forcing.shape
-        if not self.rows.size:
+        if not self.rows.size or not forcing.size:
             return forcing
         seen = (self.rows @ forcing.reshape(-1, n).T).reshape(len(self.rows), n_columns, n_times)
         lines = np.einsum("rmt,mct->rct", self.back, seen)
@@ -112,10 +112,14 @@ def _product(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
-    """Inverses (a, a, n_times), time by time, by halves (Schur complement)."""
-    found = _halved(matrices)
-    if not np.isfinite(found).all():
-        raise np.linalg.LinAlgError("a step has no unique end")
+    """Inverses (a, a, n_times), time by time, by halves (Schur complement); with pivoting where these fail."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        found = _halved(matrices)
+    failed = np.flatnonzero(~np.isfinite(found).all(axis=(0, 1)))
+    if failed.size:  # raises where a step has no unique end
+        found[:, :, failed] = np.linalg.inv(matrices[:, :, failed].transpose(2, 0, 1)).transpose(1, 2, 0)
+        if not np.isfinite(found).all():
+            raise np.linalg.LinAlgError("a step has no unique end")
     return found
 
 

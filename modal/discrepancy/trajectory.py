@@ -227,6 +227,8 @@ def _iterated(about: About, states: FloatArray, width: float, iterations: int, r
             if not np.isfinite(miss):
                 return None
             step = _step(current)
+            if not np.isfinite(step).all():
+                return None
             largest = float(np.abs(step).max(initial=0.0))
             size = float(np.abs(current.states).max(initial=0.0)) + largest
             share = 1.0

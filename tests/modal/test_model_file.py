@@ -267,7 +267,7 @@ def test_a_plant_whose_parts_do_not_fit(tmp_path: Path) -> None:
     path = state_space_model().save(tmp_path / "m.json")
     whole = json.loads(path.read_text())
     for change, words in (
-        ({"n_inputs": 7}, "must fit together, but input_names, port a"),
+        ({"n_inputs": 7}, "must fit together, but .*input_names.*port a"),
         ({"n_states": -1}, "must fit together, but n_states"),
         ({"parameters": []}, "must fit together, but system"),
         ({"ports": [{**whole["ports"][0], "columns": [99]}]}, "must fit together, but port a"),

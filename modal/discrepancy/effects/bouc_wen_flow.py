@@ -25,7 +25,7 @@ the curve to 1e-6 for n up to 10."""
 SETTLED = 36.0
 """q from which s is 1 to the last digit."""
 GAUSS = np.polynomial.legendre.leggauss(3)
-"""Points and weights by which a cell is integrated: exact to 1e-12."""
+"""Points and weights by which a cell is integrated: to 1e-7 in the first cell for n below 2, to 1e-12 elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -109,7 +109,8 @@ def _loaded(start: FloatArray, loading: FloatArray, n: float) -> tuple[FloatArra
 
 def _at(curve: _Curve, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """H at q and its derivative by n."""
-    cell = np.minimum((q / STEP).astype(np.intp), curve.forward.shape[1] - 1)
+    inside = np.where(q >= 0.0, q, 0.0)  # a motion that has escaped is not a number, and stays so
+    cell = np.minimum(inside / STEP, curve.forward.shape[1] - 1).astype(np.intp)
     share, beyond = np.minimum(q / STEP - cell, 1.0), np.maximum(q - REACH, 0.0)
     found = curve.forward.take(cell, axis=1)
     return (

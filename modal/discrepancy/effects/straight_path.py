@@ -18,7 +18,7 @@ __all__ = ["PathMoments", "straight_path"]
 
 NEAR = 0.02
 """Rise of the velocity, as a share of its size, below which the quotients would lose digits and a series takes their
-place: where the two meet they agree to 1e-9, because a step that ends there must not hop from one to the other."""
+place: where the two meet they agree to 2e-9, because a step that ends there must not hop from one to the other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -123,6 +123,16 @@ def test_the_small_systems_are_inverted_time_by_time(n):
     assert np.allclose(_inverse(matrices), expected, rtol=1e-9, atol=1e-12)
 
 
+def test_a_regular_step_whose_first_lines_are_singular_is_inverted():
+    crossed = np.eye(3)[::-1][:, :, None]
+    assert np.array_equal(_inverse(crossed), crossed)
+
+
+def test_nothing_is_led_on_where_there_is_nothing():
+    about, states, _, _ = situation(two_masses(), ["cubic_stiffness"])
+    assert about(states).steps.advance(np.zeros((0, *states.shape))).shape == (0, *states.shape)
+
+
 def test_a_step_without_a_unique_end_is_an_error():
     with pytest.raises(np.linalg.LinAlgError), np.errstate(all="ignore"):
         _inverse(np.zeros((2, 2, 3)))

@@ -45,6 +45,16 @@ def test_without_a_driving_point_all_displacements_tell_it_too():
 
 
 @pytest.mark.parametrize("seed", range(6))
+def test_two_modes_without_a_driving_point_leave_nothing_to_check_by(seed):
+    """Three equations for four numbers: some P would solve them for any plant, an asymmetric one included."""
+    chain = Chain(seed, 2, (0, 1), 0, gyroscopic=2.0 * (seed % 2))
+    pushed = ContinuousSystem(
+        A=chain.system.A, B=chain.forces @ np.array([[1.0], [-0.7]]), C=chain.system.C, D=chain.system.D
+    )
+    assert reciprocal_structure(pushed, pushed.C, chain.free) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("n_dofs", "sensors"), [(2, (0, 1)), (3, (0, 1, 2)), (3, (0, 2))])
 def test_a_spinning_rotor_is_not_reciprocal(seed, n_dofs, sensors):
     """Gyroscopic forces: each mass pushes the other by its velocity, one of them the other way."""

@@ -290,3 +290,15 @@ def test_an_accelerometer_on_a_mass_that_sticks_reads_what_holds_it(upsampling):
     assert np.abs(miss[inside]).max() < 0.15 * friction
     assert np.sqrt(np.mean(miss[inside] ** 2)) < 0.05 * friction
     assert np.median(np.abs(miss[~inside])) < 0.03 * friction
+
+
+@pytest.mark.parametrize("start", ["far", "near"])
+@pytest.mark.parametrize("softening", [-3e3, -3e4, -3e5])
+def test_a_motion_that_escapes_beside_a_law_with_memory_is_no_simulation(start, softening):
+    plant = two_masses()
+    drive = drive_of(some_records(plant, lengths=(900,), levels=(30.0,), missing=0.0))
+    assembly, unknowns = with_effects(plant, ["quadratic_stiffness", "bouc_wen_hysteresis"], 1)
+    unknowns.common[assembly.common_of(0)] = [softening]
+    scheme, _ = scheme_and_slopes(plant, unknowns.common[: assembly.n_linear], drive.dt)
+    states = np.random.default_rng(3).standard_normal(resting_states(assembly, drive).shape)
+    assert simulate_states(assembly, unknowns, drive, scheme, states, start=start) is None

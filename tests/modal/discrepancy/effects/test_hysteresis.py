@@ -316,3 +316,8 @@ def test_hysteresis_is_independent_of_pace():
         _, fast_force = march(effect, values, displacement)
         _, slow_force = march(effect, values, slow)
         np.testing.assert_allclose(slow_force[::7], fast_force, atol=2e-6)
+
+
+def test_a_motion_that_has_escaped_stays_no_number_and_is_no_error():
+    found = bouc_wen_flow(np.array([np.nan, 0.2, 0.1]), np.array([0.1, np.nan, np.inf]), np.full(3, 2.0))
+    assert np.isnan(found.value[:2]).all()
