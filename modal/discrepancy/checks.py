@@ -55,6 +55,12 @@ def check_records(
             raise InvalidDataError(
                 f"an output of record {record.name or 'without a name'} is missing throughout; leave the channel out"
             )
+        unknown = int(np.isnan(record.inputs).any(axis=1).sum())
+        if unknown:
+            raise InvalidDataError(
+                f"the inputs of record {record.name or 'without a name'} are missing (NaN) at {unknown} of "
+                f"{record.n_samples} samples, so no model can be simulated along it; cut the record there, or fill them"
+            )
     for held in helds:
         if any(held is record or _same(held, record) for record in fits):
             raise InvalidDataError(

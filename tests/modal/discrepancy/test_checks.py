@@ -44,6 +44,17 @@ def test_the_same_record_in_both_proves_nothing():
     refuses("proves nothing", lambda: check_records([first, second], replace(first, name="copy")))
 
 
+@pytest.mark.parametrize("held_out", [False, True])
+def test_inputs_must_be_whole(held_out):
+    """Outputs may have gaps; without the input at one sample the motion from then on is anyone's."""
+    first, second, third = records()
+    inputs = np.array(second.inputs)
+    inputs[7] = np.nan
+    gap = replace(second, inputs=inputs)
+    words = r"inputs of record run 1 are missing \(NaN\) at 1 of 50 samples"
+    refuses(words, lambda: check_records([first], gap) if held_out else check_records([first, gap], third))
+
+
 def test_records_must_be_alike():
     first, second, third = records()
     narrow = Record(first.inputs[:, :1], first.outputs, first.dt)
