@@ -27,7 +27,7 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozen
     Returns:
         The circumstances.
     """
-    found: set[Circumstance] = {"always"}
+    found: set[Circumstance] = set()
     if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
         found.add("one_dof")
     per_mass = [port for port in plant.ports if port.mass is not None and port.force_unit == f"{port.length_unit}/s^2"]

@@ -12,11 +12,18 @@ from typing import Literal
 __all__ = ["AMBIGUOUS", "AmbiguityClass", "Circumstance", "ambiguous_with"]
 
 Circumstance = Literal[
-    "always", "one_dof", "unknown_masses", "one_output", "one_level", "one_way", "small_motion", "large_motion"
+    "one_dof",
+    "unknown_masses",
+    "one_output",
+    "one_level",
+    "one_way",
+    "half_a_sample",
+    "small_motion",
+    "large_motion",
 ]
 """What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one measured
-output; records of about one level; a velocity at the place that never reverses; motion small, or large, against the
-length that shapes the law."""
+output; records of about one level; a velocity at the place that never reverses; a delay that is half a sample off
+whole ones; motion small, or large, against the length that shapes the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +82,9 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
     ),
     AmbiguityClass(
         effects=("input_delay",),
-        besides=("an input that was declared to be held but was linear between samples (half a sample)",),
-        circumstance="always",
-        when="the delay is about half a sample",
+        besides=("a wrongly declared hold of the input (half a sample)",),
+        circumstance="half_a_sample",
+        when="the delay is about half a sample off whole ones",
         separates="the data sheet of the output stage, or the drive measured along with the outputs",
     ),
     AmbiguityClass(
@@ -143,7 +150,7 @@ def ambiguous_with(
 
     Args:
         effect: Key in the catalogue.
-        circumstances: What holds ("always" need not be given).
+        circumstances: What holds.
         even_with: Keys of effects for which the evidence is no weaker; the classes that they share with `effect` hold
             whatever the circumstances.
 
@@ -158,7 +165,7 @@ def ambiguous_with(
         >>> [found.others("sensor_bias")[0] for found in ambiguous_with("sensor_bias", even_with=["constant_force"])]
         ['constant_force']
     """
-    holds, even = {"always", *circumstances}, set(even_with) - {effect}
+    holds, even = set(circumstances), set(even_with) - {effect}
     return tuple(
         found
         for found in AMBIGUOUS

@@ -64,7 +64,7 @@ class Decision:
 
 
 def decide_nodes(
-    nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset({"always"})
+    nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset()
 ) -> Decision:
     """Choose among the models that the search has fitted, the first being the linear one.
 

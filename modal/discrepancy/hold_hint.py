@@ -1,26 +1,23 @@
 """A wrongly declared hold of the inputs poses as half a sample of delay or as damping: when to think of it.
 
-Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: a fifth of
-the motion at 16 samples a period, more with fewer. With many samples a period nothing of it shows.
+Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: that share
+of the motion at most, a fifth of it at 16 samples a period. A gap that is larger is not due to the hold alone.
 """
 
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.other_hold import has_half_a_sample, other_hold
 from modal.discrepancy.statements import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
 __all__ = ["highest_frequency", "hold_words"]
 
-FEW_SAMPLES = 16.0
-"""Samples a period of the highest frequency that matters, from which on a wrong hold hardly shows."""
 MOST_OF_IT = 0.95
 """Share of an output's power above the noise that lies below the highest frequency that matters."""
 ENOUGH = 1.5
 """Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
-HALF_A_SAMPLE = (0.25, 0.75)
-"""Delays in samples that a wrong hold may stand behind."""
 
 
 def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
@@ -49,13 +46,15 @@ def hold_words(diagnosis: Diagnosis) -> str:
         diagnosis: What was found.
     """
     first = diagnosis.fit[0]
-    if not first.n_inputs or not (_gap_remains(diagnosis) or _half_a_sample(diagnosis)):
+    if not first.n_inputs:
         return ""
     frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
-    if frequency * first.dt * FEW_SAMPLES <= 1.0:
+    shift = np.pi * frequency * first.dt
+    unexplained = _gap_remains(diagnosis) and not _left_over(diagnosis) > shift
+    if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
         return ""
-    held = first.input_hold == "zero_order"
-    other, why = ("band_limited", "was measured rather than set") if held else ("zero_order", "was held by its source")
+    other = other_hold(first.input_hold)
+    why = "was held by its source" if other == "zero_order" else "was measured rather than set"
     return (
         f"Check the hold: the motion reaches up to {number(frequency)} Hz, {number(1.0 / (frequency * first.dt), 2)} "
         f'samples a period, and the input is declared {first.input_hold}. If it {why}, declare input_hold="{other}": '
@@ -67,7 +66,9 @@ def _gap_remains(diagnosis: Diagnosis) -> bool:
     return not diagnosis.steps[-1].held_out_level <= ENOUGH
 
 
-def _half_a_sample(diagnosis: Diagnosis) -> bool:
-    dt = diagnosis.fit[0].dt
-    delays = [one.parameters[0].value for one in diagnosis.findings if one.effect == "input_delay"]
-    return any(HALF_A_SAMPLE[0] * dt <= delay <= HALF_A_SAMPLE[1] * dt for delay in delays)
+def _left_over(diagnosis: Diagnosis) -> float:
+    """Size of the held-out gap above the noise, as a share of the motion's."""
+    noise = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :]
+    above = np.maximum(np.square(diagnosis.gap_after) - noise, 0.0)
+    motion = np.array([np.nanvar(record.outputs, axis=0) for record in diagnosis.held_out])
+    return float(np.sqrt(above.sum() / motion.sum()))

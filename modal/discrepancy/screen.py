@@ -182,7 +182,7 @@ def _signed(
 ) -> FloatArray | None:
     """The weights within the sign bounds of the amplitudes: those that would cross are zero; None if none is left."""
     kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
-    if not kinds:  # the column is the effect itself, so less than none of it is the opposite: hardening, an advance
+    if not kinds:  # the column is the effect itself, so less than none of it is the opposite: hardening, more drive
         return weights if weights[0] > 0.0 else None
     if local or not isinstance(trial.placement.effect, ForceEffect):
         return weights

@@ -33,7 +33,7 @@ __all__ = [
     "uncovered",
 ]
 
-FOLLOWED = 3e-4
+FOLLOWED = 1e-3
 """Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
 
 Progress = Callable[[str, float], None]

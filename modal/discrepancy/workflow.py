@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from modal.discrepancy.advice import advise, circumstances_of
+from modal.discrepancy.ambiguity import Circumstance
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.cautions import with_cautions
 from modal.discrepancy.checks import check_records
@@ -21,6 +22,7 @@ from modal.discrepancy.law import law_curves
 from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
+from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
 from modal.discrepancy.search import search
 from modal.discrepancy.setup import Progress, Setup, locate_gap, prepare_setup, roots, simulated_outputs, uncovered
 from modal.discrepancy.stages import calibrated_parameters
@@ -74,16 +76,15 @@ def diagnose(
         Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
+
+    def diagnosed(
+        fits: Record | Sequence[Record], helds: Record | Sequence[Record], tried: Mapping[str, Effect]
+    ) -> Diagnosis:
+        report = _silent if progress is None else progress
+        return _diagnosed(model, fits, helds, catalogue=tried, sensor_kind=sensor_kind, report=report)
+
     with one_blas_thread():
-        found = _diagnosed(
-            model,
-            fit,
-            held_out,
-            catalogue=catalogue,
-            sensor_kind=sensor_kind,
-            report=_silent if progress is None else progress,
-        )
-        return with_cautions(found)
+        return with_cautions(by_the_better_hold(diagnosed(fit, held_out, catalogue), diagnosed, catalogue))
 
 
 def _diagnosed(
@@ -143,6 +144,7 @@ def diagnosis_of(
         The diagnosis.
     """
     root, best, task = nodes[0], decision.node, setup.task
+    circumstances = circumstances | _of_the_delay(best, setup.fit[0].dt)
     problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
     spread = covariance(best.fitted, problem)
     chance = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
@@ -173,6 +175,17 @@ def diagnosis_of(
         held_out=setup.held_out,
         warnings=(*notes, *_bound_words(hits), *_gain_words(decision, circumstances), *decision.reasons),
     )
+
+
+def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
+    """What a delay that was found adds to the circumstances."""
+    assembly, common = best.coarse.assembly, best.coarse.unknowns.common
+    delays = [
+        common[assembly.common_of(i).start]
+        for i, item in enumerate(assembly.placements)
+        if item.effect.key == "input_delay"
+    ]
+    return frozenset({"half_a_sample"}) if any(half_a_sample(delay, dt) for delay in delays) else frozenset()
 
 
 def _gain_words(decision: Decision, circumstances: frozenset[Any]) -> tuple[str, ...]:

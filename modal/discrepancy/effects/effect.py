@@ -43,7 +43,7 @@ class ParameterKind:
         meaning: What it is, in a few words.
         dimension: Powers of (force, length, time) that make its unit; the length is that of the port's displacement
             (an angle at a rotary port), for sensors and inputs "force" is the channel's own unit.
-        lower: Hard lower bound (0 forbids a negative friction, drag, gap or delay).
+        lower: Hard lower bound (0 forbids a negative friction, drag or gap).
         upper: Hard upper bound.
         role: "amplitude": the effect is proportional to its distance from the neutral value (of these together);
             "shape": it is not.

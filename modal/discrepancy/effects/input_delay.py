@@ -1,4 +1,4 @@
-"""The drive reaches the plant later than the record says.
+"""The drive reaches the plant later, or sooner, than the record says.
 
 The drive is linear within each step, with jumps allowed between steps. For tau = (m + f) dt the delayed drive within
 step k is the last share f of step k - m - 1 followed by the first share 1 - f of step k - m. It is replaced by the one
@@ -10,6 +10,7 @@ right but for (dt x pole)^2 of the drive's change within it. For a zero-order ho
 The line is continuous in tau, also across whole steps, where its slope by tau jumps.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,28 +20,29 @@ from okid.arrays import FloatArray
 
 __all__ = ["InputDelay"]
 
-COUNTS = (0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 7.5, 10.5, 15.5, 22.5, 31.5)
+COUNTS = (-0.5, 0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 7.5, 10.5, 15.5, 22.5, 31.5)
 """Delays to start from, in steps: each lies between whole steps, where a held drive has no bend in tau; a broadband
-drive that is held has lost its correlation after one step, so the first are dense."""
+drive that is held has lost its correlation after one step, so the first are dense. The negative one is for skew: a
+wrong hold, or outputs that were written down a step after their inputs."""
 WHOLE = 1e-6
 """A delay within this share of a step of a whole number of steps is a whole number: division by dt rounds."""
 
 
 def _split(tau: float, dt: float, longest: int) -> tuple[int, float]:
-    """Whole steps and the share of a step that is left."""
-    steps = min(max(tau / dt, 0.0), float(longest))
+    """Whole steps, rounded down, and the share of a step that is left."""
+    steps = min(max(tau / dt, -float(longest)), float(longest))
     whole = round(steps)
     if abs(steps - whole) < WHOLE:
         return whole, 0.0
-    return int(steps), steps - int(steps)
+    return math.floor(steps), steps - math.floor(steps)
 
 
-def _steps_before(edge: FloatArray, first: float, lag: int) -> FloatArray:
-    """The values `lag` steps earlier, `first` before the start."""
-    if lag == 0:
-        return edge
-    held = np.full(min(lag, edge.size), first)
-    return np.concatenate([held, edge[: edge.size - held.size]])
+def _steps_before(edge: FloatArray, lag: int, *, first: float, last: float) -> FloatArray:
+    """The values `lag` steps earlier: `first` before the start, `last` after the end."""
+    shift = min(abs(lag), edge.size)
+    if lag >= 0:
+        return np.concatenate([np.full(shift, first), edge[: edge.size - shift]])
+    return np.concatenate([edge[shift:], np.full(shift, last)])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -52,8 +54,9 @@ class _Step:
 
     @staticmethod
     def of(start: FloatArray, end: FloatArray, lag: int) -> "_Step":
-        begin = _steps_before(start, float(start[0]), lag)
-        return _Step(start=begin, rise=_steps_before(end, float(start[0]), lag) - begin)
+        first, last = float(start[0]), float(end[-1])
+        begin = _steps_before(start, lag, first=first, last=last)
+        return _Step(start=begin, rise=_steps_before(end, lag, first=first, last=last) - begin)
 
     def at(self, share: float) -> FloatArray:
         """Its values at a share of the step."""
@@ -67,17 +70,18 @@ def _mean(now: _Step, before: _Step, f: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputDelay(InputEffect):
-    """The drive delayed by tau, whole samples or fractions.
+    """The drive delayed by tau, whole samples or fractions; a negative tau is a drive that acts before it is recorded.
 
     Signature: the phase of the output lags by an angle in proportion to frequency, the same at every level; the
     magnitude is right. The relative gap grows with frequency.
 
-    Law: `u'(t) = u(t - tau)`, with the first value held before the record starts. Parameters: tau [s], not negative.
+    Law: `u'(t) = u(t - tau)`, with the first value held before the record starts and the last one after its end.
+    Parameters: tau [s]; a negative one is no physics but skew of the record.
 
-    Confused with: a drive that was declared to be held at zero order but was linear between samples (half a sample of
-    delay); a lag of the actuator (a pole: its phase bends, and the magnitude falls); stiffness and damping that are
-    wrong, where the drive covers one resonance only. A drive that covers frequencies away from any resonance separates
-    them.
+    Confused with: a wrongly declared hold (half a sample, of either sign); outputs written down a step after their
+    inputs (-1 sample); a lag of the actuator (a pole: its phase bends, and the magnitude falls); stiffness and damping
+    that are wrong, where the drive covers one resonance only. A drive that covers frequencies away from any resonance
+    separates them.
 
     References:
         K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed., 1997 (sampling of a system with a delay that
@@ -92,16 +96,14 @@ class InputDelay(InputEffect):
 
     key = "input_delay"
     law = "u'(t) = u(t - tau)"
-    parameters = (
-        ParameterKind(name="tau", meaning="delay of the drive", dimension=(0, 0, 1), lower=0.0, role="shape"),
-    )
+    parameters = (ParameterKind(name="tau", meaning="delay of the drive", dimension=(0, 0, 1), role="shape"),)
     neutral = (0.0,)
     family = "delay"
     signature = "phase lag in proportion to frequency, same at every level"
     reference = "Åström, Wittenmark, Computer-Controlled Systems, 3rd ed., 1997"
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
-        """Delays between whole samples, dense at first, up to a tenth of the longest record."""
+        """Delays between whole steps, dense at first, up to a tenth of the longest record."""
         delays = [count * situation.dt for count in COUNTS]
         return tuple((delay,) for delay in delays if delay <= max(0.1 * situation.longest, delays[0]))
 
@@ -111,7 +113,8 @@ class InputDelay(InputEffect):
             return start, end
         lag, f = _split(float(values[0]), dt, start.size + 1)
         if f == 0.0:
-            return _steps_before(start, start[0], lag), _steps_before(end, start[0], lag)
+            first, last = float(start[0]), float(end[-1])
+            return _steps_before(start, lag, first=first, last=last), _steps_before(end, lag, first=first, last=last)
         now, before = _Step.of(start, end, lag), _Step.of(start, end, lag + 1)
         entry = before.at(1.0 - f)
         # integrals of (s - 1/2) and s (s - 1/2) over the share [0, f] of the step; over all of it 0 and 1/12
@@ -128,7 +131,7 @@ class InputDelay(InputEffect):
             return sample
         lag, f = _split(float(values[0]), dt, start.size + 1)
         if f == 0.0:
-            return _steps_before(sample, sample[0], lag)
+            return _steps_before(sample, lag, first=float(sample[0]), last=float(sample[-1]))
         return _Step.of(start, end, lag + 1).at(1.0 - f)
 
     def by_parameter(
@@ -139,7 +142,7 @@ class InputDelay(InputEffect):
         end: FloatArray,
         dt: float,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Derivatives by tau; of a delay of whole steps (but 0) those of a slightly smaller one.
+        """Derivatives by tau; of whole steps those of the side nearer to none, of none those of a slightly longer one.
 
         With u(x) the drive before the change and x in steps, the mean over [-f, 1 - f] changes by u(-f) - u(1 - f), the
         moment by mean - (u(-f) + u(1 - f)) / 2.

@@ -33,7 +33,7 @@ def records():
 def test_one_mass_with_one_sensor():
     plant = structural_plant(nominal())
     found = circumstances_of(plant, records(), root_with(plant, records()))
-    assert {"always", "one_dof", "one_output"} <= found
+    assert {"one_dof", "one_output"} <= found
     assert not {"one_level", "one_way"} & found
 
 
@@ -89,20 +89,18 @@ def decision(status, effects=(), runners=None, margins=None):
 
 def test_ambiguous_effects_are_told_with_what_separates_them():
     one = decision("named", (("input_gain", "input_0"),))
-    apart = advise(one, records(), frozenset({"always"}))
+    apart = advise(one, records(), frozenset())
     assert not [words for words in apart if "sensor gain" in words]
-    together = advise(one, records(), frozenset({"always", "one_dof"}))
+    together = advise(one, records(), frozenset({"one_dof"}))
     assert any("input gain at input_0 from sensor gain," in words and "second output" in words for words in together)
 
 
 def test_a_runner_up_that_is_close_gets_its_experiment():
     runner = SimpleNamespace(effects=(("quadratic_drag", "element_0"),))
     one = decision("unresolved", (("coulomb_friction", "element_0"),), (runner,), (5.0,))
-    assert any(
-        "from quadratic drag" in words and "level" in words for words in advise(one, records(), frozenset({"always"}))
-    )
+    assert any("from quadratic drag" in words and "level" in words for words in advise(one, records(), frozenset()))
     settled = decision("named", (("coulomb_friction", "element_0"),), (runner,), (5000.0,))
-    assert not [words for words in advise(settled, records(), frozenset({"always"})) if "drag" in words]
+    assert not [words for words in advise(settled, records(), frozenset()) if "drag" in words]
 
 
 def test_advice_has_no_keys():
@@ -113,7 +111,7 @@ def test_advice_has_no_keys():
 
 
 def test_a_second_level_is_advised_once():
-    told = frozenset({"always", "one_level"})
+    told = frozenset({"one_level"})
     general = "Measure at a second level"
     friction = advise(decision("named", (("coulomb_friction", "element_0"),)), records(), told)
     assert len([words for words in friction if "level" in words]) == 1
@@ -126,7 +124,7 @@ def test_a_second_level_is_advised_once():
 def test_even_evidence_asks_for_what_separates(margin, said):
     runner = SimpleNamespace(effects=(("constant_force", "output_1"),))
     one = decision("named", (("sensor_bias", "output_0"),), (runner,), (margin,))
-    words = advise(one, records(), frozenset({"always"}))
+    words = advise(one, records(), frozenset())
     assert any("sensor bias at output_0 from constant force" in sentence for sentence in words) == said
 
 
@@ -135,8 +133,8 @@ def test_even_evidence_asks_for_what_separates(margin, said):
     [("none", "stronger level than that of level 3"), ("unresolved", "register an effect of your own")],
 )
 def test_nothing_found(status, words):
-    found = advise(decision(status), records(), frozenset({"always"}))
+    found = advise(decision(status), records(), frozenset())
     assert any(words in one for one in found)
     assert len(set(found)) == len(found)
-    one_level = advise(decision(status), records(), frozenset({"always", "one_level"}))
+    one_level = advise(decision(status), records(), frozenset({"one_level"}))
     assert any("second level" in one for one in one_level)

@@ -42,8 +42,9 @@ def test_no_effect_is_listed_beside_itself():
             assert key not in found.others(key)
 
 
-def test_half_a_sample_of_delay_is_always_a_question_of_the_hold():
-    (found,) = ambiguous_with("input_delay")
+def test_half_a_sample_of_delay_is_a_question_of_the_hold():
+    assert not ambiguous_with("input_delay")
+    (found,) = ambiguous_with("input_delay", circumstances=["half_a_sample"])
     assert "half a sample" in found.others("input_delay")[0]
 
 

@@ -100,12 +100,15 @@ def with_motion(samples_a_period, *, level=9.0, hold="zero_order", **changes):
     return replace(found, fit=(one, one), steps=steps, noise_floor=floor, **changes)
 
 
-@pytest.mark.parametrize(("samples", "said"), [(14.0, True), (18.0, False), (5.0, True)])
+@pytest.mark.parametrize(("share", "small"), [(0.1, True), (0.2, False), (np.nan, True), (np.inf, False)])
 @pytest.mark.parametrize(("level", "gap"), [(1.6, True), (1.4, False), (np.inf, True), (np.nan, True)])
-def test_a_hold_is_doubted_where_it_shows_and_a_gap_is_left(samples, said, level, gap):
-    found = with_motion(samples, level=level)
-    assert bool(hold_words(found)) == (said and gap)
-    assert any("Check the hold" in words for words in with_cautions(found).advice) == (said and gap)
+def test_a_hold_is_doubted_where_a_gap_is_left_that_it_could_explain(share, small, level, gap):
+    """At 20 samples a period half a sample is pi / 20 = 0.157 of the motion."""
+    found = with_motion(20.0, level=level)
+    motion = np.sqrt([record.outputs.var(axis=0) for record in found.held_out])
+    found = replace(found, gap_after=share * motion)
+    assert bool(hold_words(found)) == (small and gap)
+    assert any("Check the hold" in words for words in with_cautions(found).advice) == (small and gap)
 
 
 @pytest.mark.parametrize(
@@ -123,6 +126,15 @@ def test_half_a_sample_of_delay_is_doubted_though_no_gap_is_left(samples_of_dela
     tau = replace(finding.parameters[0], name="tau", value=samples_of_delay * 0.01, unit="s")
     delay = replace(finding, effect="input_delay", where="force", parameters=(tau,))
     assert bool(hold_words(with_motion(6.0, level=1.0, status="named", findings=(delay,)))) == said
+
+
+@pytest.mark.parametrize(("samples_of_delay", "said"), [(0.4, False), (0.0, False), (-1.03, True)])
+def test_outputs_that_come_before_their_inputs_are_a_warning(samples_of_delay, said):
+    (finding,) = make_diagnosis(status="named", n_effects=1).findings
+    tau = replace(finding.parameters[0], name="tau", value=samples_of_delay * 0.01, unit="s")
+    delay = replace(finding, effect="input_delay", where="force", parameters=(tau,))
+    found = with_cautions(with_motion(6.0, level=1.0, status="named", findings=(delay,)))
+    assert any("answer force 0.0103 s (1.03 samples) before" in words for words in found.warnings) == said
 
 
 def test_without_inputs_there_is_no_hold():

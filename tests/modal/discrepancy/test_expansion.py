@@ -7,10 +7,12 @@ import pytest
 from engine_records import experiment, nominal
 
 from modal.discrepancy import expansion as module
+from modal.discrepancy import observed_fits as fits_module
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
+from modal.discrepancy.observed_fits import observed_fits, observed_form
 from modal.discrepancy.observer import observer_gain
 
 
@@ -27,8 +29,8 @@ def current():
 
 def observed(current, gain, monkeypatch):
     fitted, problem = current
-    monkeypatch.setattr(module, "observer_gain", lambda *_args: gain)
-    return module._observed(fitted, SimpleNamespace(fit=problem, upsampling=1))
+    monkeypatch.setattr(fits_module, "observer_gain", lambda *_args: gain)
+    return observed_form(fitted, SimpleNamespace(fit=problem, upsampling=1))
 
 
 def test_the_observer_form_is_taken_where_it_is_nearer_to_the_data(current, monkeypatch):
@@ -76,7 +78,7 @@ def test_a_law_too_hard_to_move_starts_again_much_weaker(monkeypatch):
     assembly = SimpleNamespace(
         placements=(SimpleNamespace(effect=effect, common=(0,)),), common_of=lambda _position: slice(0, 1)
     )
-    monkeypatch.setattr(module, "_within_reach", within_reach)
+    monkeypatch.setattr(module, "within_reach", within_reach)
     monkeypatch.setattr(module, "estimate", fitted)
     for size, expected in ((500.0, [500.0, 50.0]), (20.0, [20.0])):
         tried.clear()
@@ -104,14 +106,16 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     costs = {"calibrated": calibrated, "given": given}
     tried = []
 
-    def fit(_node, _observed, candidate, _task, *, linear):
+    def fit(_node, _observed, candidate, _task, *, linear, smoothing):
+        assert smoothing == 0.03
         tried.append((candidate, linear))
         cost = costs[linear]
         return None if cost is None else SimpleNamespace(cost=cost, linear=linear, candidate=candidate)
 
-    monkeypatch.setattr(module, "_observed_fit", fit)
+    monkeypatch.setattr(fits_module, "_observed_fit", fit)
+    monkeypatch.setattr(fits_module, "_first_smoothing", lambda *_: 0.03)
     coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
-    found = module._observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
+    found = observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
     assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
     assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
 

@@ -118,12 +118,10 @@ def test_amplitudes_beyond_their_sign_are_left_out():
     assert "ground" in free
 
 
-@pytest.mark.parametrize("key", ["sine_softening", "input_delay", "input_saturation"])
+@pytest.mark.parametrize("key", ["sine_softening", "input_saturation"])
 def test_the_opposite_of_an_effect_without_an_amplitude_is_no_effect(key):
-    """Hardening is no softening, an advance no delay, more drive no saturation."""
-    linear, start, problem = measured(
-        [key], noise=1e-4, change=[(2, {"sine_softening": 2.0}.get(key, 0.0273))] if key != "input_saturation" else ()
-    )
+    """Hardening is no softening, more drive no saturation."""
+    linear, start, problem = measured([key], noise=1e-4, change=[(2, 2.0)] if key == "sine_softening" else ())
     calibrated = simulate_at(linear, start, problem)
     assert any(c.where in {"ground", "push"} for c in screen_candidates(calibrated, problem, {key: CATALOGUE[key]}))
     mirrored = 2 * calibrated.trajectory.outputs - problem.drive.outputs
@@ -131,6 +129,16 @@ def test_the_opposite_of_an_effect_without_an_amplitude_is_no_effect(key):
     current = simulate_at(linear, start, opposite)
     found = screen_candidates(current, opposite, {key: CATALOGUE[key]})
     assert not [c for c in found if c.where in {"ground", "push"} and c.fall > 0.3]
+
+
+def test_the_opposite_of_a_delay_is_one_of_the_other_sign():
+    linear, start, problem = measured(["input_delay"], noise=1e-4, change=[(2, 0.0273)])
+    calibrated = simulate_at(linear, start, problem)
+    mirrored = 2 * calibrated.trajectory.outputs - problem.drive.outputs
+    for one, sign in ((problem, 1.0), (replace(problem, drive=replace(problem.drive, outputs=mirrored)), -1.0)):
+        best, *_ = screen_candidates(simulate_at(linear, start, one), one, {"input_delay": CATALOGUE["input_delay"]})
+        assert np.sign(best.common[0]) == sign
+        assert best.fall > 0.3
 
 
 def test_an_effect_that_is_there_already_is_not_tried_again():

@@ -8,15 +8,17 @@ from modal.discrepancy.effects.effect import Motion, Situation
 from modal.discrepancy.effects.input_delay import InputDelay
 
 GAUSS = np.polynomial.legendre.leggauss(3)  # exact for the squares that a line times (s - 1/2) makes
-delays = st.floats(0.0, 7.0)
+delays = st.floats(-7.0, 7.0)
 seeds = st.integers(0, 2**31)
 
 
 def value(start, end, time):
-    """A drive that is linear within each step of length 1, its first value before the start."""
+    """A drive that is linear within each step of length 1, its first value before the start, its last after the end."""
     if time < 0.0:
         return start[0]
-    k = min(int(np.floor(time)), len(start) - 1)
+    if time >= len(start):
+        return end[-1]
+    k = int(np.floor(time))
     return start[k] + (time - k) * (end[k] - start[k])
 
 
@@ -51,17 +53,19 @@ def test_a_held_drive_has_the_slope_of_its_jump():
     np.testing.assert_allclose(ended - begun, [0.0, 6 * 0.25 * 0.75 * 2.0, 0.0])
 
 
-@pytest.mark.parametrize("lag", [0, 1, 3, 5, 9, 10**9])
-def test_whole_delays_shift_and_hold_the_first_value(lag):
+@pytest.mark.parametrize("lag", [-(10**9), -5, -4, -1, 0, 1, 3, 5, 9, 10**9])
+def test_whole_delays_shift_and_hold_the_first_and_the_last_value(lag):
     rng = np.random.default_rng(1)
     start, end = rng.standard_normal(5), rng.standard_normal(5)
     begun, ended = InputDelay().apply([lag * 0.1], start, end, 0.1)
     for k in range(5):
-        assert begun[k] == (start[k - lag] if k >= lag else start[0])
-        assert ended[k] == (end[k - lag] if k >= lag else start[0])
+        inside = 0 <= k - lag < 5
+        outside = start[0] if lag > 0 else end[-1]
+        assert begun[k] == (start[k - lag] if inside else outside)
+        assert ended[k] == (end[k - lag] if inside else outside)
 
 
-@given(lag=st.integers(1, 6), seed=seeds)
+@given(lag=st.integers(-6, 6), seed=seeds)
 def test_the_line_is_continuous_across_whole_steps(lag, seed):
     u = np.random.default_rng(seed).standard_normal(10)
     at = [InputDelay().apply([(lag + side) * 0.02], u, u, 0.02) for side in (-1e-4, 0.0, 1e-4)]
@@ -70,23 +74,23 @@ def test_the_line_is_continuous_across_whole_steps(lag, seed):
         np.testing.assert_allclose(side[1], at[1][1], atol=1e-4 * 10 * np.ptp(u))
 
 
-@given(tau=st.floats(0.0, 3.0), slope=st.floats(-5.0, 5.0))
+@given(tau=st.floats(-3.0, 3.0), slope=st.floats(-5.0, 5.0))
 def test_a_ramp_stays_a_ramp(tau, slope):
     t = np.arange(10.0)
     begun, ended = InputDelay().apply([tau], slope * t, slope * (t + 1.0), 1.0)
     sample = InputDelay().at_samples([tau], slope * t, slope * t, slope * (t + 1.0), 1.0)
-    later = t >= 3.0
+    later = (t >= 3.0) & (t < 7.0)
     np.testing.assert_allclose(begun[later], slope * (t - tau)[later], atol=1e-4)
     np.testing.assert_allclose(ended[later], slope * (t + 1.0 - tau)[later], atol=1e-4)
     np.testing.assert_allclose(sample[later], slope * (t - tau)[later], atol=1e-4)
 
 
-@given(tau=st.floats(0.01, 4.99), seed=seeds)
+@given(tau=st.floats(-4.99, 4.99), seed=seeds)
 def test_a_held_drive_reaches_the_outputs_with_the_value_of_the_step_before(tau, seed):
     u = np.random.default_rng(seed).standard_normal(12)
     sample = InputDelay().at_samples([tau * 0.1], u, u, u, 0.1)
     lag = round(tau) if abs(tau - round(tau)) < 1e-6 else int(np.ceil(tau))
-    np.testing.assert_allclose(sample, [u[max(k - lag, 0)] for k in range(12)], atol=1e-12)
+    np.testing.assert_allclose(sample, [u[min(max(k - lag, 0), 11)] for k in range(12)], atol=1e-12)
 
 
 @pytest.mark.parametrize("f", [0.2, 0.5, 0.9])
@@ -124,12 +128,12 @@ def test_derivatives_agree_with_differences_between_whole_steps(tau, seed, held)
     assert disagreement(found, by_value(changed, [tau * dt], 0)) < 1e-5
 
 
-@given(lag=st.integers(0, 6), seed=seeds, held=st.booleans())
+@given(lag=st.integers(-6, 6), seed=seeds, held=st.booleans())
 def test_derivatives_at_whole_steps_are_those_of_one_side(lag, seed, held):
     rng = np.random.default_rng(seed)
     start = rng.standard_normal(12)
     end = start if held else rng.standard_normal(12)
-    side = lag - 1e-5 if lag else 1e-5
+    side = lag - 1e-5 if lag > 0 else lag + 1e-5
     for at, near in zip(
         InputDelay().by_parameter([lag * 0.1], start, start, end, 0.1),
         InputDelay().by_parameter([side * 0.1], start, start, end, 0.1),
