@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
+from modal.discrepancy.graded import LOST, graded_run
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form
 from modal.discrepancy.screen import Candidate, screen_candidates
@@ -119,6 +120,8 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
         if (explained or _nearly(runs, node)) and fit.cost > rival * fits[0].cost:
             break
         run = _free_run(fit, task, _softness(node, SOFT))
+        if not (explained or _nearly(runs, node)):
+            run = _found_again(run, fit, task, _softness(node, SOFT))
         if run is None:
             continue
         if all(run.cost < other.cost for other in runs):
@@ -146,6 +149,15 @@ def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
         if found is not None and found.iterations > 0:
             break
     return found
+
+
+def _found_again(run: Estimate | None, fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
+    """The free run, or where that is lost, the one that is come to gain by gain."""
+    if run is not None and run.cost <= LOST * fit.cost:
+        return run
+    start = graded_run(fit, task.fit, smoothing=smoothing)
+    graded = None if start is None else estimate(start, task.fit, iterations=MOST_FREE, standstill=MOVING_FREE)
+    return graded if run is None or (graded is not None and graded.cost < run.cost) else run
 
 
 def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:

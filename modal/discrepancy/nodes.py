@@ -41,6 +41,9 @@ four."""
 NEARLY, BLUR = 2.0, 0.1
 """What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
 smoothing."""
+FAR, MOSTLY = 30.0, 1.0
+"""Above this level only where it rises by this share of the excess, as where smoothing makes a third of it: a motion
+with impacts changes a little with anything."""
 DOUBTFUL = (1.1, 100.0)
 """A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
 FINE_STEPS = 4
@@ -150,6 +153,8 @@ def _blurred(coarse: Estimate, problem: Problem) -> bool:
         smoothing=2.0 * coarse.smoothing,
         start="near",
     )
+    if coarse.level > FAR:
+        return twice is not None and twice.level - coarse.level > MOSTLY * (coarse.level - 1.0)
     return twice is None or abs(twice.level - coarse.level) > BLUR * (coarse.level - 1.0)
 
 

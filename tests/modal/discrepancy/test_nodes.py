@@ -65,11 +65,21 @@ def test_only_laws_that_jump_or_have_corners_are_polished(task, monkeypatch, key
     assert (polished(node, task) is not node) == polishes
 
 
-@pytest.mark.parametrize(("twice", "blurred"), [(50.5, False), (60.0, True), (None, True)])
-def test_a_gap_that_smoothing_does_not_change_is_not_taken_for_smoothing(monkeypatch, twice, blurred):
-    """An excess of 49 floors, and what twice the smoothing makes of it."""
+@pytest.mark.parametrize(
+    ("level", "twice", "blurred"),
+    [
+        (20.0, 20.5, False),
+        (20.0, 23.0, True),
+        (20.0, None, True),
+        (50.0, 60.0, False),  # impacts change a little with anything
+        (50.0, 120.0, True),
+        (50.0, None, False),
+    ],
+)
+def test_a_gap_that_smoothing_does_not_change_is_not_taken_for_smoothing(monkeypatch, level, twice, blurred):
+    """A level in times of the floor, and what twice the smoothing makes of it."""
     monkeypatch.setattr(module, "simulate_at", lambda *_a, **_k: None if twice is None else estimate_of(twice))
-    assert module._blurred(estimate_of(50.0, "coulomb_friction"), "fit") == blurred
+    assert module._blurred(estimate_of(level, "coulomb_friction"), "fit") == blurred
 
 
 def test_near_the_floor_smoothing_is_always_doubted(monkeypatch):
