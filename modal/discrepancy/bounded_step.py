@@ -64,7 +64,7 @@ def bounded_step(
             bound = np.clip(at + step, lower, upper) - at
             return np.where(crossing, bound, step)
         free &= ~stuck
-        step[stuck] = held[stuck]
+        pinned[stuck] = held[stuck]
     return step
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.estimation import Problem, covariance
-from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain, without
+from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain
 from modal.discrepancy.simpler_laws import has_limit, with_limits
+from modal.discrepancy.smaller_models import without
 from modal.discrepancy.statements import number, times_floor_text
 from modal.discrepancy.sureness import sureness
 

@@ -1,11 +1,11 @@
 """Models with some effects, fitted and judged on held-out records: what the search goes from and comes to."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement, Unknowns
+from modal.discrepancy.assembly import Unknowns
 from modal.discrepancy.effects.effect import Effect, is_sharp
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.observer import observer_gain
@@ -17,13 +17,10 @@ __all__ = [
     "Node",
     "Task",
     "counts",
-    "dropped",
-    "instead",
     "log_likelihood_gain",
     "node_of",
     "on_other_floor",
     "polished",
-    "without",
 ]
 
 SMALLEST_FALL = 0.1
@@ -34,10 +31,6 @@ effect none fell by a tenth, while 69 % gained more than 30."""
 SHARPER = tuple(SHARP / share for share in (1.0, 2.5, 5.0, 10.0, 20.0))
 """Small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits with a
 second effect found none, and those that did took longer."""
-ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
-"""Without an effect that it needs, a model is fitted, and then judged, only as far as its cost, after every four
-iterations, stays within these factors of the whole model's; an iteration that gains less than the first share ends the
-four."""
 NEARLY, BLUR = 2.0, 0.1
 """What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
 smoothing."""
@@ -252,49 +245,3 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
         return False
     falls = child.held_out_level <= (1.0 - SMALLEST_FALL) * parent.held_out_level
     return falls and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
-
-
-def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
-    """The model without one of its effects, all else as it is."""
-    assembly = fitted.assembly
-    kept = [i for i in range(len(assembly.placements)) if i != placement]
-    smaller = replace(assembly, placements=tuple(assembly.placements[i] for i in kept))
-    common = np.delete(fitted.unknowns.common, np.r_[assembly.common_of(placement)])
-    local = np.delete(fitted.unknowns.local, np.r_[assembly.own_of(placement)], axis=1)
-    return smaller, Unknowns(common=common, local=local)
-
-
-def without(node: Node, placement: int, task: Task) -> Node:
-    """The model refitted without one of its effects."""
-    return _compared(simulate_at(*dropped(node.coarse, placement), task.fit, smoothing=SHARP), node, task)
-
-
-def instead(node: Node, placement: int, law: Placement, values: Sequence[float], task: Task) -> Node:
-    """The model refitted with another law at the place of one of its effects, from these values.
-
-    The law has no states and no values of a record of its own.
-    """
-    fitted = node.coarse
-    assembly = fitted.assembly
-    items = list(assembly.placements)
-    items[placement] = law
-    own, span = assembly.own_of(placement), assembly.common_of(placement)
-    directions = fitted.unknowns.common[span][len(assembly.placements[placement].common) :]
-    common = np.concatenate(
-        [fitted.unknowns.common[: span.start], values, directions, fitted.unknowns.common[span.stop :]]
-    )
-    local = np.delete(fitted.unknowns.local, np.r_[own], axis=1)
-    changed = replace(assembly, placements=tuple(items))
-    return _compared(simulate_at(changed, Unknowns(common=common, local=local), task.fit, smoothing=SHARP), node, task)
-
-
-def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
-    """A smaller model, fitted and judged only as far as it stays near the whole one."""
-    if start is None:
-        return Node(fitted=node.coarse, held_out=None, coarse=node.coarse)
-    rough = start
-    for far in CLEARLY:
-        rough = estimate(rough, task.fit, iterations=4, standstill=ROUGH)
-        if rough.cost > far * node.coarse.cost:
-            return Node(fitted=rough, held_out=None, coarse=rough)
-    return polished(node_of(estimate(rough, task.fit, iterations=12), task), task)

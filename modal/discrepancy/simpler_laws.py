@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from modal.discrepancy.assembly import Assembly, Placement
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.effects.effect import Effect
-from modal.discrepancy.nodes import Node, Task, instead
+from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.placed import possible_places
+from modal.discrepancy.smaller_models import instead
 from okid.arrays import FloatArray
 
 __all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]

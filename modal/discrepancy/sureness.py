@@ -19,8 +19,9 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.estimation import Estimate, Problem, held_unknowns, normal_equations, sensitivity_of, simulate_at
-from modal.discrepancy.nodes import Node, Task, dropped
+from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
+from modal.discrepancy.smaller_models import dropped
 from okid.arrays import FloatArray
 
 __all__ = ["sureness"]

@@ -1,42 +1,17 @@
-"""What is done to a fitted model, on made-up estimates: when it is polished, sought again, or dropped early."""
+"""What is done to a fitted model, on made-up estimates: when it is polished, or sought again."""
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from made_up_estimates import estimate_of, node_with
 
 from modal.discrepancy import nodes as module
-from modal.discrepancy.catalogue import CATALOGUE
-from modal.discrepancy.nodes import Node, polished
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Unknowns:
-    common: np.ndarray
-    local: np.ndarray
-
-
-def estimate_of(level, *keys, cost=100.0):
-    placements = tuple(SimpleNamespace(effect=CATALOGUE[key], where="ground") for key in keys)
-    return SimpleNamespace(
-        assembly=SimpleNamespace(placements=placements),
-        unknowns=Unknowns(common=np.zeros(1), local=np.zeros((1, 1))),
-        trajectory=SimpleNamespace(states=None),
-        level=level,
-        cost=cost,
-        smoothing=0.005,
-    )
+from modal.discrepancy.nodes import polished
 
 
 @pytest.fixture
 def task():
     return SimpleNamespace(fit="fit", held_out="held", fine_fit="fine fit", fine_held_out="fine held")
-
-
-def node_with(level, *keys):
-    fitted = estimate_of(level, *keys)
-    return Node(fitted=fitted, held_out=estimate_of(level, *keys), coarse=fitted)
 
 
 @pytest.mark.parametrize(("cost", "taken"), [(99.0, True), (101.0, False), (None, False)])
@@ -94,19 +69,3 @@ def test_near_the_floor_smoothing_is_always_doubted(monkeypatch):
 def test_held_out_records_in_another_basin(fit, held_out, doubtful):
     """At the floor on the records to fit, any excess on held-out ones may be a matter of their initial states."""
     assert module._doubtful(estimate_of(held_out), estimate_of(fit)) == doubtful
-
-
-@pytest.mark.parametrize(
-    ("costs", "judged"),
-    [([99.0, 25.0, 8.0, 8.0], True), ([101.0], False), ([99.0, 31.0], False), ([99.0, 25.0, 11.0], False)],
-)
-def test_a_model_without_what_it_needs_is_neither_fitted_nor_judged_to_the_end(task, monkeypatch, costs, judged):
-    """Costs after each four iterations; the whole model's is 1."""
-    left = list(costs)
-    monkeypatch.setattr(module, "estimate", lambda *_a, **_k: estimate_of(left[0], cost=left.pop(0)))
-    monkeypatch.setattr(module, "_judged", lambda *_args: estimate_of(2.0))
-    whole = node_with(1.0)
-    whole = Node(fitted=whole.fitted, held_out=whole.held_out, coarse=estimate_of(1.0, cost=1.0))
-    found = module._compared(estimate_of(500.0), whole, task)
-    assert (found.held_out is not None) == judged
-    assert left == []
