@@ -114,7 +114,7 @@ def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Se
     records = (*setup.fit, *setup.held_out)
     outputs = (*simulated_outputs(best.fitted, setup.fit), *simulated_outputs(best.held_out, setup.held_out))
     left = [record.outputs - simulated for record, simulated in zip(records, outputs, strict=True)]
-    lower = lowered_floor(setup.floor, records, left)
+    lower = _followed(lowered_floor(setup.floor, records, left), records)
     ratio = setup.floor.variance / lower.variance
     if float(ratio.max()) <= 1.0:
         return setup, nodes, as_given
