@@ -4,14 +4,22 @@ The free run of a lightly damped model whose frequency is off by more than the w
 with the record from the first beat on: the error hardly falls towards the right frequency, more damping lowers it, and
 the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step, so that the fit
 is contractive; from there the free run is near its minimum.
+
+Where linear parameters sit on their bounds and leave a gap, the nominal values may be further off than was thought:
+wider bounds are taken where they explain all of it, and only then, because an effect that is missing would use them.
 """
 
+from dataclasses import replace
+
+from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observer import observer_gain
 
 __all__ = ["calibrated_node", "fitted_either_way"]
 
+WIDER = 4.0
+"""Factor by which bounds are moved out."""
 EXPLAINED = 1.2
 """Mean square of the residual, in units of the floor, above which a fit in free run may be a false minimum."""
 
@@ -22,8 +30,27 @@ def calibrated_node(start: Estimate, task: Task) -> Node:
     Args:
         start: The model as it was given.
         task: Records and catalogue.
+
+    Returns:
+        The model; within wider bounds where these explain the records and those given do not.
     """
-    return polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
+    found = polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
+    if found.held_out_level <= EXPLAINED or not found.coarse.at_bounds[: start.assembly.n_linear].any():
+        return found
+    wide = simulate_at(_widened(start.assembly), start.unknowns, task.fit, smoothing=start.smoothing)
+    if wide is None:
+        return found
+    free = polished(node_of(fitted_either_way(wide, task.fit, iterations=12), task), task)
+    return free if max(free.fit_level, free.held_out_level) <= EXPLAINED else found
+
+
+def _widened(assembly: Assembly) -> Assembly:
+    """The model with bounds of its linear parameters that lie further out."""
+    parameters = tuple(
+        replace(one, lower=min(one.lower / WIDER, one.lower * WIDER), upper=max(one.upper / WIDER, one.upper * WIDER))
+        for one in assembly.plant.parameters
+    )
+    return replace(assembly, plant=replace(assembly.plant, parameters=parameters))
 
 
 def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> Estimate:

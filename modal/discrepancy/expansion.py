@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
-from modal.discrepancy.graded import LOST, graded_run
+from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form
 from modal.discrepancy.screen import Candidate, screen_candidates
@@ -152,10 +152,19 @@ def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
 
 
 def _found_again(run: Estimate | None, fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
-    """The free run, or where that is lost, the one that is come to gain by gain."""
+    """The free run, or where that is lost, the one that is come to gain by gain.
+
+    Raises:
+        LostMotion: There is none, because the motion cannot be followed along whole records.
+    """
     if run is not None and run.cost <= LOST * fit.cost:
         return run
-    start = graded_run(fit, task.fit, smoothing=smoothing)
+    try:
+        start = graded_run(fit, task.fit, smoothing=smoothing)
+    except LostMotion:
+        if task.whole:
+            raise
+        return run
     graded = None if start is None else estimate(start, task.fit, iterations=MOST_FREE, standstill=MOVING_FREE)
     return graded if run is None or (graded is not None and graded.cost < run.cost) else run
 

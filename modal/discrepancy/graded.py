@@ -5,17 +5,27 @@ few impacts, and no step of a fit leads back. A weaker correction asks for a lit
 right one follows all the way, while what is left of a wrong one grows from gain to gain and soon ends the attempt.
 """
 
+import numpy as np
+
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from okid.arrays import FloatArray
 
-__all__ = ["LOST", "graded_run"]
+__all__ = ["LOST", "LostMotion", "graded_run"]
 
-GRADES = (0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007)
-"""Shares of the gain, the free run after them."""
+SHRINK, GENTLEST = 0.5, 0.8
+"""Share of the gain that is left from one fit to the next: at first, and the largest one once that led nowhere."""
+SMALLEST = 0.003
+"""Share of the first gain from which the free run is tried."""
 ITERATIONS, MOVING = 3, 0.03
 """Each is fitted by so many iterations at most, or until one gains less than the second share."""
+EXPLAINED, FAR_OFF = 2.0, 1000.0
+"""A motion is lost where the level is below the first at the smallest gain, and the cost this much higher without."""
 LOST = 10.0
 """A model whose cost has grown by this factor since the full gain is not followed on."""
+
+
+class LostMotion(Exception):  # noqa: N818 - no error: the search begins again on shorter records
+    """A model explains the records down to the smallest gain, and its free run cannot be followed."""
 
 
 def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate | None:
@@ -29,21 +39,31 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
     Returns:
         The model in free run, not fitted yet; None where it is lost on the way, or there is no gain to begin with.
 
+    Raises:
+        LostMotion: The model explains the records down to the smallest gain, but not in free run.
+
     References:
         Allgower, Georg, Introduction to Numerical Continuation Methods, 2003,
         https://doi.org/10.1137/1.9780898719154
     """
     if fit.gain is None:
         return None
-    current = fit
-    for share in GRADES:
-        start = _at(current, problem, share * fit.gain, smoothing)
+    current, share, shrink = fit, 1.0, SHRINK
+    while share > SMALLEST:
+        start = _at(current, problem, shrink * share * fit.gain, smoothing)
         if start is None:
-            return None
+            shrink = float(np.sqrt(shrink))
+            if shrink > GENTLEST:
+                return None
+            continue
+        share *= shrink
         current = estimate(start, problem, iterations=ITERATIONS, standstill=MOVING)
         if current.cost > LOST * fit.cost:
             return None
-    return _at(current, problem, None, smoothing)
+    free = _at(current, problem, None, smoothing)
+    if current.level <= EXPLAINED and (free is None or free.cost > FAR_OFF * current.cost):
+        raise LostMotion
+    return free
 
 
 def _at(current: Estimate, problem: Problem, gain: FloatArray | None, smoothing: float) -> Estimate | None:
@@ -54,5 +74,5 @@ def _at(current: Estimate, problem: Problem, gain: FloatArray | None, smoothing:
         states=current.trajectory.states,
         gain=gain,
         smoothing=smoothing,
-        start="near",
+        start="far" if gain is None else "near",
     )

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns
+from modal.discrepancy.assembly import Unknowns, assemble
 from modal.discrepancy.effects.effect import Effect, is_sharp
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
+from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.trajectory import SHARP
 from okid.arrays import FloatArray
@@ -39,6 +40,8 @@ FAR, MOSTLY = 30.0, 1.0
 with impacts changes a little with anything."""
 DOUBTFUL = (1.1, 100.0)
 """A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
+MATTER = 0.8
+"""Initial states matter where they lower the cost of the plant without its effects to less than this share."""
 FINE_STEPS = 4
 """Steps a sample of the grid on which sharp laws are polished, at least."""
 
@@ -55,6 +58,7 @@ class Task:
         report: Called with a sentence and the share done.
         fine_fit: The records to fit on a finer grid, for sharp laws.
         fine_held_out: The held-out records likewise.
+        whole: Whether the records are whole, so that they may be cut into spans.
     """
 
     fit: Problem
@@ -64,6 +68,7 @@ class Task:
     report: Callable[[str, float], None]
     fine_fit: Problem
     fine_held_out: Problem
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,9 +116,15 @@ def _gain(before: Estimate, after: Estimate, problem: Problem) -> float:
     return float(np.nansum(count * np.log(ratio)))
 
 
-def node_of(fitted: Estimate, task: Task) -> Node:
-    """Judge a fitted model on the held-out records."""
-    return Node(fitted=fitted, held_out=_judged(fitted, task.held_out), coarse=fitted)
+def node_of(fitted: Estimate, task: Task, begun: Estimate | None = None) -> Node:
+    """Judge a fitted model on the held-out records.
+
+    Args:
+        fitted: The model.
+        task: Records.
+        begun: A like model along the held-out records, from whose initial states to start.
+    """
+    return Node(fitted=fitted, held_out=_judged(fitted, task.held_out, begun), coarse=fitted)
 
 
 def polished(node: Node, task: Task) -> Node:
@@ -151,13 +162,16 @@ def _blurred(coarse: Estimate, problem: Problem) -> bool:
     return twice is None or abs(twice.level - coarse.level) > BLUR * (coarse.level - 1.0)
 
 
-def _judged(fitted: Estimate, held_out: Problem) -> Estimate | None:
+def _judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
     assembly = fitted.assembly
     n_records = held_out.drive.n_records
     local = np.zeros((n_records, assembly.n_local))
     for i in range(len(assembly.placements)):
         own = assembly.local_of(i)
         local[:, own] = np.mean(fitted.unknowns.local[:, own], axis=0)
+    n_states = assembly.plant.n_states
+    begin = _first_states(fitted, held_out) if begun is None else begun.unknowns.local[:, :n_states]
+    local[:, :n_states] = begin
     unknowns = Unknowns(common=fitted.unknowns.common, local=local)
     start = simulate_at(assembly, unknowns, held_out, smoothing=fitted.smoothing)
     found = None if start is None else estimate(start, held_out, iterations=8)
@@ -166,6 +180,23 @@ def _judged(fitted: Estimate, held_out: Problem) -> Estimate | None:
         if again is not None and again.cost < found.cost:
             return again
     return found
+
+
+def _first_states(fitted: Estimate, held_out: Problem) -> FloatArray:
+    """Initial states to start from: those of the plant without its effects where they matter, else rest.
+
+    A mass that is held by friction at rest would stay there whatever its initial state is changed by.
+    """
+    plant = fitted.assembly.plant
+    rest = np.zeros((held_out.drive.n_records, plant.n_states))
+    if not fitted.assembly.placements:
+        return rest
+    linear = Unknowns(common=fitted.unknowns.common[: fitted.assembly.n_linear], local=rest)
+    resting = simulate_at(assemble(plant), linear, held_out)
+    begun = None if resting is None else estimate(resting, held_out, iterations=2)
+    if resting is None or begun is None or begun.cost > MATTER * resting.cost:
+        return rest
+    return begun.unknowns.local
 
 
 def _doubtful(held_out: Estimate, fitted: Estimate) -> bool:
@@ -178,7 +209,7 @@ def _doubtful(held_out: Estimate, fitted: Estimate) -> bool:
 def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
     """The initial states once more, found in observer form first.
 
-    Under play or stops a free run from rest may stay in another basin.
+    Under play, stops or a hard spring a free run from rest may stay in another basin.
     """
     steps = int(held_out.drive.rows[1]) if len(held_out.drive.rows) > 1 else 1
     gain = observer_gain(found, held_out, steps)
@@ -198,7 +229,14 @@ def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
     start = simulate_at(
         found.assembly, unknowns, held_out, states=seen.trajectory.states, smoothing=smoothing, start="near"
     )
-    return None if start is None else estimate(start, held_out, iterations=8)
+    free = None if start is None else estimate(start, held_out, iterations=8)
+    if free is not None and free.cost <= LOST * seen.cost:
+        return free
+    try:
+        graded = graded_run(seen, held_out, smoothing=smoothing)
+    except LostMotion:
+        return free
+    return free if graded is None else estimate(graded, held_out, iterations=8)
 
 
 def on_other_floor(node: Node, fit_ratio: FloatArray, held_out_ratio: FloatArray) -> Node:

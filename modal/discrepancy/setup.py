@@ -67,8 +67,9 @@ def prepare_setup(
     report: Progress,
     *,
     floor: NoiseFloor | None = None,
+    whole: bool = False,
 ) -> Setup:
-    """Noise floor and drives."""
+    """Noise floor and drives; `whole` records may be cut into spans where their motion cannot be followed."""
     check_plant(given.plant, given.linear, [*fit, *held_out])
     check_lengths(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)
@@ -92,6 +93,7 @@ def prepare_setup(
         upsampling=steps,
         catalogue=catalogue,
         report=report,
+        whole=whole,
     )
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 

@@ -79,4 +79,4 @@ def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
         rough = estimate(rough, task.fit, iterations=4, standstill=ROUGH)
         if rough.cost > far * node.coarse.cost:
             return Node(fitted=rough, held_out=None, coarse=rough)
-    return polished(node_of(estimate(rough, task.fit, iterations=12), task), task)
+    return polished(node_of(estimate(rough, task.fit, iterations=12), task, node.held_out), task)

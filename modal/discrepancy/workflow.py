@@ -11,21 +11,25 @@ from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.cautions import with_cautions
 from modal.discrepancy.checks import check_records
 from modal.discrepancy.decision import Decision, decide_nodes, doubted_units
-from modal.discrepancy.diagnosis import Diagnosis, Step
+from modal.discrepancy.diagnosis import Calibrated, Diagnosis, Step
 from modal.discrepancy.effect_names import effect_name
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import covariance
 from modal.discrepancy.findings import findings_of, hypothesis_of
 from modal.discrepancy.given import given_model, returned_model
+from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
+from modal.discrepancy.plant import Plant
 from modal.discrepancy.search import search
 from modal.discrepancy.setup import Progress, Setup, locate_gap, prepare_setup, roots, simulated_outputs, uncovered
+from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
+from modal.discrepancy.statements import listed, quantity
 from modal.structure import SensorKind
 from modal.threads import one_blas_thread
 from okid.arrays import FloatArray
@@ -108,13 +112,36 @@ def _diagnosed(
         return diagnose_callable(
             model, fits, helds, catalogue=catalogue, sensor_kind=sensor_kind, progress=report, notes=notes
         )
-    setup = prepare_setup(given_model(model, fits, sensor_kind=sensor_kind), fits, helds, catalogue, report)
+    given = given_model(model, fits, sensor_kind=sensor_kind)
+    whole = prepare_setup(given, fits, helds, catalogue, report, whole=True)
+    try:
+        return _searched(whole, notes)
+    except LostMotion:
+        cut = _in_spans(whole)
+        return _searched(cut, (*notes, span_words(cut.fit)))
+
+
+def _in_spans(whole: Setup) -> Setup:
+    """The same on spans of the records."""
+    spans, origin = cut_into_spans((*whole.fit, *whole.held_out), whole.floor.variance)
+    n_fit = sum(position < len(whole.fit) for position in origin)
+    task, floor = whole.task, floor_of_spans(whole.floor, origin)
+    task.report("once more on spans of the records", 0.05)
+    return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.catalogue, task.report, floor=floor)
+
+
+def _searched(setup: Setup, notes: tuple[str, ...]) -> Diagnosis:
+    """Everything from calibration to the words.
+
+    Raises:
+        LostMotion: The records are whole, and the motion cannot be followed along them.
+    """
     as_given, root = roots(setup)
     location = locate_gap(setup, root)
     nodes = search(root, setup.task)
     setup, nodes, as_given = uncovered(setup, nodes, as_given)
-    report("deciding", 0.9)
-    circumstances = circumstances_of(setup.given.plant, fits, root)
+    circumstances = circumstances_of(setup.given.plant, setup.fit, root)
+    setup.task.report("deciding", 0.9)
     decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
     return diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=notes)
 
@@ -173,8 +200,26 @@ def diagnosis_of(
         laws=law_curves(best.fitted, problem, setup.given.plant, spread),
         fit=setup.fit,
         held_out=setup.held_out,
-        warnings=(*notes, *_bound_words(hits), *_gain_words(decision, circumstances), *decision.reasons),
+        warnings=(
+            *notes,
+            *_bound_words(hits),
+            *_beyond_words(calibrated, setup.given.plant),
+            *_gain_words(decision, circumstances),
+            *decision.reasons,
+        ),
     )
+
+
+def _beyond_words(calibrated: Sequence[Calibrated], plant: Plant) -> tuple[str, ...]:
+    """Linear parameters that came out beyond the tolerance of the model that was given."""
+    beyond = [
+        f"{one.name} ({quantity(one.nominal, one.unit)} given, {quantity(one.value, one.unit)} found)"
+        for one, given in zip(calibrated, plant.parameters, strict=True)
+        if not given.lower <= one.value <= given.upper
+    ]
+    if not beyond:
+        return ()
+    return (f"{listed(beyond)} lies beyond the tolerance of the model that was given: check the nominal values",)
 
 
 def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
