@@ -2,18 +2,21 @@
 
 With hard laws and little damping the free run of a model that is slightly off is out of step with the record after a
 few impacts, and no step of a fit leads back. A weaker correction asks for a little more of the model each time: the
-right one follows all the way, while what is left of a wrong one grows from gain to gain and soon ends the attempt.
+right one follows all the way, and needs less correction from fit to fit, while what is left of a wrong one grows from
+gain to gain and soon ends the attempt.
 """
 
 import numpy as np
 
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
+from modal.discrepancy.observer import observer_gain
 from okid.arrays import FloatArray
 
 __all__ = ["LOST", "LostMotion", "graded_run"]
 
-SHRINK, GENTLEST = 0.5, 0.8
-"""Share of the gain that is left from one fit to the next: at first, and the largest one once that led nowhere."""
+SHRINK, GENTLEST, LEAST = 0.5, 0.8, 0.2
+"""Share of the gain that is left from one fit to the next: at first, the largest one once that led nowhere, and the
+least."""
 SMALLEST = 0.003
 """Share of the first gain from which the free run is tried."""
 ITERATIONS, MOVING = 3, 0.03
@@ -48,15 +51,14 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
     """
     if fit.gain is None:
         return None
-    current, share, shrink = fit, 1.0, SHRINK
-    while share > SMALLEST:
-        start = _at(current, problem, shrink * share * fit.gain, smoothing)
+    current, shrink = fit, SHRINK
+    while _size(current.gain) > SMALLEST * _size(fit.gain):
+        start = _at(current, problem, _weaker(current, problem, shrink), smoothing)
         if start is None:
             shrink = float(np.sqrt(shrink))
             if shrink > GENTLEST:
                 return None
             continue
-        share *= shrink
         current = estimate(start, problem, iterations=ITERATIONS, standstill=MOVING)
         if current.cost > LOST * fit.cost:
             return None
@@ -64,6 +66,21 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
     if current.level <= EXPLAINED and (free is None or free.cost > FAR_OFF * current.cost):
         raise LostMotion
     return free
+
+
+def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
+    """A share of the gain, or the gain for what the model leaves by now, not less than a fifth in size."""
+    gain = np.asarray(current.gain)
+    if shrink != SHRINK:
+        return shrink * gain
+    wanted = observer_gain(current, problem, int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1)
+    if wanted is None or _size(wanted) > shrink * _size(gain):
+        return shrink * gain
+    return wanted * max(LEAST * _size(gain) / _size(wanted), 1.0)
+
+
+def _size(gain: FloatArray | None) -> float:
+    return 0.0 if gain is None else float(np.abs(gain).max())
 
 
 def _at(current: Estimate, problem: Problem, gain: FloatArray | None, smoothing: float) -> Estimate | None:

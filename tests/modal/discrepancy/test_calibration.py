@@ -9,6 +9,8 @@ from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
+from modal.discrepancy.setup import prepare_setup, roots
+from modal.discrepancy.workflow import diagnose
 
 
 def started(stiffness, seed, *, law=None):
@@ -56,3 +58,25 @@ def test_the_better_way_is_taken(monkeypatch):
         assert fitted_either_way(start, problem, iterations=12).cost <= directly.cost
     monkeypatch.setattr(module, "observer_gain", lambda *_args: None)
     assert fitted_either_way(start, problem, iterations=12).cost == directly.cost
+
+
+def test_bounds_are_moved_out_where_that_explains_all_and_only_then():
+    """A stiffness that is 45 % off, and the same beside a friction that is missing."""
+    for law, explained in ((None, True), (lambda d, v, t: 1.5 * np.sign(v), False)):
+        fit, held_out, _ = experiment(law, n_samples=500)
+        given = given_model(nominal(stiffnesses=(55.0,)), tuple(fit))
+        setup = prepare_setup(given, tuple(fit), tuple(held_out), {}, lambda *_: None)
+        _, root = roots(setup)
+        upper = given.plant.parameters[0].upper
+        value = root.coarse.unknowns.common[0]
+        assert (value > upper) == explained
+        if explained:
+            assert value == pytest.approx(100.0, rel=5e-3)
+            assert root.held_out_level < 1.2
+
+
+def test_the_reader_is_told_what_lies_beyond_its_tolerance():
+    fit, held_out, _ = experiment(n_samples=500)
+    found = diagnose(nominal(stiffnesses=(55.0,)), list(fit), list(held_out))
+    assert found.status == "none"
+    assert any("lies beyond the tolerance" in words and "stiffness of element_0" in words for words in found.warnings)
