@@ -25,6 +25,12 @@ __all__ = ["Decision", "decide_nodes", "doubted_units"]
 NEAR_FLOOR = 1.5
 """Held-out mean square, in units of the noise floor, up to which a model explains the data."""
 
+MOST_ON_FIT = 2.0
+"""The same on the records to fit, where a firm name is wanted: they hold levels that the held-out ones may lack."""
+
+MOST_FIRM = 2
+"""Effects that are named together without doubt: combinations of more were never proved."""
+
 FAR_ABOVE = 10.0
 """Held-out mean square, in units of the floor, beyond which a likelihood of white noise means nothing."""
 
@@ -108,6 +114,7 @@ def decide_nodes(
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
         )
+    reasons += _unproved(best, root)
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
@@ -115,6 +122,22 @@ def decide_nodes(
         margins=tuple(margins),
         reasons=tuple(reasons),
     )
+
+
+def _unproved(best: Node, root: Node) -> list[str]:
+    """Why a model that explains the held-out records is still not firm."""
+    reasons = []
+    if best.held_out_level <= NEAR_FLOOR and best.fit_level > MOST_ON_FIT:
+        reasons.append(
+            f"on the records to fit the gap is still {times_floor_text(best.fit_level)} times the noise floor (limit "
+            f"{times_floor_text(MOST_ON_FIT)})"
+        )
+    found = len(best.effects) - len(root.effects)
+    if found > MOST_FIRM:
+        reasons.append(
+            f"{found} effects at once fit many a law that is none of them: {MOST_FIRM} at most are named firmly"
+        )
+    return reasons
 
 
 def _nothing(root: Node) -> Decision:

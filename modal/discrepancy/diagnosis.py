@@ -125,7 +125,7 @@ class Calibrated:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DetectionLimit:
-    """The largest size of an effect that the data could still hide (three standard deviations of its amplitude).
+    """The largest size of an effect that the data could still hide: a smaller one would not count as found.
 
     Attributes:
         effect: Key in the catalogue.

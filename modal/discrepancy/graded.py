@@ -22,7 +22,9 @@ SMALLEST = 0.003
 ITERATIONS, MOVING = 3, 0.03
 """Each is fitted by so many iterations at most, or until one gains less than the second share."""
 EXPLAINED, FAR_OFF = 2.0, 1000.0
-"""A motion is lost where the level is below the first at the smallest gain, and the cost this much higher without."""
+HARDLY_ANY = 0.05
+"""A motion is lost where the level is below the first with hardly any of the gain, and no free run is found or its cost
+is so many times as large."""
 LOST = 10.0
 """A model whose cost has grown by this factor since the full gain is not followed on."""
 
@@ -57,15 +59,17 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
         if start is None:
             shrink = float(np.sqrt(shrink))
             if shrink > GENTLEST:
+                _check_lost(current, fit)
                 return None
             continue
         current = estimate(start, problem, iterations=ITERATIONS, standstill=MOVING)
         if current.cost > LOST * fit.cost:
             return None
     free = _at(current, problem, None, smoothing)
-    if current.level <= EXPLAINED and (free is None or free.cost > FAR_OFF * current.cost):
-        raise LostMotion
-    return free
+    if free is not None and free.cost <= FAR_OFF * current.cost:
+        return free
+    _check_lost(current, fit)
+    return None
 
 
 def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
@@ -77,6 +81,12 @@ def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
     if wanted is None or _size(wanted) > shrink * _size(gain):
         return shrink * gain
     return wanted * max(LEAST * _size(gain) / _size(wanted), 1.0)
+
+
+def _check_lost(current: Estimate, fit: Estimate) -> None:
+    """A motion is lost where hardly any correction keeps the model with the records, and none does not."""
+    if current.level <= EXPLAINED and _size(current.gain) <= HARDLY_ANY * _size(fit.gain):
+        raise LostMotion
 
 
 def _size(gain: FloatArray | None) -> float:

@@ -5,20 +5,19 @@ import numpy as np
 from modal.discrepancy.diagnosis import DetectionLimit
 from modal.discrepancy.effect_units import parameter_units
 from modal.discrepancy.estimation import Estimate
-from modal.discrepancy.nodes import Task
+from modal.discrepancy.nodes import SMALLEST_FALL, SMALLEST_GAIN, Task
 from modal.discrepancy.plant import Plant
 from modal.discrepancy.screen import Candidate, screen_candidates
 
 __all__ = ["detection_limits"]
 
-DEVIATIONS = 3.0
-
 
 def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[DetectionLimit, ...]:
-    """Three standard deviations of each effect's amplitude at each place, beside the model as found.
+    """The size of each effect at each place below which it would not count, beside the model as found.
 
-    An effect with a shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest
-    over the shapes that the screen tries. Effects without an amplitude (a delay) are left out.
+    What counts takes away a tenth of what is left, and 30 of 2 ln L: of the two the larger amplitude. An effect with a
+    shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest over the shapes that
+    the screen tries. Effects without an amplitude (a delay) are left out.
 
     Args:
         current: The model as found.
@@ -34,6 +33,8 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
         known = largest.get((candidate.key, candidate.where))
         if np.isfinite(candidate.deviation) and (known is None or candidate.deviation > known.deviation):
             largest[candidate.key, candidate.where] = candidate
+    n_values = int(task.fit.drive.present.sum())
+    deviations = np.sqrt(max(SMALLEST_GAIN, SMALLEST_FALL * n_values))
     found = []
     for key, effect in task.catalogue.items():
         amplitudes = [j for j, kind in enumerate(effect.parameters) if kind.role == "amplitude"]
@@ -46,7 +47,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
                     effect=key,
                     where=where,
                     parameter=effect.parameters[first].name,
-                    value=DEVIATIONS * candidate.deviation,
+                    value=float(deviations * candidate.deviation),
                     unit=parameter_units(plant, effect, where)[first],
                 )
             )

@@ -15,6 +15,8 @@ from okid.arrays import FloatArray
 
 __all__ = [
     "FINE_STEPS",
+    "SMALLEST_FALL",
+    "SMALLEST_GAIN",
     "Node",
     "Task",
     "counts",

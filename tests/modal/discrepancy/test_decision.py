@@ -222,3 +222,23 @@ def test_a_limit_is_not_looked_for_where_the_gap_is_open(task, limits):
     limits.append(made_up(1.9, "gap_spring"))
     found = decide_nodes([made_up(50.0), made_up(1.8, "slack_in_hysteresis")], task)
     assert found.node.effects == (("slack_in_hysteresis", "ground"),)
+
+
+@pytest.mark.parametrize(("fit", "status"), [(1.9, "named"), (2.1, "unresolved")])
+def test_what_explains_the_held_out_records_only_is_not_firm(task, fit, status):
+    found = decide_nodes([made_up(50.0), made_up(1.02, "coulomb_friction", fit=fit)], task)
+    assert found.status == status
+    assert [words for words in found.reasons if "on the records to fit" in words] == list(found.reasons)
+
+
+@pytest.mark.parametrize(("n_effects", "status"), [(1, "named"), (2, "named"), (3, "unresolved")])
+def test_three_effects_at_once_are_not_firm(task, monkeypatch, n_effects, status):
+    monkeypatch.setattr(decision, "without", lambda node, i, task: made_up(50.0))
+    monkeypatch.setattr(decision, "sureness", lambda node, task: [100.0] * len(node.effects))
+    keys = ["cubic_stiffness", "quadratic_drag", "coulomb_friction"][:n_effects]
+    found = decide_nodes([made_up(50.0), made_up(1.02, *keys)], task)
+    assert found.status == status
+    assert len(found.node.effects) == n_effects
+    known = made_up(50.0, "sine_softening")  # effects that the model had already are none of them
+    found = decide_nodes([known, made_up(1.02, "sine_softening", *keys[:2])], task)
+    assert found.status == "named"
