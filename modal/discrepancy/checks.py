@@ -9,7 +9,7 @@ from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["check_lengths", "check_plant", "check_records"]
+__all__ = ["check_lengths", "check_plant", "check_records", "fewest_samples"]
 
 SAME_LEVEL = 1.25
 """Records whose inputs differ by less than this factor are of one level."""
@@ -165,6 +165,11 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
         )
 
 
+def fewest_samples(plant: Plant) -> int:
+    """Samples that a record must have for a plant."""
+    return max(FEWEST_SAMPLES, FEWEST_PER_STATE * plant.n_states)
+
+
 def check_lengths(plant: Plant, records: Sequence[Record]) -> None:
     """Whether each record is long enough to prove anything.
 
@@ -175,7 +180,7 @@ def check_lengths(plant: Plant, records: Sequence[Record]) -> None:
     Raises:
         InsufficientDataError: A record that is too short.
     """
-    least = max(FEWEST_SAMPLES, FEWEST_PER_STATE * plant.n_states)
+    least = fewest_samples(plant)
     for record in records:
         if record.n_samples < least:
             raise InsufficientDataError(

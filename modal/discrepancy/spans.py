@@ -6,6 +6,7 @@ of a long record no simulation, of the true model either, stays with the measure
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,12 +23,15 @@ PERIODS = 20.0
 FEWEST_SAMPLES = 200
 
 
-def cut_into_spans(records: Sequence[Record], floor: FloatArray) -> tuple[tuple[Record, ...], tuple[int, ...]]:
-    """Each record in spans of about equal length.
+def cut_into_spans(
+    records: Sequence[Record], floor: FloatArray, *, fewest: int = 1
+) -> tuple[tuple[Record, ...], tuple[int, ...]]:
+    """Each record in spans of about equal length, in each of which every output is measured somewhere.
 
     Args:
         records: Whole ones.
         floor: (n_records, n_outputs) variance of their noise.
+        fewest: Samples that a span must have.
 
     Returns:
         The spans, in order, and of each the position of its record.
@@ -44,19 +48,27 @@ def cut_into_spans(records: Sequence[Record], floor: FloatArray) -> tuple[tuple[
         ([('run, span 1', 500), ('run, span 2', 500), ('run, span 3', 500), ('run, span 4', 500)], (0, 0, 0, 0))
     """
     frequency = max(highest_frequency(tuple(records), floor), 1e-12)
-    wanted = max(PERIODS / (frequency * records[0].dt), FEWEST_SAMPLES)
+    wanted = max(PERIODS / (frequency * records[0].dt), fewest, FEWEST_SAMPLES)
     spans: list[Record] = []
     origin: list[int] = []
     for position, record in enumerate(records):
-        count = max(round(record.n_samples / wanted), 1)
-        edges = np.linspace(0, record.n_samples, count + 1).astype(int)
-        for i in range(count):
-            name = f"{record.name}, span {i + 1}" if record.name else f"span {i + 1}"
-            spans.append(
-                replace(record.samples(int(edges[i]), int(edges[i + 1])), name=name if count > 1 else record.name)
-            )
-            origin.append(position)
+        edges = _edges(record, max(int(record.n_samples / wanted), 1))
+        own = [record.samples(first, last) for first, last in pairwise(edges)]
+        if len(own) > 1:
+            name = f"{record.name}, span" if record.name else "span"
+            own = [replace(span, name=f"{name} {i + 1}") for i, span in enumerate(own)]
+        spans += own
+        origin += [position] * len(own)
     return tuple(spans), tuple(origin)
+
+
+def _edges(record: Record, count: int) -> list[int]:
+    """Where spans begin and end; fewer of them where one would lack an output throughout."""
+    for fewer in range(count, 1, -1):
+        edges = [int(edge) for edge in np.linspace(0, record.n_samples, fewer + 1)]
+        if not any(np.isnan(record.outputs[first:last]).all(axis=0).any() for first, last in pairwise(edges)):
+            return edges
+    return [0, record.n_samples]
 
 
 def floor_of_spans(floor: NoiseFloor, origin: Sequence[int]) -> NoiseFloor:

@@ -9,7 +9,7 @@ from modal.discrepancy.advice import advise, circumstances_of
 from modal.discrepancy.ambiguity import Circumstance
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.cautions import with_cautions
-from modal.discrepancy.checks import check_records
+from modal.discrepancy.checks import check_records, fewest_samples
 from modal.discrepancy.decision import Decision, decide_nodes, doubted_units
 from modal.discrepancy.diagnosis import Calibrated, Diagnosis, Step
 from modal.discrepancy.effect_names import effect_name
@@ -123,7 +123,8 @@ def _diagnosed(
 
 def _in_spans(whole: Setup) -> Setup:
     """The same on spans of the records."""
-    spans, origin = cut_into_spans((*whole.fit, *whole.held_out), whole.floor.variance)
+    fewest = fewest_samples(whole.given.plant)
+    spans, origin = cut_into_spans((*whole.fit, *whole.held_out), whole.floor.variance, fewest=2 * fewest)
     n_fit = sum(position < len(whole.fit) for position in origin)
     task, floor = whole.task, floor_of_spans(whole.floor, origin)
     task.report("once more on spans of the records", 0.05)

@@ -1,5 +1,7 @@
 """A strongly driven hard spring: no simulation follows it for long, spans of the records are followed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from engine_records import run
@@ -64,6 +66,19 @@ def test_spans_are_the_record_again():
 def test_a_short_record_stays_whole():
     record = duffing(150, 1)
     assert cut_into_spans([record], np.array([[NOISE**2]]))[0][0].name == record.name
+
+
+def test_spans_are_long_enough_and_lack_no_output_throughout():
+    record = duffing(1500, 1)
+    outputs = record.outputs.copy()
+    outputs[:400] = np.nan
+    late = replace(record, outputs=outputs)
+    floor = np.array([[NOISE**2]])
+    spans, _ = cut_into_spans([record], floor)
+    fewer, _ = cut_into_spans([late], floor)
+    assert 1 <= len(fewer) < len(spans)
+    assert all(np.isfinite(span.outputs).any() for span in fewer)
+    assert min(span.n_samples for span in cut_into_spans([record], floor, fewest=700)[0]) >= 700
 
 
 def test_each_span_has_the_floor_of_its_record():
