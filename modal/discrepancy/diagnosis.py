@@ -22,6 +22,10 @@ __all__ = [
 ]
 
 
+_EXPLAINED = 1.5
+"""Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Parameter:
     """A parameter of an effect, as found.
@@ -256,4 +260,6 @@ class Diagnosis:
             return f"Missing: {names}; {left}."
         if not self.findings:
             return f"Something is missing, but no effect of the catalogue explains it: {left}."
+        if self.warnings and self.steps[-1].held_out_level <= _EXPLAINED:
+            return f"Unresolved: the best guess is {names}; {left}, but {self.warnings[-1]}."
         return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."
