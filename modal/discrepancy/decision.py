@@ -40,6 +40,8 @@ SAME = 1.05
 CLOSE_COMPANY = 30.0
 PLAUSIBLE_GAIN = (0.3, 3.0)
 """Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
+SLIGHT = 0.01
+"""A gain that differs from one by less is no finding."""
 HARDLY_FOLLOWS = 0.03
 """Size of a gain below which a channel may as well be dead, or another one."""
 CLEAR_RISE = 3.0
@@ -239,7 +241,7 @@ def _weak(smaller: Node, best: Node, z: float) -> bool:
 
 
 def doubted_units(decision: Decision) -> Decision:
-    """The decision, not firm where a gain far from one was found: that is a wrong unit rather than an effect."""
+    """The decision, not firm where a gain far from one was found, a wrong unit, or one that hardly differs from one."""
     assembly = decision.node.coarse.assembly
     reasons = list(decision.reasons)
     for i, item in enumerate(assembly.placements):
@@ -247,6 +249,11 @@ def doubted_units(decision: Decision) -> Decision:
             gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
             if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
                 reasons.append(_doubted_gain(gain, item.where))
+            elif abs(gain - 1.0) < SLIGHT:
+                reasons.append(
+                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
+                    "of and errors of a simulation look like"
+                )
     if len(reasons) == len(decision.reasons):
         return decision
     return replace(decision, status="unresolved", reasons=tuple(reasons))

@@ -179,9 +179,18 @@ def test_nothing_is_missing_only_where_the_fitted_records_agree_too(task):
 
 
 @pytest.mark.parametrize(
-    ("gain", "status"), [(0.85, "named"), (2.9, "named"), (1000.0, "unresolved"), (0.0174, "unresolved")]
+    ("gain", "status"),
+    [
+        (0.85, "named"),
+        (2.9, "named"),
+        (1000.0, "unresolved"),
+        (0.0174, "unresolved"),
+        (1.011, "named"),
+        (1.009, "unresolved"),
+        (0.991, "unresolved"),
+    ],
 )
-def test_a_gain_like_a_wrong_unit_is_never_firm(gain, status):
+def test_a_gain_like_a_wrong_unit_or_hardly_off_one_is_never_firm(gain, status):
     from types import SimpleNamespace
 
     from modal.discrepancy.decision import Decision, doubted_units
