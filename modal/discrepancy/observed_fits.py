@@ -39,15 +39,15 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
     gain = observer_gain(fitted, task.fit, task.upsampling)
     if gain is None:
         return fitted
-    found = simulate_at(
-        fitted.assembly,
-        fitted.unknowns,
-        task.fit,
-        states=fitted.trajectory.states,
-        gain=gain,
-        smoothing=fitted.smoothing,
-    )
+    found = _again(fitted, task, gain, fitted.smoothing)
     return found if found is not None and found.cost < fitted.cost else fitted
+
+
+def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:
+    """The same model about its own trajectory, with another gain or another smoothing."""
+    return simulate_at(
+        found.assembly, found.unknowns, task.fit, states=found.trajectory.states, gain=gain, smoothing=smoothing
+    )
 
 
 def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task) -> list[Estimate]:
@@ -89,14 +89,7 @@ def _first_smoothing(node: Node, observed: Estimate, task: Task) -> float:
     """How smooth sharp laws are in the first fits: as sharp as they are where smoothing would hide what is left."""
     if not node.effects:
         return SOFTER
-    softened = simulate_at(
-        observed.assembly,
-        observed.unknowns,
-        task.fit,
-        states=observed.trajectory.states,
-        gain=observed.gain,
-        smoothing=SOFT,
-    )
+    softened = _again(observed, task, observed.gain, SOFT)
     hidden = softened is None or softened.cost > HIDDEN * observed.cost
     return SHARP if hidden else SOFT
 

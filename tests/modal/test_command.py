@@ -293,6 +293,7 @@ def test_a_fault_of_ours_is_one_sentence_that_tells_how_to_see_more(data, quick,
 WAITING = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs in its background
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
 import modal.pipeline, modal.recording
 
 def waiting(*_arguments, **_options):

@@ -37,6 +37,8 @@ def test_no_bar_where_nobody_looks(capsys):
 def handlers():
     numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
     before = {number: signal.getsignal(number) for number in numbers}
+    for number in numbers:  # a shell ignores the first for what runs in its background, nohup the last
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     yield numbers
     for number, handler in before.items():
         signal.signal(number, handler)
