@@ -7,6 +7,7 @@ right-hand sides at once: no loop over time in Python, whatever the coefficients
 import numpy as np
 import scipy
 
+from modal.discrepancy.budget import add_work
 from okid.arrays import FloatArray
 
 __all__ = ["band_of", "solve_band"]
@@ -47,6 +48,7 @@ def solve_band(band: FloatArray, forcing: FloatArray) -> FloatArray:
     n_columns, n_times, n = forcing.shape
     if n == 0 or n_columns == 0:
         return forcing
+    add_work(n_times, n)
     # Columns first in C order are LAPACK's right-hand sides in Fortran order: no copy.
     right = np.ascontiguousarray(forcing).reshape(n_columns, n_times * n).T
     solution, _ = scipy.linalg.lapack.dtbtrs(band, right, uplo="L", diag="U")

@@ -89,7 +89,7 @@ def decide_nodes(
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
     if best is root:
-        return _nothing(root)
+        return _nothing(root, task)
     best = _pruned(best, root, task)
     equals = [node for node in earned if len(node.effects) == len(best.effects)]
     equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
@@ -98,7 +98,7 @@ def decide_nodes(
             [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
         )
     if best is root:
-        return _nothing(root)
+        return _nothing(root, task)
     richer, best = best, _simplest(best, root, task)
     runners, margins, reasons = [], [], []
     for effect in best.effects:
@@ -116,7 +116,7 @@ def decide_nodes(
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
         )
-    reasons += _unproved(best, root)
+    reasons += _unproved(best, root) + _untried(task)
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
@@ -142,11 +142,22 @@ def _unproved(best: Node, root: Node) -> list[str]:
     return reasons
 
 
-def _nothing(root: Node) -> Decision:
+def _untried(task: Task) -> list[str]:
+    """Whether the search was ended before everything was tried."""
+    if not task.budget.spent:
+        return []
+    words = (
+        "the search was ended before every effect was tried, because it cost as much as it may: what is missing may "
+        "not be in the catalogue, or the motion is hard to follow; try fewer effects, or a part of the records"
+    )
+    return [words]
+
+
+def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
     if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
         return Decision(status="none", node=root, runners=(), margins=(), reasons=())
-    reasons = ("no effect of the catalogue brings the held-out error down by a tenth",)
+    reasons = ("no effect of the catalogue brings the held-out error down by a tenth", *_untried(task))
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
 
 

@@ -59,7 +59,7 @@ def expand(node: Node, task: Task) -> list[Node]:
     if node.held_out_level <= ENOUGH and worth < WORTH_A_TRY:
         return []
     fitted = _worth(observed_fits(node, observed, candidates, task), observed)
-    runs, found = _free_runs(_leading(fitted, RUNS), task, node)
+    runs, found = _free_runs(_simple_first(_leading(fitted, RUNS)), task, node)
     return _judged(_leading(runs, FINALISTS), task, found, reach=REACH_SHARP if node.effects else REACH)
 
 
@@ -72,7 +72,7 @@ def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node]
     for fit in finalists:
         explaining = [node for node in found if node.held_out_level <= ENOUGH]
         far = explaining and fit.cost > reach * min(node.coarse.cost for node in explaining)
-        if id(fit) not in known and not far:
+        if id(fit) not in known and not far and (not found or task.budget.allows()):
             found.append(_finished(fit, finalists[0], task))
     lowest = min((node.coarse.cost for node in found), default=0.0)
     return [polished(node, task) if node.coarse.cost <= POLISHED * lowest else node for node in found]
@@ -113,11 +113,14 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
         run: most often the first one explains the data and spares the others.
     """
     rival = RIVAL_SHARP if node.effects else RIVAL
+    budget = task.budget.stage()
     runs: list[Estimate] = []
     finished: dict[int, Node] = {}
     for fit in fits:
         explained = any(one.held_out_level <= ENOUGH for one in finished.values())
         if (explained or _nearly(runs, node)) and fit.cost > rival * fits[0].cost:
+            break
+        if runs and not budget.allows():
             break
         run = _free_run(fit, task, _softness(node, SOFT))
         if not (explained or _nearly(runs, node)):
@@ -174,6 +177,15 @@ def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
     most = max((observed.cost - fit.cost for fit in fits), default=0.0)
     good = [fit for fit in fits if observed.cost - fit.cost >= LEAST_SHARE * most]
     return [fit for fit in good if not any(_is_limit(other, fit) and other.cost <= fit.cost for other in good)]
+
+
+def _simple_first(fits: Sequence[Estimate]) -> list[Estimate]:
+    """The fits, best first, but a limit of a richer law before that law where it fits nearly as well."""
+    ordered: list[Estimate] = []
+    for fit in fits:
+        richer = [i for i, other in enumerate(ordered) if _is_limit(fit, other) and fit.cost <= RIVAL * other.cost]
+        ordered.insert(min(richer, default=len(ordered)), fit)
+    return ordered
 
 
 def _is_limit(simple: Estimate, rich: Estimate) -> bool:

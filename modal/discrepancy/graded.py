@@ -21,10 +21,10 @@ SMALLEST = 0.003
 """Share of the first gain from which the free run is tried."""
 ITERATIONS, MOVING = 3, 0.03
 """Each is fitted by so many iterations at most, or until one gains less than the second share."""
-EXPLAINED, FAR_OFF = 2.0, 1000.0
+EXPLAINED, MISSED, FAR_OFF = 2.0, 0.03, 1000.0
 HARDLY_ANY = 0.05
-"""A motion is lost where the level is below the first with hardly any of the gain, and no free run is found or its cost
-is so many times as large."""
+"""A motion is lost where with hardly any of the gain the level is below the first or the model misses less than the
+second share of the outputs, root mean square, and no free run is found or its cost is so many times as large."""
 LOST = 10.0
 """A model whose cost has grown by this factor since the full gain is not followed on."""
 
@@ -59,7 +59,7 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
         if start is None:
             shrink = float(np.sqrt(shrink))
             if shrink > GENTLEST:
-                _check_lost(current, fit)
+                _check_lost(current, fit, problem)
                 return None
             continue
         current = estimate(start, problem, iterations=ITERATIONS, standstill=MOVING)
@@ -68,7 +68,7 @@ def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate
     free = _at(current, problem, None, smoothing)
     if free is not None and free.cost <= FAR_OFF * current.cost:
         return free
-    _check_lost(current, fit)
+    _check_lost(current, fit, problem)
     return None
 
 
@@ -83,9 +83,11 @@ def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
     return wanted * max(LEAST * _size(gain) / _size(wanted), 1.0)
 
 
-def _check_lost(current: Estimate, fit: Estimate) -> None:
+def _check_lost(current: Estimate, fit: Estimate, problem: Problem) -> None:
     """A motion is lost where hardly any correction keeps the model with the records, and none does not."""
-    if current.level <= EXPLAINED and _size(current.gain) <= HARDLY_ANY * _size(fit.gain):
+    outputs = float(np.nansum((problem.drive.outputs * problem.weights) ** 2))
+    explained = current.level <= EXPLAINED or current.squares <= MISSED**2 * outputs
+    if explained and _size(current.gain) <= HARDLY_ANY * _size(fit.gain):
         raise LostMotion
 
 

@@ -1,11 +1,12 @@
 """Models with some effects, fitted and judged on held-out records: what the search goes from and comes to."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from modal.discrepancy.assembly import Unknowns, assemble
+from modal.discrepancy.budget import Budget
 from modal.discrepancy.effects.effect import Effect, is_sharp
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
@@ -63,6 +64,7 @@ class Task:
         fine_fit: The records to fit on a finer grid, for sharp laws.
         fine_held_out: The held-out records likewise.
         whole: Whether the records are whole, so that they may be cut into spans.
+        budget: What the search may cost.
     """
 
     fit: Problem
@@ -73,6 +75,7 @@ class Task:
     fine_fit: Problem
     fine_held_out: Problem
     whole: bool = False
+    budget: Budget = field(default_factory=Budget)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -1,5 +1,6 @@
 """Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values."""
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -63,22 +64,24 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         task: Records to fit.
 
     Returns:
-        Those that could be simulated.
+        Those that could be simulated, and for which the budget was enough.
     """
     smoothing = _first_smoothing(node, observed, task)
 
     def fitted(candidate: Candidate, linear: Literal["calibrated", "given"]) -> Estimate | None:
         return _observed_fit(node, observed, candidate, task, linear=linear, smoothing=smoothing)
 
+    budget = task.budget.stage()
+    others = itertools.takewhile(lambda _: budget.allows(), candidates[1:])
     if node.coarse.at_bounds[: node.coarse.assembly.n_linear].any():
-        return _made(fitted(candidate, "given") for candidate in candidates)
+        return _made([fitted(candidates[0], "given"), *(fitted(candidate, "given") for candidate in others)])
     first = fitted(candidates[0], "calibrated")
     linear: Literal["calibrated", "given"] = "calibrated"
     if not node.effects:
         other = fitted(candidates[0], "given")
         if other is not None and (first is None or other.cost < BETTER * first.cost):
             first, linear = other, "given"
-    return _made([first, *(fitted(candidate, linear) for candidate in candidates[1:])])
+    return _made([first, *(fitted(candidate, linear) for candidate in others)])
 
 
 def _made(fits: Iterable[Estimate | None]) -> list[Estimate]:

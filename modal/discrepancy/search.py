@@ -7,9 +7,13 @@ in for two. A step counts only where the held-out mean square falls by a tenth a
 samples a criterion on the likelihood alone finds an effect in nearly every record without one. Where fewer than three
 count, the beam has room for models that take away half of what is left on the records to fit: of two effects that
 counteract each other, the right one alone may be worse than none on the held-out record.
+
+The work is bounded. Where it was not enough to try everything beside a model from which none was found that explains
+the data, or beside that from which one was, the budget says so.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +24,8 @@ __all__ = ["search"]
 
 BEAM = 3
 MOST_EFFECTS = 4
+SHARE_OF_ONE = 0.5
+"""Share of what is left of the budget that looking for effects beside one model may cost."""
 LARGE_FALL = 0.5
 """Share of what a model leaves on the records to fit that a further effect must take away to be gone on from although
 the held-out record does not show it yet."""
@@ -40,26 +46,36 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
     front = _distinct([node for node in known if counts(root, node, task)])
     if known and not front:
         return tuple(everything)
-    front = front or [root]
+    front, unfinished = front or [root], False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
         if min(node.held_out_level for node in front) <= ENOUGH and depth > 0:
             break
         children: list[Node] = []
         hopeful: list[Node] = []
         for position, node in enumerate(front):
+            if not task.budget.allows():
+                return tuple(everything)
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
-            found = expand(node, task)
+            part = task.budget.part(SHARE_OF_ONE)
+            found = expand(node, replace(task, budget=part))
             everything += found
             children += [child for child in found if counts(node, child, task)]
             hopeful += [child for child in found if _hopeful(node, child)]
-            if any(child.held_out_level <= ENOUGH for child in children):
+            unfinished = part.spent if _explain(children) else unfinished or part.spent
+            if _explain(children):
                 break
         front = _distinct(children)
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         if not front:
             break
+    if unfinished:
+        task.budget.refuse()
     return tuple(everything)
+
+
+def _explain(children: Sequence[Node]) -> bool:
+    return any(child.held_out_level <= ENOUGH for child in children)
 
 
 def _named(node: Node) -> str:

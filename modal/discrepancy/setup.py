@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from modal.discrepancy.budget import Budget
 from modal.discrepancy.calibration import calibrated_node
 from modal.discrepancy.checks import check_lengths, check_plant
 from modal.discrepancy.drive import drive_of
@@ -32,6 +33,10 @@ __all__ = [
     "simulated_records",
     "uncovered",
 ]
+
+MOST_WORK, SHORT = 3000.0, 33_000.0
+"""A search may cost so many simulations along the records to fit, as if these had so many rows of states more: about
+twice what two effects at once take, along records of 4000 to 12 000 steps."""
 
 FOLLOWED = 1e-3
 """Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
@@ -68,8 +73,20 @@ def prepare_setup(
     *,
     floor: NoiseFloor | None = None,
     whole: bool = False,
+    budget: Budget | None = None,
 ) -> Setup:
-    """Noise floor and drives; `whole` records may be cut into spans where their motion cannot be followed."""
+    """Noise floor and drives.
+
+    Args:
+        given: The model.
+        fit: Records to fit.
+        held_out: Held-out records.
+        catalogue: The effects to try.
+        report: Called with a sentence and the share done.
+        floor: Their noise floor; estimated unless given.
+        whole: Whether the records may be cut into spans where their motion cannot be followed.
+        budget: What is left of an earlier search; a new one unless given.
+    """
     check_plant(given.plant, given.linear, [*fit, *held_out])
     check_lengths(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)
@@ -94,6 +111,7 @@ def prepare_setup(
         catalogue=catalogue,
         report=report,
         whole=whole,
+        budget=Budget(MOST_WORK * (drive.n_times * given.plant.n_states + SHORT)) if budget is None else budget,
     )
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 
@@ -120,7 +138,10 @@ def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Se
     ratio = setup.floor.variance / lower.variance
     if float(ratio.max()) <= 1.0:
         return setup, nodes, as_given
-    found = prepare_setup(setup.given, setup.fit, setup.held_out, setup.task.catalogue, setup.task.report, floor=lower)
+    task = setup.task
+    found = prepare_setup(
+        setup.given, setup.fit, setup.held_out, task.catalogue, task.report, floor=lower, budget=task.budget
+    )
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])

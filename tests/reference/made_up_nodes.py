@@ -9,7 +9,7 @@ from engine_plants import some_records, two_masses
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem
-from modal.discrepancy.nodes import Node
+from modal.discrepancy.nodes import Node, Task
 
 N = 1000
 """Measured values of the records to fit and of the held-out ones: 2 ln L gains N ln(before / after) on each."""
@@ -22,7 +22,9 @@ def made_up_task(said=None):
     present[:, 0] = True
     one = Problem(drive=replace(drive, present=present), floor=np.ones((1, 3)))
     report = lambda what, share: None if said is None else said.append((what, share))  # noqa: E731 - one line
-    return SimpleNamespace(fit=one, held_out=one, catalogue=CATALOGUE, report=report)
+    return Task(
+        fit=one, held_out=one, fine_fit=one, fine_held_out=one, upsampling=1, catalogue=CATALOGUE, report=report
+    )
 
 
 def made_up(held_out, *effects, fit=None):

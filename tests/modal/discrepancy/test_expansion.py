@@ -8,6 +8,7 @@ from engine_records import experiment, nominal
 
 from modal.discrepancy import expansion as module
 from modal.discrepancy import observed_fits as fits_module
+from modal.discrepancy.budget import Budget
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
@@ -115,7 +116,8 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     monkeypatch.setattr(fits_module, "_observed_fit", fit)
     monkeypatch.setattr(fits_module, "_first_smoothing", lambda *_: 0.03)
     coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
-    found = observed_fits(SimpleNamespace(coarse=coarse, effects=effects), fitted, ["a", "b", "c"], None)
+    node, task = SimpleNamespace(coarse=coarse, effects=effects), SimpleNamespace(budget=Budget())
+    found = observed_fits(node, fitted, ["a", "b", "c"], task)
     assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
     assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
 
@@ -142,3 +144,16 @@ def test_a_law_that_fits_no_better_than_its_limit_is_followed_through_the_limit(
 def test_a_limit_is_not_followed_through_the_richer_law():
     fits = [fit_of("coulomb_friction", 100.0), fit_of("bouc_wen_hysteresis", 50.0)]
     assert len(module._worth(fits, SimpleNamespace(cost=1000.0))) == 2
+
+
+@pytest.mark.parametrize(
+    ("cost", "where", "order"),
+    [
+        (104.0, "element_0", ["gap_spring", "coulomb_friction", "bouc_wen_hysteresis"]),
+        (151.0, "element_0", ["gap_spring", "bouc_wen_hysteresis", "coulomb_friction"]),  # fits clearly worse
+        (104.0, "element_1", ["gap_spring", "bouc_wen_hysteresis", "coulomb_friction"]),  # no limit of it
+    ],
+)
+def test_a_limit_of_a_richer_law_is_followed_before_it_where_it_fits_nearly_as_well(cost, where, order):
+    ranked = [fit_of("gap_spring", 90.0), fit_of("bouc_wen_hysteresis", 100.0), fit_of("coulomb_friction", cost, where)]
+    assert [fit.assembly.placements[0].effect.key for fit in module._simple_first(ranked)] == order

@@ -69,6 +69,20 @@ def test_a_wrong_law_is_given_up_on_the_way(seed, monkeypatch):
     assert costs[-1].cost > module.LOST * fit.cost
 
 
+@pytest.mark.parametrize(("share", "lost"), [(0.029, True), (0.031, False)])
+def test_a_model_that_hardly_misses_anything_with_hardly_any_correction_has_lost_its_motion(share, lost):
+    """Far above the noise too: a skew of a twentieth of a sample leaves half a per cent of a hard spring's motion."""
+    fit, problem = observed(n_samples=200)
+    size = float(np.sum((problem.drive.outputs * problem.weights) ** 2))
+    weak = replace(fit, gain=0.04 * fit.gain, squares=share**2 * size, mean_square=np.full((2, 1), 40.0))
+    if lost:
+        with pytest.raises(module.LostMotion):
+            module._check_lost(weak, fit, problem)
+        module._check_lost(replace(weak, gain=0.06 * fit.gain), fit, problem)
+    else:
+        module._check_lost(weak, fit, problem)
+
+
 def test_without_a_gain_there_are_no_grades():
     fit, problem = observed(n_samples=200)
     assert graded_run(replace(fit, gain=None), problem, smoothing=SHARP) is None

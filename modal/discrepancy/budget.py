@@ -1,0 +1,74 @@
+"""What a search may cost, in rows of states solved along the records: unlike time, the same on every machine."""
+
+from contextvars import ContextVar
+
+import numpy as np
+
+__all__ = ["Budget", "add_work", "work_done"]
+
+OVERHEAD = 3000
+"""What a call costs beside its rows, in rows of one state: a march in windows of a few steps is not cheap."""
+
+_done: ContextVar[float] = ContextVar("work done", default=0.0)
+
+
+def add_work(n_times: int, n_states: int) -> None:
+    """Count one solve of a linear recursion.
+
+    Args:
+        n_times: Its length.
+        n_states: Its states.
+    """
+    _done.set(_done.get() + n_times * n_states + OVERHEAD)
+
+
+def work_done() -> float:
+    """What this thread has solved so far, in rows of states."""
+    return _done.get()
+
+
+class Budget:
+    """An amount of work from now on, and whether anything was left undone for want of it.
+
+    Args:
+        work: In rows of states, as `work_done`; unlimited unless given.
+
+    Example:
+        >>> budget = Budget(1000.0)
+        >>> budget.allows(), budget.spent
+        (True, False)
+        >>> add_work(n_times=4000, n_states=2)
+        >>> budget.allows(), budget.spent
+        (False, True)
+    """
+
+    def __init__(self, work: float = np.inf, *, whole: "Budget | None" = None) -> None:
+        self._end = work_done() + work
+        self._whole = whole
+        self._spent = False
+
+    @property
+    def spent(self) -> bool:
+        """Whether `allows` was ever answered by False."""
+        return self._spent
+
+    def allows(self) -> bool:
+        """Whether there is work left; who asks and gets False leaves something undone."""
+        if work_done() < self._end:
+            return True
+        self.refuse()
+        return False
+
+    def part(self, share: float) -> "Budget":
+        """A share of what is left now, on its own."""
+        return Budget(share * max(self._end - work_done(), 0.0))
+
+    def stage(self) -> "Budget":
+        """Half of what is left now; where it is not enough, the whole is marked as well."""
+        return Budget(0.5 * max(self._end - work_done(), 0.0), whole=self)
+
+    def refuse(self) -> None:
+        """Mark that something is left undone."""
+        self._spent = True
+        if self._whole is not None:
+            self._whole.refuse()
