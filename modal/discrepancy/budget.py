@@ -45,30 +45,44 @@ class Budget:
     def __init__(self, work: float = np.inf, *, whole: "Budget | None" = None) -> None:
         self._end = work_done() + work
         self._whole = whole
-        self._spent = False
+        self._untried = np.inf
 
     @property
     def spent(self) -> bool:
-        """Whether `allows` was ever answered by False."""
-        return self._spent
+        """Whether anything was left undone."""
+        return self._untried < np.inf
+
+    @property
+    def untried(self) -> float:
+        """Effects of the smallest models that were left untried; infinite where none was."""
+        return self._untried
+
+    @property
+    def left(self) -> float:
+        """Work left."""
+        return max(self._end - work_done(), 0.0)
 
     def allows(self) -> bool:
         """Whether there is work left; who asks and gets False leaves something undone."""
-        if work_done() < self._end:
+        if self.left > 0.0:
             return True
         self.refuse()
         return False
 
     def part(self, share: float) -> "Budget":
         """A share of what is left now, on its own."""
-        return Budget(share * max(self._end - work_done(), 0.0))
+        return Budget(share * self.left)
 
     def stage(self) -> "Budget":
         """Half of what is left now; where it is not enough, the whole is marked as well."""
-        return Budget(0.5 * max(self._end - work_done(), 0.0), whole=self)
+        return Budget(0.5 * self.left, whole=self)
 
-    def refuse(self) -> None:
-        """Mark that something is left undone."""
-        self._spent = True
+    def refuse(self, size: float = 0.0) -> None:
+        """Mark that something is left undone.
+
+        Args:
+            size: Effects of the models that are left untried.
+        """
+        self._untried = min(self._untried, size)
         if self._whole is not None:
-            self._whole.refuse()
+            self._whole.refuse(size)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
+from modal.discrepancy.held_out import rested
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form
 from modal.discrepancy.screen import Candidate, screen_candidates
@@ -26,6 +27,10 @@ LEAST_SHARE = 0.1
 
 CONVINCING, FEWEST = 0.5, 4
 """Where the best one takes away less than the first share, so many different effects are followed in any case."""
+
+BLIND = 10.0
+"""A level above which a screen without an observer form is not trusted, where its best candidate takes away less than
+the share above."""
 
 RUNS = 8
 FINALISTS = 5
@@ -52,7 +57,7 @@ MUCH_WEAKER = 0.1
 def expand(node: Node, task: Task) -> list[Node]:
     """Models with one effect more."""
     observed = observed_form(node.coarse, task)
-    candidates = _promising(screen_candidates(observed, task.fit, task.catalogue))
+    candidates = _candidates(observed, task)
     if not candidates:
         return []
     worth = max(candidate.fall for candidate in candidates)
@@ -84,11 +89,30 @@ def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
     return node_of(_sharpened(fit, task, iterations=iterations), task)
 
 
+def _candidates(observed: Estimate, task: Task) -> list[Candidate]:
+    """What is worth a fit: by the screen, and every effect once where the screen knows little.
+
+    Without an observer form the screen goes along the motion of a wrong model. Of a mass that is struck and then held
+    by friction it sees neither the right law nor even its sign.
+    """
+    candidates = _promising(screen_candidates(observed, task.fit, task.catalogue))
+    if observed.gain is not None or observed.level <= BLIND or _convincing(candidates):
+        return candidates
+    every = screen_candidates(observed, task.fit, task.catalogue, signs="turned")
+    tried = {one.key for one in candidates}
+    first = {one.key: one for one in reversed(every) if one.key not in tried}
+    return [*candidates, *reversed(first.values())]
+
+
+def _convincing(candidates: Sequence[Candidate]) -> bool:
+    return bool(candidates) and candidates[0].fall >= CONVINCING
+
+
 def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
     """The best places of each effect, the best shapes of each place."""
     kept: list[Candidate] = []
     least = LEAST_SHARE * max((candidate.fall for candidate in candidates), default=0.0)
-    few = FEWEST if candidates and candidates[0].fall < CONVINCING else 1
+    few = 1 if _convincing(candidates) else FEWEST
     for candidate in candidates:
         if candidate.fall < least and len({other.key for other in kept}) >= few:
             break
@@ -146,6 +170,7 @@ def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
     for share in (1.0, MUCH_WEAKER) if amplitudes(fit.assembly) else (1.0,):
         unknowns = scaled(fit.assembly, fit.unknowns, share)
         start = within_reach(fit.assembly, unknowns, task, fit.trajectory.states, smoothing=smoothing)
+        start = None if start is None else rested(start, task.fit)
         run = None if start is None else estimate(start, task.fit, iterations=MOST_FREE, standstill=MOVING_FREE)
         if run is not None and (found is None or run.cost < found.cost):
             found = run

@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, assemble
+from modal.discrepancy.assembly import Unknowns
 from modal.discrepancy.budget import Budget
 from modal.discrepancy.effects.effect import Effect, is_sharp
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.graded import LOST, LostMotion, graded_run
-from modal.discrepancy.observer import observer_gain
+from modal.discrepancy.held_out import judged
 from modal.discrepancy.trajectory import SHARP
 from okid.arrays import FloatArray
 
@@ -41,12 +40,6 @@ smoothing."""
 FAR, MOSTLY = 30.0, 1.0
 """Above this level only where it rises by this share of the excess, as where smoothing makes a third of it: a motion
 with impacts changes a little with anything."""
-DOUBTFUL = (1.1, 100.0)
-"""A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
-MATTER = 0.8
-"""Initial states matter where they lower the cost of the plant without its effects to less than this share."""
-WEAKER = (1.0, 0.3, 0.1)
-"""Shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
 FINE_STEPS = 4
 """Steps a sample of the grid on which sharp laws are polished, at least."""
 
@@ -131,7 +124,7 @@ def node_of(fitted: Estimate, task: Task, begun: Estimate | None = None) -> Node
         task: Records.
         begun: A like model along the held-out records, from whose initial states to start.
     """
-    return Node(fitted=fitted, held_out=_judged(fitted, task.held_out, begun), coarse=fitted)
+    return Node(fitted=fitted, held_out=judged(fitted, task.held_out, begun), coarse=fitted)
 
 
 def polished(node: Node, task: Task) -> Node:
@@ -148,7 +141,7 @@ def polished(node: Node, task: Task) -> Node:
         unknowns = replace(finer.unknowns, local=node.held_out.unknowns.local)
         held_out = _finer(node.held_out, unknowns, task.held_out, task.fine_held_out)
     if held_out is None:
-        held_out = _judged(finer, task.fine_held_out)
+        held_out = judged(finer, task.fine_held_out)
     return Node(fitted=finer, held_out=held_out, coarse=node.coarse)
 
 
@@ -167,93 +160,6 @@ def _blurred(coarse: Estimate, problem: Problem) -> bool:
     if coarse.level > FAR:
         return twice is not None and twice.level - coarse.level > MOSTLY * (coarse.level - 1.0)
     return twice is None or abs(twice.level - coarse.level) > BLUR * (coarse.level - 1.0)
-
-
-def _judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
-    assembly = fitted.assembly
-    n_records = held_out.drive.n_records
-    local = np.zeros((n_records, assembly.n_local))
-    for i in range(len(assembly.placements)):
-        own = assembly.local_of(i)
-        local[:, own] = np.mean(fitted.unknowns.local[:, own], axis=0)
-    n_states = assembly.plant.n_states
-    begin = _first_states(fitted, held_out) if begun is None else begun.unknowns.local[:, :n_states]
-    local[:, :n_states] = begin
-    unknowns = Unknowns(common=fitted.unknowns.common, local=local)
-    start = simulate_at(assembly, unknowns, held_out, smoothing=fitted.smoothing)
-    found = None if start is None else estimate(start, held_out, iterations=8)
-    if found is not None and _doubtful(found, fitted):
-        again = _by_observer(found, held_out)
-        if again is not None and again.cost < found.cost:
-            return again
-    return found
-
-
-def _first_states(fitted: Estimate, held_out: Problem) -> FloatArray:
-    """Initial states to start from: those of the plant without its effects where they matter, else rest.
-
-    A mass that is held by friction at rest would stay there whatever its initial state is changed by.
-    """
-    plant = fitted.assembly.plant
-    rest = np.zeros((held_out.drive.n_records, plant.n_states))
-    if not fitted.assembly.placements:
-        return rest
-    linear = Unknowns(common=fitted.unknowns.common[: fitted.assembly.n_linear], local=rest)
-    resting = simulate_at(assemble(plant), linear, held_out)
-    begun = None if resting is None else estimate(resting, held_out, iterations=2)
-    if resting is None or begun is None or begun.cost > MATTER * resting.cost:
-        return rest
-    return begun.unknowns.local
-
-
-def _doubtful(held_out: Estimate, fitted: Estimate) -> bool:
-    """Whether the held-out records' initial states may be in another basin: surely where the fit is at the floor."""
-    level = max(fitted.level, 1.0)
-    most = np.inf if level <= NEARLY else DOUBTFUL[1] * level
-    return DOUBTFUL[0] * level < held_out.level < most
-
-
-def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
-    """The initial states once more, found in observer form first.
-
-    Under play, stops or a hard spring a free run from rest may stay in another basin.
-    """
-    steps = int(held_out.drive.rows[1]) if len(held_out.drive.rows) > 1 else 1
-    gain = observer_gain(found, held_out, steps)
-    if gain is None:
-        return None
-    smoothing = found.smoothing
-    states = found.trajectory.states
-    corrected = (
-        simulate_at(
-            found.assembly,
-            found.unknowns,
-            held_out,
-            states=states,
-            gain=share * gain,
-            smoothing=smoothing,
-            start="near",
-        )
-        for share in WEAKER
-    )
-    seen = next((one for one in corrected if one is not None), None)
-    if seen is None:
-        return None
-    seen = estimate(seen, held_out, iterations=4)
-    local = seen.trajectory.states[list(held_out.drive.firsts[:-1])]
-    unknowns = Unknowns(common=found.unknowns.common, local=seen.unknowns.local.copy())
-    unknowns.local[:, list(found.assembly.initial)] = local
-    start = simulate_at(
-        found.assembly, unknowns, held_out, states=seen.trajectory.states, smoothing=smoothing, start="near"
-    )
-    free = None if start is None else estimate(start, held_out, iterations=8)
-    if free is not None and free.cost <= LOST * seen.cost:
-        return free
-    try:
-        graded = graded_run(seen, held_out, smoothing=smoothing)
-    except LostMotion:
-        return free
-    return free if graded is None else estimate(graded, held_out, iterations=8)
 
 
 def on_other_floor(node: Node, fit_ratio: FloatArray, held_out_ratio: FloatArray) -> Node:

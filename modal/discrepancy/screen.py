@@ -64,7 +64,7 @@ def screen_candidates(
     catalogue: Mapping[str, Effect],
     *,
     smoothing: float = 0.05,
-    signs: Literal["bounded", "free"] = "bounded",
+    signs: Literal["bounded", "free", "turned"] = "bounded",
 ) -> tuple[Candidate, ...]:
     """Score every effect of the catalogue at every place, each at a few shapes.
 
@@ -73,7 +73,8 @@ def screen_candidates(
         problem: The records to fit.
         catalogue: The effects.
         smoothing: Width of sharp laws in the screen, as a share of the motion's scale.
-        signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is.
+        signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is;
+            "turned": none is, and those start from the opposite amplitudes.
 
     Returns:
         Candidates, best first.
@@ -163,12 +164,13 @@ def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive,
         return None
     scaled = gram / np.outer(size, size)
     scaled[np.diag_indices_from(scaled)] += 1e-9
-    weights: FloatArray | None = np.linalg.solve(scaled, score / size) / size
-    if signs == "bounded" and weights is not None:
-        weights = _signed(trial, weights, gram, score, local=local)
-    if weights is None:
+    weights = np.linalg.solve(scaled, score / size) / size
+    signed = weights if signs == "free" else _signed(trial, weights, gram, score, local=local)
+    if signed is None and signs == "bounded":
         return None
-    fall = float(2.0 * weights @ score - weights @ gram @ weights)
+    best = weights if signed is None else signed
+    weights = -weights if signed is None else signed
+    fall = float(2.0 * best @ score - best @ gram @ best)
     return replace(
         _candidate(trial, weights, drive, local=local),
         fall=fall / max(nuisance.total, 1e-300),

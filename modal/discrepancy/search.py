@@ -8,8 +8,8 @@ samples a criterion on the likelihood alone finds an effect in nearly every reco
 count, the beam has room for models that take away half of what is left on the records to fit: of two effects that
 counteract each other, the right one alone may be worse than none on the held-out record.
 
-The work is bounded. Where it was not enough to try everything beside a model from which none was found that explains
-the data, or beside that from which one was, the budget says so.
+The work is bounded, and the budget says what was left untried for want of it. Beside models that another one with as
+many effects has beaten by explaining the data, that does not matter.
 """
 
 from collections.abc import Sequence
@@ -46,15 +46,17 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
     front = _distinct([node for node in known if counts(root, node, task)])
     if known and not front:
         return tuple(everything)
-    front, unfinished = front or [root], False
+    front, untried = front or [root], np.inf
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
         if min(node.held_out_level for node in front) <= ENOUGH and depth > 0:
             break
         children: list[Node] = []
         hopeful: list[Node] = []
+        here = np.inf
         for position, node in enumerate(front):
-            if not task.budget.allows():
-                return tuple(everything)
+            if task.budget.left <= 0.0:
+                here = depth + 1
+                break
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
             part = task.budget.part(SHARE_OF_ONE)
@@ -62,15 +64,16 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
             everything += found
             children += [child for child in found if counts(node, child, task)]
             hopeful += [child for child in found if _hopeful(node, child)]
-            unfinished = part.spent if _explain(children) else unfinished or part.spent
             if _explain(children):
+                here = depth + 1 if part.spent else np.inf
                 break
+            here = depth + 1 if part.spent else here
+        untried = min(untried, here)
         front = _distinct(children)
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         if not front:
             break
-    if unfinished:
-        task.budget.refuse()
+    task.budget.refuse(untried)
     return tuple(everything)
 
 

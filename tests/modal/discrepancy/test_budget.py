@@ -32,14 +32,14 @@ def test_a_stage_that_is_not_finished_marks_the_whole_and_a_part_does_not():
 
 
 @pytest.mark.parametrize(
-    ("cut", "spent"),
+    ("cut", "untried"),
     [
-        ((), False),  # nor beside the linear model, of which the right one came
-        (("gap_spring",), False),  # the models beside it need not all be tried: beside another all is explained
-        (("cubic_stiffness",), True),  # rivals of the model that explains the data were not tried
+        ((), 1),  # one effect that was not tried might explain it all
+        (("gap_spring",), np.inf),  # the models beside it need not all be tried: beside another all is explained
+        (("cubic_stiffness",), 2),  # rivals of the model that explains the data were not tried
     ],
 )
-def test_only_what_bears_on_the_result_counts_as_left_undone(monkeypatch, cut, spent):
+def test_only_what_bears_on_the_result_counts_as_left_untried(monkeypatch, cut, untried):
     levels = {
         (): {"gap_spring": 10.0, "cubic_stiffness": 15.0},
         ("gap_spring",): {"quadratic_drag": 8.0},
@@ -56,7 +56,7 @@ def test_only_what_bears_on_the_result_counts_as_left_undone(monkeypatch, cut, s
     task = made_up_task()
     found = search(made_up(50.0), task)
     assert min(node.held_out_level for node in found) == 1.0
-    assert task.budget.spent is spent
+    assert task.budget.untried == untried
 
 
 def test_where_nothing_explains_the_data_any_cut_counts(monkeypatch):
@@ -69,7 +69,7 @@ def test_where_nothing_explains_the_data_any_cut_counts(monkeypatch):
     monkeypatch.setattr(beam, "expand", expand)
     task = made_up_task()
     search(made_up(50.0), task)
-    assert task.budget.spent
+    assert task.budget.untried == 1
 
 
 def struck(size, seed, n=1500, dt=0.02, substeps=10):

@@ -1,5 +1,6 @@
 """Around which trajectory effects are tried."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
+from modal.discrepancy.held_out import rested
 from modal.discrepancy.observed_fits import observed_fits, observed_form
 from modal.discrepancy.observer import observer_gain
 
@@ -85,6 +87,7 @@ def test_a_law_too_hard_to_move_starts_again_much_weaker(monkeypatch):
         tried.clear()
         unknowns = SimpleNamespace(common=np.array([size]), local=None)
         fit = SimpleNamespace(assembly=assembly, unknowns=unknowns, trajectory=SimpleNamespace(states=None))
+        monkeypatch.setattr(module, "rested", lambda start, _problem: start)
         assert module._free_run(fit, SimpleNamespace(fit=None), 0.03).cost == 1.0
         assert tried == expected
 
@@ -157,3 +160,35 @@ def test_a_limit_is_not_followed_through_the_richer_law():
 def test_a_limit_of_a_richer_law_is_followed_before_it_where_it_fits_nearly_as_well(cost, where, order):
     ranked = [fit_of("gap_spring", 90.0), fit_of("bouc_wen_hysteresis", 100.0), fit_of("coulomb_friction", cost, where)]
     assert [fit.assembly.placements[0].effect.key for fit in module._simple_first(ranked)] == order
+
+
+def candidate_of(key, fall):
+    return SimpleNamespace(key=key, where="element_0", fall=fall)
+
+
+@pytest.mark.parametrize(
+    ("gain", "level", "best", "every"),
+    [(None, 50.0, 0.2, True), ("some", 50.0, 0.2, False), (None, 5.0, 0.2, False), (None, 50.0, 0.6, False)],
+)
+def test_every_effect_is_tried_where_the_screen_goes_along_a_wrong_motion_and_knows_little(
+    monkeypatch, gain, level, best, every
+):
+    """What a struck mass under friction shows to a screen along the linear motion is friction of the wrong sign."""
+    bounded = [candidate_of("input_gain", best), candidate_of("missing_mode", 0.15)]
+    turned = [*bounded, candidate_of("coulomb_friction", 0.01), candidate_of("coulomb_friction", 0.005)]
+    screens = {"bounded": bounded, "turned": turned}
+    monkeypatch.setattr(module, "screen_candidates", lambda *_, signs="bounded": screens[signs])
+    found = module._candidates(SimpleNamespace(gain=gain, level=level), SimpleNamespace(fit=None, catalogue={}))
+    extra = [turned[2]] if every else []
+    assert found == [*bounded, *extra]
+
+
+def test_a_fit_begins_at_rest_where_initial_states_only_made_up_for_a_missing_law():
+    fit, _, variance = experiment(lambda d, v, t: 0.0, n_samples=300, levels=(1.0, 2.0, 1.0))
+    given = given_model(nominal(), tuple(fit))
+    problem = Problem(drive=drive_of(tuple(fit), 2), floor=np.full((len(fit), 1), variance))
+    assembly, unknowns = placed_assembly(given.plant, given.linear, (), problem.drive)
+    rest = simulate_at(assembly, unknowns, problem)
+    assert rested(rest, problem) is rest
+    odd = simulate_at(assembly, replace(unknowns, local=unknowns.local + 0.5), problem)
+    assert rested(odd, problem).cost == pytest.approx(rest.cost)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from made_up_estimates import estimate_of, node_with
 
+from modal.discrepancy import held_out as held_out_module
 from modal.discrepancy import nodes as module
 from modal.discrepancy.nodes import polished
 
@@ -68,4 +69,4 @@ def test_near_the_floor_smoothing_is_always_doubted(monkeypatch):
 )
 def test_held_out_records_in_another_basin(fit, held_out, doubtful):
     """At the floor on the records to fit, any excess on held-out ones may be a matter of their initial states."""
-    assert module._doubtful(estimate_of(held_out), estimate_of(fit)) == doubtful
+    assert held_out_module._doubtful(estimate_of(held_out), estimate_of(fit)) == doubtful

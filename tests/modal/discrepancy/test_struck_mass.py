@@ -1,0 +1,64 @@
+"""A mass on a spring that is struck with a hammer, slides and is held by friction, seen by an accelerometer."""
+
+import numpy as np
+import pytest
+
+from modal.discrepancy.workflow import diagnose
+from modal.structure import StructuralModel
+from okid.record import Record
+
+DT, SUBSTEPS = 0.001, 50
+MASS, STIFFNESS, DAMPING, FRICTION = 1.0, 8000.0, 4.0, 1.5
+WIDTH = 0.006
+
+
+def struck(seed, hits=3, n=900, noise=0.1):
+    """Blows of a few milliseconds at random times, some while it still rings; half of it is stuck between them."""
+    random = np.random.default_rng(seed)
+    times = np.sort(random.uniform(0.05, 0.9 * n * DT, hits))
+    sizes = random.uniform(8.0, 25.0, hits)
+
+    def force(t):
+        phase = (t - times) / WIDTH
+        return float(np.sum(np.where((phase > 0) & (phase < 1), sizes * np.sin(np.pi * phase.clip(0, 1)) ** 2, 0.0)))
+
+    step, x, v = DT / SUBSTEPS, 0.0, 0.0
+    inputs, outputs = np.empty(n), np.empty(n)
+    for k in range(n):
+        push = inputs[k] = force(k * DT)
+        outputs[k] = accelerated(push, x, v)[0]
+        for j in range(SUBSTEPS):
+            push = force(k * DT + (j + 0.5) * step)
+            a, _ = accelerated(push, x, v)
+            middle = v + 0.5 * step * a
+            a, stuck = accelerated(push, x + 0.5 * step * v, middle)
+            x, before, v = x + step * middle, v, v + step * a
+            if stuck or before * v < 0.0:
+                v = 0.0
+    return Record(
+        inputs,
+        outputs + noise * random.standard_normal(n),
+        DT,
+        input_names=["hammer"],
+        output_names=["tip"],
+        input_units=["N"],
+        output_units=["m/s^2"],
+        input_hold="band_limited",
+    )
+
+
+def accelerated(push, x, v):
+    """Acceleration, and whether friction holds the mass."""
+    rest = push - STIFFNESS * x
+    if v == 0.0 and abs(rest) <= FRICTION:
+        return 0.0, True
+    way = np.sign(v) if v != 0.0 else np.sign(rest)
+    return (rest - DAMPING * v - FRICTION * way) / MASS, False
+
+
+def test_friction_is_named_where_it_holds_the_mass_between_the_blows():
+    model = StructuralModel.chain([MASS], [7760.0], [2.8], force_dofs=[0], sensor_dofs=[0], sensor_kind="acceleration")
+    found = diagnose(model, [struck(1), struck(2)], struck(3))
+    assert found.status == "named"
+    assert [one.effect for one in found.findings] == ["coulomb_friction"]
+    assert found.findings[0].parameters[0].value == pytest.approx(FRICTION, rel=0.02)
