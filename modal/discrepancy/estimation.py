@@ -13,6 +13,7 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.bounded_step import bounded_step
+from modal.discrepancy.budget import Budget
 from modal.discrepancy.drive import Drive, IndexArray
 from modal.discrepancy.hard_steps import moved, reach_of, walls
 from modal.discrepancy.scheme import Scheme, scheme_and_slopes
@@ -149,6 +150,7 @@ def estimate(
     *,
     iterations: int,
     standstill: float = STANDSTILL,
+    budget: Budget | None = None,
 ) -> Estimate:
     """Fit from a simulated start.
 
@@ -157,6 +159,7 @@ def estimate(
         problem: Records to fit.
         iterations: Largest number of iterations.
         standstill: Relative fall of the cost below which the fit ends.
+        budget: Work after which it ends; unlimited unless given.
 
     Returns:
         The best model found; the start where nothing is better.
@@ -176,7 +179,7 @@ def estimate(
             return current
         fall = current.cost - better.cost
         current = replace(better, iterations=start.iterations + iteration + 1)
-        if fall <= standstill * max(current.cost, 1.0):
+        if fall <= standstill * max(current.cost, 1.0) or (budget is not None and budget.left <= 0.0):
             return current
     return current
 

@@ -1,12 +1,13 @@
 """Try every effect beside a model: screen, fit in observer form, let the promising ones run free, sharpen the best."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.held_out import rested
 from modal.discrepancy.nodes import Node, Task, node_of, polished
-from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form
+from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form, weaker_form
 from modal.discrepancy.screen import Candidate, screen_candidates
 from modal.discrepancy.settling import settled_stiffness
 from modal.discrepancy.simpler_laws import has_limit
@@ -14,6 +15,10 @@ from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import amplitudes, scaled, within_reach
 
 __all__ = ["ENOUGH", "expand"]
+
+T = TypeVar("T")
+Law = tuple[str, str]
+"""An effect's key and its place."""
 
 ENOUGH = 1.2
 """Held-out mean square, in units of the floor, below which no further effect is looked for without good cause."""
@@ -28,6 +33,8 @@ LEAST_SHARE = 0.1
 CONVINCING, FEWEST = 0.5, 4
 """Where the best one takes away less than the first share, so many different effects are followed in any case."""
 
+TELLING = 1.5
+"""With a weaker gain the best candidate must take away so many times the share that it does with the whole one."""
 BLIND = 10.0
 """A level above which a screen without an observer form is not trusted, where its best candidate takes away less than
 the share above."""
@@ -56,15 +63,14 @@ MUCH_WEAKER = 0.1
 
 def expand(node: Node, task: Task) -> list[Node]:
     """Models with one effect more."""
-    observed = observed_form(node.coarse, task)
-    candidates = _candidates(observed, task)
+    observed, candidates = _seen(node, task)
     if not candidates:
         return []
     worth = max(candidate.fall for candidate in candidates)
     if node.held_out_level <= ENOUGH and worth < WORTH_A_TRY:
         return []
     fitted = _worth(observed_fits(node, observed, candidates, task), observed)
-    runs, found = _free_runs(_simple_first(_leading(fitted, RUNS)), task, node)
+    runs, found = _free_runs(_ordered(_leading(fitted, RUNS)), task, node)
     return _judged(_leading(runs, FINALISTS), task, found, reach=REACH_SHARP if node.effects else REACH)
 
 
@@ -89,13 +95,33 @@ def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
     return node_of(_sharpened(fit, task, iterations=iterations), task)
 
 
-def _candidates(observed: Estimate, task: Task) -> list[Candidate]:
+def _seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
+    """The model in observer form and what is worth a fit, with a weaker gain where that shows more.
+
+    The outputs follow the records so closely under a strong gain that it hides what is narrow in frequency or acts on
+    the outputs alone.
+    """
+    observed = observed_form(node.coarse, task)
+    screened = screen_candidates(observed, task.fit, task.catalogue)
+    weaker = None if _convincing(screened) else weaker_form(observed, task)
+    if weaker is not None:
+        other = screen_candidates(weaker, task.fit, task.catalogue)
+        if _most(other) > TELLING * _most(screened):
+            return weaker, _promising(other)
+    return observed, _candidates(observed, screened, task)
+
+
+def _most(candidates: Sequence[Candidate]) -> float:
+    return max((candidate.fall for candidate in candidates), default=0.0)
+
+
+def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -> list[Candidate]:
     """What is worth a fit: by the screen, and every effect once where the screen knows little.
 
     Without an observer form the screen goes along the motion of a wrong model. Of a mass that is struck and then held
     by friction it sees neither the right law nor even its sign.
     """
-    candidates = _promising(screen_candidates(observed, task.fit, task.catalogue))
+    candidates = _promising(screened)
     if observed.gain is not None or observed.level <= BLIND or _convincing(candidates):
         return candidates
     every = screen_candidates(observed, task.fit, task.catalogue, signs="turned")
@@ -121,7 +147,9 @@ def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
         places = {other.where for other in same_effect}
         if len(same_place) < SHAPES and (candidate.where in places or len(places) < PLACES):
             kept.append(candidate)
-    return kept
+    return _simple_first(
+        kept, lambda one: (one.key, one.where), lambda simple, rich: simple.fall >= CONVINCING * rich.fall
+    )
 
 
 def _softness(node: Node, softness: float) -> float:
@@ -201,25 +229,40 @@ def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
     """The fits that win a good share of what the best one wins over the model without the effect."""
     most = max((observed.cost - fit.cost for fit in fits), default=0.0)
     good = [fit for fit in fits if observed.cost - fit.cost >= LEAST_SHARE * most]
-    return [fit for fit in good if not any(_is_limit(other, fit) and other.cost <= fit.cost for other in good)]
+
+    def astray(fit: Estimate) -> bool:
+        """A richer law that does not even fit as well as its limit is followed through that."""
+        return any(_is_limit(_law_of(other), _law_of(fit)) and other.cost <= fit.cost for other in good)
+
+    return [fit for fit in good if not astray(fit)]
 
 
-def _simple_first(fits: Sequence[Estimate]) -> list[Estimate]:
-    """The fits, best first, but a limit of a richer law before that law where it fits nearly as well."""
-    ordered: list[Estimate] = []
-    for fit in fits:
-        richer = [i for i, other in enumerate(ordered) if _is_limit(fit, other) and fit.cost <= RIVAL * other.cost]
-        ordered.insert(min(richer, default=len(ordered)), fit)
+def _ordered(fits: Sequence[Estimate]) -> list[Estimate]:
+    """The fits, best first, but limits of richer laws before these where they fit nearly as well."""
+    return _simple_first(fits, _law_of, lambda simple, rich: simple.cost <= RIVAL * rich.cost)
+
+
+def _simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T, T], bool]) -> list[T]:
+    """The items in their order, but a limit of a richer law before that law where it is `near` it.
+
+    It is quick to fit, and where it explains the data the richer one need not be followed far.
+    """
+    ordered: list[T] = []
+    for item in items:
+        richer = [i for i, other in enumerate(ordered) if _is_limit(law(item), law(other)) and near(item, other)]
+        ordered.insert(min(richer, default=len(ordered)), item)
     return ordered
 
 
-def _is_limit(simple: Estimate, rich: Estimate) -> bool:
-    """Whether a fit's last effect is a limit of the other's at the same place.
+def _is_limit(simple: Law, rich: Law) -> bool:
+    """Whether a law is a limit of another one at the same place."""
+    return simple[1] == rich[1] and has_limit(rich[0], simple[0])
 
-    A richer law that does not even fit as well is followed through its limit: its own fit has gone astray.
-    """
-    one, other = simple.assembly.placements[-1], rich.assembly.placements[-1]
-    return one.where == other.where and has_limit(other.effect.key, one.effect.key)
+
+def _law_of(fit: Estimate) -> Law:
+    """A fit's last effect and its place."""
+    item = fit.assembly.placements[-1]
+    return item.effect.key, item.where
 
 
 def _leading(fits: Sequence[Estimate], most: int) -> list[Estimate]:

@@ -16,7 +16,7 @@ from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import within_reach
 from okid.arrays import FloatArray
 
-__all__ = ["SOFT", "observed_fits", "observed_form"]
+__all__ = ["SOFT", "observed_fits", "observed_form", "weaker_form"]
 
 MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
 """A fit in observer form ends after so many iterations, or when one gains less than the second share."""
@@ -24,6 +24,10 @@ BETTER = 0.9
 """The given linear parameters are the better start where the first fit from them costs less than this share."""
 SOFT, SOFTER = 0.03, 0.1
 """Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
+WEAKER = 0.1
+SHARE_OF_A_FIT = 0.1
+"""Share of what is left of the budget for one model after which a fit in observer form ends: those that go astray cost
+most."""
 HIDDEN = 1.5
 """Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
 
@@ -42,6 +46,18 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
         return fitted
     found = _again(fitted, task, gain, fitted.smoothing)
     return found if found is not None and found.cost < fitted.cost else fitted
+
+
+def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
+    """The model with a tenth of its observer gain; None where it has none or cannot be simulated so.
+
+    Args:
+        observed: The model in observer form.
+        task: Records to fit.
+    """
+    if observed.gain is None:
+        return None
+    return _again(observed, task, WEAKER * observed.gain, observed.smoothing)
 
 
 def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:
@@ -111,8 +127,11 @@ def _observed_fit(
     if linear == "given":
         unknowns.common[: assembly.n_linear] = assembly.plant.nominal
     states = _widened(observed, candidate)
+    budget = task.budget.part(SHARE_OF_A_FIT)
     start = within_reach(assembly, unknowns, task, states, gain=observed.gain, smoothing=smoothing)
-    return None if start is None else estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED)
+    if start is None:
+        return None
+    return estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=budget)
 
 
 def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:

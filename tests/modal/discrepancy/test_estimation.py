@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses, with_effects
 
+from modal.discrepancy.budget import Budget
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, covariance, estimate, normal_equations, simulate_at, weighted_residual
 from modal.discrepancy.sensitivity import sensitivity
@@ -48,6 +49,14 @@ def test_exact_recovery(missing):
     assert found.cost < start.cost
     assert not found.at_bounds.any()
     assert found.iterations > 0
+
+
+def test_a_fit_ends_when_its_budget_is_spent():
+    assembly, truth, problem = problem_of(KEYS)
+    start = simulate_at(assembly, away(assembly, truth), problem)
+    found = estimate(start, problem, iterations=40, budget=Budget(0.0))
+    assert found.iterations == 1
+    assert found.cost < start.cost
 
 
 def test_recovery_in_observer_form():

@@ -159,7 +159,7 @@ def test_a_limit_is_not_followed_through_the_richer_law():
 )
 def test_a_limit_of_a_richer_law_is_followed_before_it_where_it_fits_nearly_as_well(cost, where, order):
     ranked = [fit_of("gap_spring", 90.0), fit_of("bouc_wen_hysteresis", 100.0), fit_of("coulomb_friction", cost, where)]
-    assert [fit.assembly.placements[0].effect.key for fit in module._simple_first(ranked)] == order
+    assert [fit.assembly.placements[0].effect.key for fit in module._ordered(ranked)] == order
 
 
 def candidate_of(key, fall):
@@ -178,7 +178,9 @@ def test_every_effect_is_tried_where_the_screen_goes_along_a_wrong_motion_and_kn
     turned = [*bounded, candidate_of("coulomb_friction", 0.01), candidate_of("coulomb_friction", 0.005)]
     screens = {"bounded": bounded, "turned": turned}
     monkeypatch.setattr(module, "screen_candidates", lambda *_, signs="bounded": screens[signs])
-    found = module._candidates(SimpleNamespace(gain=gain, level=level), SimpleNamespace(fit=None, catalogue={}))
+    found = module._candidates(
+        SimpleNamespace(gain=gain, level=level), bounded, SimpleNamespace(fit=None, catalogue={})
+    )
     extra = [turned[2]] if every else []
     assert found == [*bounded, *extra]
 
@@ -192,3 +194,26 @@ def test_a_fit_begins_at_rest_where_initial_states_only_made_up_for_a_missing_la
     assert rested(rest, problem) is rest
     odd = simulate_at(assembly, replace(unknowns, local=unknowns.local + 0.5), problem)
     assert rested(odd, problem).cost == pytest.approx(rest.cost)
+
+
+@pytest.mark.parametrize(
+    ("strong", "weak", "taken"), [(0.2, 0.31, True), (0.2, 0.29, False), (0.51, 0.9, False), (0.2, None, False)]
+)
+def test_a_weaker_gain_is_taken_where_it_shows_much_more(monkeypatch, strong, weak, taken):
+    """A tuned mass of a hundredth is hidden by an observer that follows the outputs too closely."""
+    observed, weaker = SimpleNamespace(gain="whole", fall=strong), SimpleNamespace(gain="weak", fall=weak)
+    monkeypatch.setattr(module, "observed_form", lambda *_: observed)
+    monkeypatch.setattr(module, "weaker_form", lambda *_: None if weak is None else weaker)
+    monkeypatch.setattr(module, "screen_candidates", lambda form, *_: [candidate_of("missing_mode", form.fall)])
+    found, candidates = module._seen(SimpleNamespace(coarse=None), SimpleNamespace(fit=None, catalogue={}))
+    assert found is (weaker if taken else observed)
+    assert [one.fall for one in candidates] == [weak if taken else strong]
+
+
+def test_the_weaker_gain_is_a_tenth_and_of_none_there_is_none(current):
+    fitted, problem = current
+    gain = observer_gain(fitted, problem, 1)
+    task = SimpleNamespace(fit=problem)
+    observed = simulate_at(fitted.assembly, fitted.unknowns, problem, gain=gain)
+    assert module.weaker_form(observed, task).gain == pytest.approx(0.1 * gain)
+    assert module.weaker_form(fitted, task) is None
