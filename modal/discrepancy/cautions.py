@@ -1,16 +1,19 @@
 """What a finished diagnosis must still say of its records, whatever the model.
 
-Nothing is explained, outputs that come before their inputs, a hold that is in doubt.
+Nothing is explained, a channel is spoiled, outputs come before their inputs, a hold is in doubt.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.explained import explained_words
 from modal.discrepancy.hold_hint import hold_words
 from modal.discrepancy.statements import number
+from modal.quality.check import check_quality
+from okid.record import Record
 
-__all__ = ["early_words", "with_cautions"]
+__all__ = ["early_words", "spoiled_words", "with_cautions"]
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
@@ -20,12 +23,46 @@ def with_cautions(found: Diagnosis) -> Diagnosis:
         found: Of any kind of model.
     """
     warnings = [words for words in (explained_words(found), early_words(found)) if words]
+    warnings += spoiled_words(found)
     hold = hold_words(found)
     return replace(
         found,
         warnings=(*warnings, *found.warnings),
         advice=(*found.advice, *((hold,) if hold else ())),
     )
+
+
+def spoiled_words(found: Diagnosis) -> list[str]:
+    """What spoils the records themselves: a clipped channel, spikes, a channel that stands still.
+
+    No effect of a model explains these, and one may be found that only stands for them.
+
+    Args:
+        found: Of any kind of model.
+    """
+    sentences = {
+        one.sentence: None
+        for records in (found.fit, found.held_out)
+        for one in check_quality(_alike(records)).findings
+        if one.level == "bad"
+    }
+    return [f"the records are spoiled: {sentence}" for sentence in sentences]
+
+
+def _alike(records: Sequence[Record]) -> list[Record]:
+    """The records with the channel names and units of the first: a diagnosis goes by the order of the channels."""
+    first = records[0]
+    return [
+        replace(
+            record,
+            input_names=first.input_names,
+            output_names=first.output_names,
+            input_units=first.input_units,
+            output_units=first.output_units,
+            input_hold=first.input_hold,
+        )
+        for record in records
+    ]
 
 
 def early_words(found: Diagnosis) -> str:

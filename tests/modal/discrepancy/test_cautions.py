@@ -141,3 +141,18 @@ def test_without_inputs_there_is_no_hold():
     found = with_motion(6.0)
     free = tuple(record.select(inputs=()) for record in found.fit)
     assert hold_words(replace(found, fit=free)) == ""
+
+
+def test_a_clipped_output_is_a_warning_whatever_was_found():
+    """No sensor's limit is in the catalogue: without the word, a gap spring may stand for it."""
+    found = none()
+    clipped = [replace(one, outputs=np.clip(one.outputs, -0.7 * one.outputs.std(), np.inf)) for one in found.fit]
+    assert not any("spoiled" in words for words in with_cautions(found).warnings)
+    warned = with_cautions(replace(found, fit=tuple(clipped)))
+    assert any("the records are spoiled: output 'upper' stands at its limit" in words for words in warned.warnings)
+
+
+def test_records_whose_channels_are_named_differently_are_looked_at_all_the_same():
+    found = none()
+    other = replace(found.fit[0], output_names=("a", "b"))
+    assert with_cautions(replace(found, fit=(*found.fit, other))).status == "none"
