@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.discrepancy.assembly import Assembly, Placement, Unknowns, initial_unknowns, place
-from modal.discrepancy.banded import band_of, solve_band
-from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
 from modal.discrepancy.estimation import Estimate, Problem
+from modal.discrepancy.memory_along import memory_along
 from modal.discrepancy.port_motion import motion_at
 from modal.discrepancy.sensitivity import Source, force_response
 from okid.arrays import FloatArray
@@ -22,7 +21,6 @@ from okid.arrays import FloatArray
 __all__ = ["Trial", "trials_of"]
 
 N_PEAKS = 4
-SHAPE_TRIES = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -101,7 +99,7 @@ def _sources(current: Estimate, item: Placement, values: tuple[float, ...], moti
     n_all = current.trajectory.states.shape[1]
     if isinstance(effect, ForceEffect):
         if effect.n_memory:
-            memory = _memory(effect, values, motion, drive)
+            memory = memory_along(effect, values, motion, drive)
             if memory is None:
                 return []
             motion = replace(motion, memory=memory)
@@ -137,35 +135,6 @@ def _plain(lone: Assembly, values: tuple[float, ...], n_records: int) -> Unknown
     unknowns = initial_unknowns(lone, n_records)
     unknowns.common[lone.n_linear :] = [values[j] for j in lone.placements[0].common]
     return unknowns
-
-
-def _memory(effect: ForceEffect, values: tuple[float, ...], motion: Motion, drive: Drive) -> FloatArray | None:
-    """An effect's own states along a given motion, by Newton's method on the whole trajectory."""
-    following = np.minimum(np.arange(drive.n_times) + 1, drive.n_times - 1)
-    z = np.zeros((drive.n_times, effect.n_memory))
-    lasts = np.array(drive.firsts[1:]) - 1
-    for _ in range(SHAPE_TRIES):
-        before = replace(motion, memory=z)
-        after = replace(
-            before,
-            displacement=motion.displacement[following],
-            velocity=motion.velocity[following],
-            time=motion.time[following],
-            memory=z[following],
-        )
-        step = effect.advance(values, before, after, drive.dt)
-        forcing = np.zeros((1, *z.shape))
-        forcing[0, 1:] = (step.value - z[following])[:-1]
-        forcing[0, list(drive.firsts[:-1])] = -z[list(drive.firsts[:-1])]
-        transitions = step.by_memory.transpose(1, 2, 0).copy()
-        transitions[:, :, lasts] = 0.0
-        change = solve_band(band_of(transitions), forcing)[0]
-        z = z + change
-        if not np.isfinite(z).all():
-            return None
-        if np.abs(change).max() <= 1e-6 * max(np.abs(z).max(), 1e-300):
-            return z
-    return None
 
 
 def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:

@@ -62,6 +62,7 @@ class BoucWenHysteresis(ForceEffect):
     signature = "loop; softens with the level, damping rises then falls; odd lines"
     reference = "Wen 1976, doi 10.1061/JMCEA3.0002106"
     n_memory = 1
+    rate_independent = True
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
         """One start for each yield displacement that a share of the motion stays below."""

@@ -120,6 +120,7 @@ class ForceEffect(Effect):
             effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         n_memory: Number of states of its own.
+        rate_independent: Whether these depend on where the motion went and not on how fast.
         has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
         is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
@@ -130,6 +131,7 @@ class ForceEffect(Effect):
     needs: ClassVar[frozenset[str]] = frozenset({"displacement"})
     acts_at: ClassVar[str] = "motion"
     n_memory: ClassVar[int] = 0
+    rate_independent: ClassVar[bool] = False
     has_corners: ClassVar[bool] = False
     is_brim: ClassVar[bool] = False
     per_stiffness: ClassVar[bool] = False

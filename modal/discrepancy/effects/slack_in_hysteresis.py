@@ -69,6 +69,7 @@ class SlackInHysteresis(ForceEffect):
     signature = "loop with a flat at zero force, of the same width at every level; odd lines"
     reference = "Kuhnen 2003, doi 10.3166/ejc.9.407-418"
     n_memory = 1
+    rate_independent = True
     has_corners = True
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
