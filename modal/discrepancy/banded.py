@@ -47,6 +47,7 @@ def solve_band(band: FloatArray, forcing: FloatArray) -> FloatArray:
     """
     n_columns, n_times, n = forcing.shape
     if n == 0 or n_columns == 0:
+        add_work(n_times, 1)
         return forcing
     add_work(n_times, n)
     # Columns first in C order are LAPACK's right-hand sides in Fortran order: no copy.

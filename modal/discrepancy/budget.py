@@ -17,7 +17,7 @@ def add_work(n_times: int, n_states: int) -> None:
 
     Args:
         n_times: Its length.
-        n_states: Its states.
+        n_states: Its states; right-hand sides more than one are not counted.
     """
     _done.set(_done.get() + n_times * n_states + OVERHEAD)
 
@@ -30,8 +30,12 @@ def work_done() -> float:
 class Budget:
     """An amount of work from now on, and whether anything was left undone for want of it.
 
+    It remembers, so that who decides at last knows what a search deep below had to leave: one object for all searches
+    of a model along the same records.
+
     Args:
         work: In rows of states, as `work_done`; unlimited unless given.
+        whole: What is marked as well where this one is not enough.
 
     Example:
         >>> budget = Budget(1000.0)
@@ -45,16 +49,16 @@ class Budget:
     def __init__(self, work: float = np.inf, *, whole: "Budget | None" = None) -> None:
         self._end = work_done() + work
         self._whole = whole
-        self._untried = np.inf
+        self._untried, self._spent = np.inf, False
 
     @property
     def spent(self) -> bool:
         """Whether anything was left undone."""
-        return self._untried < np.inf
+        return self._spent
 
     @property
     def untried(self) -> float:
-        """Effects of the smallest models that were left untried; infinite where none was."""
+        """Effects of the smallest models that were left untried and might matter; infinite where there are none."""
         return self._untried
 
     @property
@@ -81,8 +85,9 @@ class Budget:
         """Mark that something is left undone.
 
         Args:
-            size: Effects of the models that are left untried.
+            size: Effects of the models that are left untried; infinite where others have made them matter no more.
         """
+        self._spent = True
         self._untried = min(self._untried, size)
         if self._whole is not None:
             self._whole.refuse(size)

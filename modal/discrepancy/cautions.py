@@ -16,6 +16,10 @@ from okid.record import Record
 __all__ = ["early_words", "spoiled_words", "with_cautions"]
 
 
+SPOILED = frozenset({"clipped", "constant", "spikes"})
+"""What no law makes of an output; friction does hold a mass still, and play takes away coherence."""
+
+
 def with_cautions(found: Diagnosis) -> Diagnosis:
     """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt.
 
@@ -33,20 +37,19 @@ def with_cautions(found: Diagnosis) -> Diagnosis:
 
 
 def spoiled_words(found: Diagnosis) -> list[str]:
-    """What spoils the records themselves: a clipped channel, spikes, a channel that stands still.
+    """What spoils the records themselves: a clipped output, spikes, a dead output.
 
     No effect of a model explains these, and one may be found that only stands for them.
 
     Args:
         found: Of any kind of model.
     """
-    sentences = {
-        one.sentence: None
-        for records in (found.fit, found.held_out)
-        for one in check_quality(_alike(records)).findings
-        if one.level == "bad"
-    }
-    return [f"the records are spoiled: {sentence}" for sentence in sentences]
+    sentences: dict[tuple[str, tuple[str, ...]], str] = {}
+    for name, records in (("to fit", found.fit), ("held out", found.held_out)):
+        for one in check_quality(_alike(records)).findings:
+            if one.level == "bad" and one.what in SPOILED and set(one.channels) <= set(records[0].output_names):
+                sentences.setdefault((one.what, one.channels), f"the records {name} are spoiled: {one.sentence}")
+    return list(sentences.values())
 
 
 def _alike(records: Sequence[Record]) -> list[Record]:

@@ -116,7 +116,7 @@ def decide_nodes(
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
         )
-    reasons += _unproved(best, root) + _untried(best, root, task)
+    reasons += _unproved(best, root) + _untried(best, task, most=len(best.effects) - len(root.effects))
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
@@ -142,10 +142,10 @@ def _unproved(best: Node, root: Node) -> list[str]:
     return reasons
 
 
-def _untried(best: Node, root: Node, task: Task) -> list[str]:
+def _untried(best: Node, task: Task, *, most: float) -> list[str]:
     """Whether models with no more effects were left untried, or any where the best does not explain the data."""
-    most = len(best.effects) - len(root.effects) if best.held_out_level <= NEAR_FLOOR else np.inf
-    if not task.budget.spent or task.budget.untried > most:
+    explained = best.held_out_level <= NEAR_FLOOR
+    if not task.budget.spent or (explained and task.budget.untried > most):
         return []
     words = (
         "the search was ended before every effect was tried, because it cost as much as it may: what is missing may "
@@ -158,7 +158,8 @@ def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
     if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
         return Decision(status="none", node=root, runners=(), margins=(), reasons=())
-    reasons = ("no effect of the catalogue brings the held-out error down by a tenth", *_untried(root, root, task))
+    tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
+    reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
 
 

@@ -1,24 +1,19 @@
 """Try every effect beside a model: screen, fit in observer form, let the promising ones run free, sharpen the best."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
 
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.held_out import rested
 from modal.discrepancy.nodes import Node, Task, node_of, polished
-from modal.discrepancy.observed_fits import SOFT, observed_fits, observed_form, weaker_form
-from modal.discrepancy.screen import Candidate, screen_candidates
+from modal.discrepancy.observed_fits import SOFT, observed_fits
+from modal.discrepancy.promising import seen
 from modal.discrepancy.settling import settled_stiffness
-from modal.discrepancy.simpler_laws import has_limit
+from modal.discrepancy.simpler_laws import Law, is_limit, simple_first
 from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import amplitudes, scaled, within_reach
 
 __all__ = ["ENOUGH", "expand"]
-
-T = TypeVar("T")
-Law = tuple[str, str]
-"""An effect's key and its place."""
 
 ENOUGH = 1.2
 """Held-out mean square, in units of the floor, below which no further effect is looked for without good cause."""
@@ -26,18 +21,8 @@ ENOUGH = 1.2
 WORTH_A_TRY = 0.1
 """Beside a model that explains the data, effects are tried only where the screen promises a fall by this share."""
 
-PLACES, SHAPES = 2, 2
 LEAST_SHARE = 0.1
-"""A candidate is followed while it takes away at least this share of what the best one takes away."""
-
-CONVINCING, FEWEST = 0.5, 4
-"""Where the best one takes away less than the first share, so many different effects are followed in any case."""
-
-TELLING = 1.5
-"""With a weaker gain the best candidate must take away so many times the share that it does with the whole one."""
-BLIND = 10.0
-"""A level above which a screen without an observer form is not trusted, where its best candidate takes away less than
-the share above."""
+"""A fit is followed while it wins at least this share of what the best one wins."""
 
 RUNS = 8
 FINALISTS = 5
@@ -63,7 +48,7 @@ MUCH_WEAKER = 0.1
 
 def expand(node: Node, task: Task) -> list[Node]:
     """Models with one effect more."""
-    observed, candidates = _seen(node, task)
+    observed, candidates = seen(node, task)
     if not candidates:
         return []
     worth = max(candidate.fall for candidate in candidates)
@@ -95,63 +80,6 @@ def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
     return node_of(_sharpened(fit, task, iterations=iterations), task)
 
 
-def _seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
-    """The model in observer form and what is worth a fit, with a weaker gain where that shows more.
-
-    The outputs follow the records so closely under a strong gain that it hides what is narrow in frequency or acts on
-    the outputs alone.
-    """
-    observed = observed_form(node.coarse, task)
-    screened = screen_candidates(observed, task.fit, task.catalogue)
-    weaker = None if _convincing(screened) else weaker_form(observed, task)
-    if weaker is not None:
-        other = screen_candidates(weaker, task.fit, task.catalogue)
-        if _most(other) > TELLING * _most(screened):
-            return weaker, _promising(other)
-    return observed, _candidates(observed, screened, task)
-
-
-def _most(candidates: Sequence[Candidate]) -> float:
-    return max((candidate.fall for candidate in candidates), default=0.0)
-
-
-def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -> list[Candidate]:
-    """What is worth a fit: by the screen, and every effect once where the screen knows little.
-
-    Without an observer form the screen goes along the motion of a wrong model. Of a mass that is struck and then held
-    by friction it sees neither the right law nor even its sign.
-    """
-    candidates = _promising(screened)
-    if observed.gain is not None or observed.level <= BLIND or _convincing(candidates):
-        return candidates
-    every = screen_candidates(observed, task.fit, task.catalogue, signs="turned")
-    tried = {one.key for one in candidates}
-    first = {one.key: one for one in reversed(every) if one.key not in tried}
-    return [*candidates, *reversed(first.values())]
-
-
-def _convincing(candidates: Sequence[Candidate]) -> bool:
-    return bool(candidates) and candidates[0].fall >= CONVINCING
-
-
-def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The best places of each effect, the best shapes of each place."""
-    kept: list[Candidate] = []
-    least = LEAST_SHARE * max((candidate.fall for candidate in candidates), default=0.0)
-    few = 1 if _convincing(candidates) else FEWEST
-    for candidate in candidates:
-        if candidate.fall < least and len({other.key for other in kept}) >= few:
-            break
-        same_effect = [other for other in kept if other.key == candidate.key]
-        same_place = [other for other in same_effect if other.where == candidate.where]
-        places = {other.where for other in same_effect}
-        if len(same_place) < SHAPES and (candidate.where in places or len(places) < PLACES):
-            kept.append(candidate)
-    return _simple_first(
-        kept, lambda one: (one.key, one.where), lambda simple, rich: simple.fall >= CONVINCING * rich.fall
-    )
-
-
 def _softness(node: Node, softness: float) -> float:
     """Smoothing of a first fit: soft beside a linear model, sharp where an effect is there already that may need it."""
     return SHARP if node.effects else softness
@@ -166,12 +94,13 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
     """
     rival = RIVAL_SHARP if node.effects else RIVAL
     budget = task.budget.stage()
+    lowest = min((fit.cost for fit in fits), default=0.0)
     runs: list[Estimate] = []
     finished: dict[int, Node] = {}
     for fit in fits:
         explained = any(one.held_out_level <= ENOUGH for one in finished.values())
-        if (explained or _nearly(runs, node)) and fit.cost > rival * fits[0].cost:
-            break
+        if (explained or _nearly(runs, node)) and fit.cost > rival * lowest:
+            continue
         if runs and not budget.allows():
             break
         run = _free_run(fit, task, _softness(node, SOFT))
@@ -232,31 +161,14 @@ def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
 
     def astray(fit: Estimate) -> bool:
         """A richer law that does not even fit as well as its limit is followed through that."""
-        return any(_is_limit(_law_of(other), _law_of(fit)) and other.cost <= fit.cost for other in good)
+        return any(is_limit(_law_of(other), _law_of(fit)) and other.cost <= fit.cost for other in good)
 
     return [fit for fit in good if not astray(fit)]
 
 
 def _ordered(fits: Sequence[Estimate]) -> list[Estimate]:
     """The fits, best first, but limits of richer laws before these where they fit nearly as well."""
-    return _simple_first(fits, _law_of, lambda simple, rich: simple.cost <= RIVAL * rich.cost)
-
-
-def _simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T, T], bool]) -> list[T]:
-    """The items in their order, but a limit of a richer law before that law where it is `near` it.
-
-    It is quick to fit, and where it explains the data the richer one need not be followed far.
-    """
-    ordered: list[T] = []
-    for item in items:
-        richer = [i for i, other in enumerate(ordered) if _is_limit(law(item), law(other)) and near(item, other)]
-        ordered.insert(min(richer, default=len(ordered)), item)
-    return ordered
-
-
-def _is_limit(simple: Law, rich: Law) -> bool:
-    """Whether a law is a limit of another one at the same place."""
-    return simple[1] == rich[1] and has_limit(rich[0], simple[0])
+    return simple_first(fits, _law_of, lambda simple, rich: simple.cost <= RIVAL * rich.cost)
 
 
 def _law_of(fit: Estimate) -> Law:

@@ -85,10 +85,21 @@ def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
 
 def _check_lost(current: Estimate, fit: Estimate, problem: Problem) -> None:
     """A motion is lost where hardly any correction keeps the model with the records, and none does not."""
-    outputs = float(np.nansum((problem.drive.outputs * problem.weights) ** 2))
-    explained = current.level <= EXPLAINED or current.squares <= MISSED**2 * outputs
+    explained = current.level <= EXPLAINED or _hardly_missed(current, problem)
     if explained and _size(current.gain) <= HARDLY_ANY * _size(fit.gain):
         raise LostMotion
+
+
+def _hardly_missed(current: Estimate, problem: Problem) -> bool:
+    """Whether the model misses little of the motion in each output of each record, or no more than noise."""
+    drive = problem.drive
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        moved = np.nanvar(np.where(drive.present[rows], drive.outputs[rows], np.nan), axis=0)
+        level = np.nan_to_num(current.mean_square[record], nan=0.0)
+        if np.any((level > EXPLAINED) & (level * problem.floor[record] > MISSED**2 * np.nan_to_num(moved))):
+            return False
+    return True
 
 
 def _size(gain: FloatArray | None) -> float:

@@ -61,6 +61,9 @@ def rested(start: Estimate, problem: Problem) -> Estimate:
     Args:
         start: A model in free run.
         problem: Its records.
+
+    Returns:
+        That one, or the given one.
     """
     local = start.unknowns.local.copy()
     local[:, : start.assembly.plant.n_states] = 0.0

@@ -24,7 +24,8 @@ BETTER = 0.9
 """The given linear parameters are the better start where the first fit from them costs less than this share."""
 SOFT, SOFTER = 0.03, 0.1
 """Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
-WEAKER = 0.1
+TENTH = 0.1
+"""Share of the observer gain that shows what the whole one hides."""
 SHARE_OF_A_FIT = 0.1
 """Share of what is left of the budget for one model after which a fit in observer form ends: those that go astray cost
 most."""
@@ -49,15 +50,18 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
 
 
 def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
-    """The model with a tenth of its observer gain; None where it has none or cannot be simulated so.
+    """The model with a tenth of its observer gain.
 
     Args:
         observed: The model in observer form.
         task: Records to fit.
+
+    Returns:
+        None where it has no gain, or cannot be simulated so.
     """
     if observed.gain is None:
         return None
-    return _again(observed, task, WEAKER * observed.gain, observed.smoothing)
+    return _again(observed, task, TENTH * observed.gain, observed.smoothing)
 
 
 def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:

@@ -35,7 +35,8 @@ class Candidate:
         placement: The effect at its place.
         common: Start of its common unknowns (parameters, then directions).
         local: (n_records, n) start of the unknowns that each record has for itself.
-        fall: Share of the residual's weighted square that it would take away, records and outputs alike.
+        fall: Share of the residual's weighted square that it would take away, records and outputs alike; of a
+            "turned" one the share at the amplitude that its sign forbids.
         significance: Fall of the weighted square over what chance gives a column, a chi-square per column.
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """

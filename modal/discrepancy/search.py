@@ -9,7 +9,8 @@ count, the beam has room for models that take away half of what is left on the r
 counteract each other, the right one alone may be worse than none on the held-out record.
 
 The work is bounded, and the budget says what was left untried for want of it. Beside models that another one with as
-many effects has beaten by explaining the data, that does not matter.
+many effects has beaten by explaining the data, that does not matter. A single fit that goes astray ends
+early without a word.
 """
 
 from collections.abc import Sequence
@@ -46,7 +47,7 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
     front = _distinct([node for node in known if counts(root, node, task)])
     if known and not front:
         return tuple(everything)
-    front, untried = front or [root], np.inf
+    front, untried, cut = front or [root], np.inf, False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
         if min(node.held_out_level for node in front) <= ENOUGH and depth > 0:
             break
@@ -55,7 +56,7 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
         here = np.inf
         for position, node in enumerate(front):
             if task.budget.left <= 0.0:
-                here = depth + 1
+                here, cut = depth + 1, True
                 break
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
@@ -64,6 +65,7 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
             everything += found
             children += [child for child in found if counts(node, child, task)]
             hopeful += [child for child in found if _hopeful(node, child)]
+            cut = cut or part.spent
             if _explain(children):
                 here = depth + 1 if part.spent else np.inf
                 break
@@ -73,7 +75,8 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         if not front:
             break
-    task.budget.refuse(untried)
+    if cut:
+        task.budget.refuse(untried)
     return tuple(everything)
 
 

@@ -7,6 +7,7 @@ same place tells.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from modal.discrepancy.assembly import Assembly, Placement
 from modal.discrepancy.catalogue import CATALOGUE
@@ -16,7 +17,11 @@ from modal.discrepancy.placed import possible_places
 from modal.discrepancy.smaller_models import instead
 from okid.arrays import FloatArray
 
-__all__ = ["LIMITS", "Limit", "has_limit", "with_limits"]
+__all__ = ["LIMITS", "Law", "Limit", "has_limit", "is_limit", "simple_first", "with_limits"]
+
+T = TypeVar("T")
+Law = tuple[str, str]
+"""An effect's key and its place."""
 
 Values = Sequence[float] | FloatArray
 
@@ -52,6 +57,31 @@ LIMITS = {
 def has_limit(law: str, simpler: str) -> bool:
     """Whether a law turns into a simpler one."""
     return any(limit.law == simpler for limit in LIMITS.get(law, ()))
+
+
+def is_limit(simple: Law, rich: Law) -> bool:
+    """Whether a law is a limit of another one at the same place."""
+    return simple[1] == rich[1] and has_limit(rich[0], simple[0])
+
+
+def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T, T], bool]) -> list[T]:
+    """The items in their order, but a limit of a richer law before that law where it is near it.
+
+    It is quick to fit, and where it explains the data the richer one need not be followed far.
+
+    Args:
+        items: In an order of their own.
+        law: The law of an item and its place.
+        near: Whether a limit (first) does nearly as well as the richer law (second).
+
+    Returns:
+        All of them.
+    """
+    ordered: list[T] = []
+    for item in items:
+        richer = [i for i, other in enumerate(ordered) if is_limit(law(item), law(other)) and near(item, other)]
+        ordered.insert(min(richer, default=len(ordered)), item)
+    return ordered
 
 
 def with_limits(node: Node, task: Task) -> list[Node]:

@@ -120,7 +120,8 @@ class ForceEffect(Effect):
             effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         n_memory: Number of states of its own.
-        rate_independent: Whether these depend on where the motion went and not on how fast.
+        rate_independent: Whether these depend on where the motion went and not on how fast or when; a law that adds
+            such a dependence to one without sets it to False.
         has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
         is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from diagnosis_by_hand import make_diagnosis
 
-from modal.discrepancy.cautions import with_cautions
+from modal.discrepancy.cautions import spoiled_words, with_cautions
 from modal.discrepancy.explained import explained_shares, explained_words, unexplained_outputs
 from modal.discrepancy.hold_hint import highest_frequency, hold_words
 from okid.record import Record
@@ -149,10 +149,19 @@ def test_a_clipped_output_is_a_warning_whatever_was_found():
     clipped = [replace(one, outputs=np.clip(one.outputs, -0.7 * one.outputs.std(), np.inf)) for one in found.fit]
     assert not any("spoiled" in words for words in with_cautions(found).warnings)
     warned = with_cautions(replace(found, fit=tuple(clipped)))
-    assert any("the records are spoiled: output 'upper' stands at its limit" in words for words in warned.warnings)
+    assert any(
+        "the records to fit are spoiled: output 'upper' stands at its limit" in words for words in warned.warnings
+    )
 
 
 def test_records_whose_channels_are_named_differently_are_looked_at_all_the_same():
     found = none()
     other = replace(found.fit[0], output_names=("a", "b"))
     assert with_cautions(replace(found, fit=(*found.fit, other))).status == "none"
+
+
+def test_what_a_law_or_a_test_makes_of_a_record_does_not_spoil_it():
+    """A decay whose input column is zero, and play that takes away coherence, are no faults of a channel."""
+    found = none()
+    still = tuple(replace(one, inputs=np.zeros_like(one.inputs)) for one in found.fit)
+    assert spoiled_words(replace(found, fit=still)) == []

@@ -251,3 +251,26 @@ def test_three_effects_at_once_are_not_firm(task, monkeypatch, n_effects, status
     known = made_up(50.0, "sine_softening")  # effects that the model had already are none of them
     found = decide_nodes([known, made_up(1.02, "sine_softening", *keys[:2])], task)
     assert found.status == "named"
+
+
+@pytest.mark.parametrize(
+    ("untried", "held_out", "said"),
+    [(1, 1.0, True), (2, 1.0, False), (np.inf, 1.0, False), (2, 4.0, True), (np.inf, 4.0, True), (None, 4.0, False)],
+)
+def test_what_a_search_left_untried_is_said_where_it_might_matter(untried, held_out, said):
+    """Larger models matter only where the best one does not explain the data."""
+    task = made_up_task()
+    if untried is not None:
+        task.budget.refuse(untried)
+    decision = decide_nodes([made_up(50.0), made_up(held_out, "cubic_stiffness")], task)
+    assert any("ended before" in words for words in decision.reasons) == said
+    assert (decision.status == "named") == (held_out == 1.0 and not said)
+
+
+def test_a_search_that_was_cut_does_not_say_that_no_effect_of_the_catalogue_helps():
+    task = made_up_task()
+    task.budget.refuse(1)
+    decision = decide_nodes([made_up(1.3, fit=20.0)], task)
+    assert decision.status == "unresolved"
+    assert decision.reasons[0].startswith("no effect that was tried")
+    assert "ended before" in decision.reasons[1]

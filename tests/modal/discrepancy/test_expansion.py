@@ -9,13 +9,14 @@ from engine_records import experiment, nominal
 
 from modal.discrepancy import expansion as module
 from modal.discrepancy import observed_fits as fits_module
+from modal.discrepancy import promising
 from modal.discrepancy.budget import Budget
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
 from modal.discrepancy.held_out import rested
-from modal.discrepancy.observed_fits import observed_fits, observed_form
+from modal.discrepancy.observed_fits import observed_fits, observed_form, weaker_form
 from modal.discrepancy.observer import observer_gain
 
 
@@ -62,7 +63,7 @@ def candidate(key, fall, where="ground"):
 def test_where_no_candidate_convinces_several_effects_are_followed(best, n_effects):
     """A changing stiffness may hide behind a sensor gain that takes ten times as much at first."""
     names = ["sensor_gain", "time_varying_stiffness", "missing_mode", "gap_spring", "input_delay"]
-    found = module._promising([candidate(key, best if k == 0 else 0.01 / k) for k, key in enumerate(names)])
+    found = promising._promising([candidate(key, best if k == 0 else 0.01 / k) for k, key in enumerate(names)])
     assert [one.key for one in found] == names[:n_effects]
 
 
@@ -175,13 +176,19 @@ def test_every_effect_is_tried_where_the_screen_goes_along_a_wrong_motion_and_kn
 ):
     """What a struck mass under friction shows to a screen along the linear motion is friction of the wrong sign."""
     bounded = [candidate_of("input_gain", best), candidate_of("missing_mode", 0.15)]
-    turned = [*bounded, candidate_of("coulomb_friction", 0.01), candidate_of("coulomb_friction", 0.005)]
+    others = [
+        ("coulomb_friction", 0.02),
+        ("quadratic_drag", 0.015),
+        ("quadratic_drag", 0.012),
+        ("coulomb_friction", 0.01),
+    ]
+    turned = [*bounded, *(candidate_of(*one) for one in others)]
     screens = {"bounded": bounded, "turned": turned}
-    monkeypatch.setattr(module, "screen_candidates", lambda *_, signs="bounded": screens[signs])
-    found = module._candidates(
+    monkeypatch.setattr(promising, "screen_candidates", lambda *_, signs="bounded": screens[signs])
+    found = promising._candidates(
         SimpleNamespace(gain=gain, level=level), bounded, SimpleNamespace(fit=None, catalogue={})
     )
-    extra = [turned[2]] if every else []
+    extra = turned[2:4] if every else []
     assert found == [*bounded, *extra]
 
 
@@ -197,15 +204,25 @@ def test_a_fit_begins_at_rest_where_initial_states_only_made_up_for_a_missing_la
 
 
 @pytest.mark.parametrize(
-    ("strong", "weak", "taken"), [(0.2, 0.31, True), (0.2, 0.29, False), (0.51, 0.9, False), (0.2, None, False)]
+    ("strong", "weak", "cost", "taken"),
+    [
+        (0.2, 0.31, 99.0, True),
+        (0.2, 0.29, 99.0, False),
+        (0.51, 0.9, 99.0, False),
+        (0.2, None, 99.0, False),
+        (0.2, 0.31, 101.0, False),  # worse than no correction at all
+    ],
 )
-def test_a_weaker_gain_is_taken_where_it_shows_much_more(monkeypatch, strong, weak, taken):
+def test_a_weaker_gain_is_taken_where_it_shows_much_more(monkeypatch, strong, weak, cost, taken):
     """A tuned mass of a hundredth is hidden by an observer that follows the outputs too closely."""
-    observed, weaker = SimpleNamespace(gain="whole", fall=strong), SimpleNamespace(gain="weak", fall=weak)
-    monkeypatch.setattr(module, "observed_form", lambda *_: observed)
-    monkeypatch.setattr(module, "weaker_form", lambda *_: None if weak is None else weaker)
-    monkeypatch.setattr(module, "screen_candidates", lambda form, *_: [candidate_of("missing_mode", form.fall)])
-    found, candidates = module._seen(SimpleNamespace(coarse=None), SimpleNamespace(fit=None, catalogue={}))
+    observed = SimpleNamespace(gain="whole", fall=strong)
+    weaker = SimpleNamespace(gain="weak", fall=weak, cost=cost)
+    monkeypatch.setattr(promising, "observed_form", lambda *_: observed)
+    monkeypatch.setattr(promising, "weaker_form", lambda *_: None if weak is None else weaker)
+    monkeypatch.setattr(promising, "screen_candidates", lambda form, *_: [candidate_of("missing_mode", form.fall)])
+    found, candidates = promising.seen(
+        SimpleNamespace(coarse=SimpleNamespace(cost=100.0)), SimpleNamespace(fit=None, catalogue={})
+    )
     assert found is (weaker if taken else observed)
     assert [one.fall for one in candidates] == [weak if taken else strong]
 
@@ -215,5 +232,23 @@ def test_the_weaker_gain_is_a_tenth_and_of_none_there_is_none(current):
     gain = observer_gain(fitted, problem, 1)
     task = SimpleNamespace(fit=problem)
     observed = simulate_at(fitted.assembly, fitted.unknowns, problem, gain=gain)
-    assert module.weaker_form(observed, task).gain == pytest.approx(0.1 * gain)
-    assert module.weaker_form(fitted, task) is None
+    assert weaker_form(observed, task).gain == pytest.approx(0.1 * gain)
+    assert weaker_form(fitted, task) is None
+
+
+def test_close_rivals_of_the_best_are_followed_in_whatever_order(monkeypatch):
+    """A limit that was pulled forward must not end the loop before a better fit behind it."""
+    fits = [fit_of("gap_spring", 90.0), fit_of("bouc_wen_hysteresis", 100.0), fit_of("coulomb_friction", 149.0)]
+    tried = []
+
+    def free_run(fit, *_):
+        tried.append(fit.cost)
+        return SimpleNamespace(cost=fit.cost, level=1.0)
+
+    monkeypatch.setattr(module, "_free_run", free_run)
+    monkeypatch.setattr(module, "_found_again", lambda run, *_: run)
+    monkeypatch.setattr(module, "_finished", lambda *_: SimpleNamespace(held_out_level=1.0))
+    ordered = module._ordered(fits)
+    assert [fit.cost for fit in ordered] == [90.0, 149.0, 100.0]
+    module._free_runs(ordered, SimpleNamespace(budget=Budget()), SimpleNamespace(effects=()))
+    assert tried == [90.0, 100.0]

@@ -73,14 +73,23 @@ def test_a_wrong_law_is_given_up_on_the_way(seed, monkeypatch):
 def test_a_model_that_hardly_misses_anything_with_hardly_any_correction_has_lost_its_motion(share, lost):
     """Far above the noise too: a skew of a twentieth of a sample leaves half a per cent of a hard spring's motion."""
     fit, problem = observed(n_samples=200)
-    size = float(np.sum((problem.drive.outputs * problem.weights) ** 2))
-    weak = replace(fit, gain=0.04 * fit.gain, squares=share**2 * size, mean_square=np.full((2, 1), 40.0))
+    moved = np.array([[problem.drive.outputs[problem.drive.rows_of(record)].var()] for record in range(2)])
+    weak = replace(fit, gain=0.04 * fit.gain, mean_square=share**2 * moved / problem.floor)
+    assert weak.level > module.EXPLAINED
     if lost:
         with pytest.raises(module.LostMotion):
             module._check_lost(weak, fit, problem)
         module._check_lost(replace(weak, gain=0.06 * fit.gain), fit, problem)
     else:
         module._check_lost(weak, fit, problem)
+
+
+def test_an_offset_of_the_outputs_is_no_motion_that_is_followed():
+    fit, problem = observed(n_samples=200)
+    drive = replace(problem.drive, outputs=problem.drive.outputs + 50.0 * problem.drive.outputs.std())
+    module._check_lost(
+        replace(fit, gain=0.04 * fit.gain, mean_square=np.full((2, 1), 40.0)), fit, replace(problem, drive=drive)
+    )
 
 
 def test_without_a_gain_there_are_no_grades():
