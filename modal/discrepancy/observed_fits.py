@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.assembly import Assembly, Unknowns
+from modal.discrepancy.budget import Budget, simulation_work
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.observer import observer_gain
@@ -26,9 +27,11 @@ SOFT, SOFTER = 0.03, 0.1
 """Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
 TENTH = 0.1
 """Share of the observer gain that shows what the whole one hides."""
-SHARE_OF_A_FIT = 0.1
-"""Share of what is left of the budget for one model after which a fit in observer form ends: those that go astray cost
-most."""
+FIRST_WORK, BEHIND = 40.0, 3.0
+"""Simulations after which a fit ends that costs so many times as much as the best one: those that go astray take
+longest, and a good one takes ten to sixty."""
+MOST_OF_IT = 0.1
+"""Share of what is left of the budget for one model that the rest of a fit may take."""
 HIDDEN = 1.5
 """Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
 
@@ -87,9 +90,13 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         Those that could be simulated, and for which the budget was enough.
     """
     smoothing = _first_smoothing(node, observed, task)
+    best = np.inf
 
     def fitted(candidate: Candidate, linear: Literal["calibrated", "given"]) -> Estimate | None:
-        return _observed_fit(node, observed, candidate, task, linear=linear, smoothing=smoothing)
+        nonlocal best
+        found = _observed_fit(node, observed, candidate, task, linear=linear, smoothing=smoothing, best=best)
+        best = min(best, np.inf if found is None else found.cost)
+        return found
 
     budget = task.budget.stage()
     others = itertools.takewhile(lambda _: budget.allows(), candidates[1:])
@@ -125,17 +132,22 @@ def _observed_fit(
     *,
     linear: Literal["calibrated", "given"],
     smoothing: float,
+    best: float,
 ) -> Estimate | None:
-    """Fit one candidate in observer form."""
+    """Fit one candidate in observer form, to the end where it is not far behind the best of the others."""
     assembly, unknowns = _with(node.coarse, candidate)
     if linear == "given":
         unknowns.common[: assembly.n_linear] = assembly.plant.nominal
     states = _widened(observed, candidate)
-    budget = task.budget.part(SHARE_OF_A_FIT)
+    first = Budget(FIRST_WORK * simulation_work(task.fit.drive.n_times, assembly.plant.n_states))
     start = within_reach(assembly, unknowns, task, states, gain=observed.gain, smoothing=smoothing)
     if start is None:
         return None
-    return estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=budget)
+    found = estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=first)
+    if first.left > 0.0 or found.cost > BEHIND * best:
+        return found
+    left = MOST_OBSERVED - found.iterations
+    return estimate(found, task.fit, iterations=left, standstill=MOVING_OBSERVED, budget=task.budget.part(MOST_OF_IT))
 
 
 def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:

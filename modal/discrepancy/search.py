@@ -25,7 +25,7 @@ __all__ = ["search"]
 
 BEAM = 3
 MOST_EFFECTS = 4
-SHARE_OF_ONE = 0.5
+SHARE_OF_ONE = 0.6
 """Share of what is left of the budget that looking for effects beside one model may cost."""
 LARGE_FALL = 0.5
 """Share of what a model leaves on the records to fit that a further effect must take away to be gone on from although

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.budget import Budget
+from modal.discrepancy.budget import Budget, simulation_work
 from modal.discrepancy.calibration import calibrated_node
 from modal.discrepancy.checks import check_lengths, check_plant
 from modal.discrepancy.drive import drive_of
@@ -34,9 +34,8 @@ __all__ = [
     "uncovered",
 ]
 
-MOST_WORK, SHORT = 3000.0, 33_000.0
-"""A search may cost so many simulations along the records to fit, as if these had so many rows of states more: about
-twice what two effects at once take, along records of 4000 to 12 000 steps."""
+MOST_WORK = 4000.0
+"""A search may cost so many simulations along the records to fit: two to three times what two effects at once take."""
 
 FOLLOWED = 1e-3
 """Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
@@ -111,7 +110,7 @@ def prepare_setup(
         catalogue=catalogue,
         report=report,
         whole=whole,
-        budget=Budget(MOST_WORK * (drive.n_times * given.plant.n_states + SHORT)) if budget is None else budget,
+        budget=Budget(MOST_WORK * simulation_work(drive.n_times, given.plant.n_states)) if budget is None else budget,
     )
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 

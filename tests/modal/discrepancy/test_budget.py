@@ -23,7 +23,7 @@ def test_a_solve_counts_its_rows_of_states_and_what_a_call_costs():
 def test_a_stage_that_is_not_finished_marks_the_whole_and_a_part_does_not():
     whole = Budget(10_000.0 + OVERHEAD)
     part, stage = whole.part(0.5), whole.stage()
-    add_work(6000, 1)
+    add_work(8000, 1)
     assert not part.allows()
     assert whole.allows()
     assert not whole.spent

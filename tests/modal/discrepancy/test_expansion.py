@@ -111,7 +111,7 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     costs = {"calibrated": calibrated, "given": given}
     tried = []
 
-    def fit(_node, _observed, candidate, _task, *, linear, smoothing):
+    def fit(_node, _observed, candidate, _task, *, linear, smoothing, best):
         assert smoothing == 0.03
         tried.append((candidate, linear))
         cost = costs[linear]
@@ -252,3 +252,24 @@ def test_close_rivals_of_the_best_are_followed_in_whatever_order(monkeypatch):
     assert [fit.cost for fit in ordered] == [90.0, 149.0, 100.0]
     module._free_runs(ordered, SimpleNamespace(budget=Budget()), SimpleNamespace(effects=()))
     assert tried == [90.0, 100.0]
+
+
+@pytest.mark.parametrize(("work", "cost", "ends"), [(0.0, 301.0, True), (0.0, 299.0, False), (1e9, 301.0, True)])
+def test_a_long_fit_far_behind_the_best_one_is_ended(monkeypatch, work, cost, ends):
+    """One that ended by itself is not gone on with either."""
+    ran = []
+
+    def estimate(*_args, **_options):
+        ran.append(cost)
+        return SimpleNamespace(cost=cost, iterations=1)
+
+    plant = SimpleNamespace(n_states=2)
+    monkeypatch.setattr(fits_module, "FIRST_WORK", work)
+    monkeypatch.setattr(fits_module, "_with", lambda *_: (SimpleNamespace(plant=plant), None))
+    monkeypatch.setattr(fits_module, "_widened", lambda *_: None)
+    monkeypatch.setattr(fits_module, "within_reach", lambda *_, **__: "start")
+    monkeypatch.setattr(fits_module, "estimate", estimate)
+    task = SimpleNamespace(fit=SimpleNamespace(drive=SimpleNamespace(n_times=100)), budget=Budget())
+    node, observed = SimpleNamespace(coarse=None), SimpleNamespace(gain=None)
+    fits_module._observed_fit(node, observed, None, task, linear="calibrated", smoothing=0.1, best=100.0)
+    assert len(ran) == (1 if ends else 2)
