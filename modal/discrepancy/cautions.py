@@ -9,11 +9,12 @@ from dataclasses import replace
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.explained import explained_words
 from modal.discrepancy.hold_hint import hold_words
+from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.discrepancy.statements import number
 from modal.quality.check import check_quality
 from okid.record import Record
 
-__all__ = ["early_words", "spoiled_words", "with_cautions"]
+__all__ = ["early_words", "free_words", "spoiled_words", "with_cautions"]
 
 
 SPOILED = frozenset({"clipped", "constant", "spikes"})
@@ -27,7 +28,7 @@ def with_cautions(found: Diagnosis) -> Diagnosis:
         found: Of any kind of model.
     """
     warnings = [words for words in (explained_words(found), early_words(found)) if words]
-    warnings += spoiled_words(found)
+    warnings += spoiled_words(found) + free_words(found)
     hold = hold_words(found)
     return replace(
         found,
@@ -50,6 +51,23 @@ def spoiled_words(found: Diagnosis) -> list[str]:
             if one.level == "bad" and one.what in SPOILED and set(one.channels) <= set(records[0].output_names):
                 sentences.setdefault((one.what, one.channels), f"the records {name} are spoiled: {one.sentence}")
     return list(sentences.values())
+
+
+def free_words(found: Diagnosis) -> list[str]:
+    """What a calibration may take up that is free in every force between the states of a state space.
+
+    Args:
+        found: Of any kind of model.
+    """
+    free = [one for one in found.calibrated if one.name.startswith(INTERNAL_FORCE)]
+    gains = any(one.effect in {"input_gain", "sensor_gain"} for one in found.findings)
+    if not free or gains:
+        return []
+    words = (
+        f"the state space is not recognised as a structure, so its calibration is free in {len(free)} numbers, which "
+        "can take up the gain of a sensor or an input: whether a gain is wrong is not known; pass M, C and K to know"
+    )
+    return [words]
 
 
 def _alike(records: Sequence[Record]) -> list[Record]:

@@ -14,7 +14,10 @@ from modal.discrepancy.motion_rows import OutputMotion
 from modal.discrepancy.plant import LinearParameter
 from okid.arrays import FloatArray
 
-__all__ = ["InternalChanges", "internal_changes"]
+__all__ = ["INTERNAL_FORCE", "InternalChanges", "internal_changes"]
+
+INTERNAL_FORCE = "internal force"
+"""How the names of these parameters begin."""
 
 MOST = 80
 """Entries of F at most; with more only the poles are calibrated."""
@@ -68,7 +71,7 @@ def internal_changes(
             slopes.append(change)
             parameters.append(
                 LinearParameter(
-                    name=f"internal force {a + 1} by modal state {b + 1}",
+                    name=f"{INTERNAL_FORCE} {a + 1} by modal state {b + 1}",
                     unit="1/s",
                     nominal=0.0,
                     deviation=scale,

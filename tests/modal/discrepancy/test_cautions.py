@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from diagnosis_by_hand import make_diagnosis
 
-from modal.discrepancy.cautions import spoiled_words, with_cautions
+from modal.discrepancy.cautions import free_words, spoiled_words, with_cautions
 from modal.discrepancy.explained import explained_shares, explained_words, unexplained_outputs
 from modal.discrepancy.hold_hint import highest_frequency, hold_words
 from okid.record import Record
@@ -165,3 +165,11 @@ def test_what_a_law_or_a_test_makes_of_a_record_does_not_spoil_it():
     found = none()
     still = tuple(replace(one, inputs=np.zeros_like(one.inputs)) for one in found.fit)
     assert spoiled_words(replace(found, fit=still)) == []
+
+
+@pytest.mark.parametrize(("name", "said"), [("internal force 1 by modal state 2", True), ("stiffness of leg", False)])
+def test_a_calibration_that_is_free_in_everything_may_hide_a_gain(name, said):
+    found = none()
+    one = replace(found.calibrated[0], name=name)
+    words = free_words(replace(found, calibrated=(one,) * 24))
+    assert (len(words) == 1 and "free in 24 numbers" in words[0]) if said else words == []
