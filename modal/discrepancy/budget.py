@@ -12,6 +12,9 @@ OVERHEAD = 3000
 SHORT = 33_000
 """Rows of states by which records count as longer: short ones are hardly cheaper, because calls cost most."""
 
+SHARE_OF_A_STAGE = 0.7
+"""Share of what is left for one model that its fits in observer form may cost; of the rest, that its free runs may."""
+
 _done: ContextVar[float] = ContextVar("work done", default=0.0)
 
 
@@ -91,8 +94,8 @@ class Budget:
         return Budget(share * self.left)
 
     def stage(self) -> "Budget":
-        """Seven tenths of what is left now; where it is not enough, the whole is marked as well."""
-        return Budget(0.7 * self.left, whole=self)
+        """The share of a stage of what is left now; where it is not enough, the whole is marked as well."""
+        return Budget(SHARE_OF_A_STAGE * self.left, whole=self)
 
     def refuse(self, size: float = 0.0) -> None:
         """Mark that something is left undone.

@@ -94,6 +94,12 @@ def _check_alike(records: Sequence[Record]) -> None:
                 "declare the same hold for all"
             )
         for kind in ("input", "output"):
+            names, others = getattr(first, f"{kind}_names"), getattr(record, f"{kind}_names")
+            if names != others and sorted(names) == sorted(others):
+                raise InvalidDataError(
+                    f"records hold their {kind}s in another order: {', '.join(names)} against {', '.join(others)}; "
+                    "select the channels in the same order"
+                )
             ours, theirs = getattr(first, f"{kind}_units"), getattr(record, f"{kind}_units")
             if any(a and b and a != b for a, b in zip(ours, theirs, strict=False)):
                 raise InvalidDataError(

@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.effect_names import effects_at
-from modal.discrepancy.estimation import Problem, covariance
+from modal.discrepancy.estimation import Problem
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain
 from modal.discrepancy.simpler_laws import has_limit, with_limits
 from modal.discrepancy.smaller_models import without

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.bounded_step import bounded_step
 from modal.discrepancy.budget import Budget
-from modal.discrepancy.drive import Drive, IndexArray
+from modal.discrepancy.drive import Drive
 from modal.discrepancy.hard_steps import moved, reach_of, walls
 from modal.discrepancy.scheme import Scheme, scheme_and_slopes
 from modal.discrepancy.sensitivity import Sensitivity, sensitivity
@@ -24,9 +23,7 @@ from okid.arrays import BoolArray, FloatArray
 __all__ = [
     "Estimate",
     "Problem",
-    "covariance",
     "estimate",
-    "held_unknowns",
     "normal_equations",
     "sensitivity_of",
     "simulate_at",
@@ -254,28 +251,6 @@ def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: Float
         current.assembly, unknowns, problem, states=states, gain=current.gain, smoothing=current.smoothing, start="near"
     )
     return found if found is not None and found.cost < current.cost else None
-
-
-def covariance(current: Estimate, problem: Problem) -> FloatArray:
-    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor.
-
-    What is held, or sits on a hard bound, has none: the others' is that given the bound.
-    """
-    gram, _ = normal_equations(current, problem, sensitivity_of(current, problem))
-    held = held_unknowns(current)
-    gram[held, :] = 0.0
-    gram[:, held] = 0.0
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
-    inverse[held, :] = 0.0
-    inverse[:, held] = 0.0
-    return np.asarray(inverse * max(1.0, current.level))
-
-
-def held_unknowns(current: Estimate) -> IndexArray:
-    """Which common unknowns are held, or sit on a hard bound."""
-    lower, upper = current.assembly.bounds()
-    return np.flatnonzero((lower == upper) | current.at_bounds)
 
 
 def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:

@@ -51,8 +51,7 @@ def expand(node: Node, task: Task) -> list[Node]:
     observed, candidates = seen(node, task)
     if not candidates:
         return []
-    worth = max(candidate.fall for candidate in candidates)
-    if node.held_out_level <= ENOUGH and worth < WORTH_A_TRY:
+    if node.held_out_level <= ENOUGH and candidates[0].fall < WORTH_A_TRY:
         return []
     fitted = _worth(observed_fits(node, observed, candidates, task), observed)
     runs, found = _free_runs(_ordered(_leading(fitted, RUNS)), task, node)

@@ -95,9 +95,9 @@ def _hardly_missed(current: Estimate, problem: Problem) -> bool:
     drive = problem.drive
     for record in range(drive.n_records):
         rows = drive.rows_of(record)
-        moved = np.nanvar(np.where(drive.present[rows], drive.outputs[rows], np.nan), axis=0)
-        level = np.nan_to_num(current.mean_square[record], nan=0.0)
-        if np.any((level > EXPLAINED) & (level * problem.floor[record] > MISSED**2 * np.nan_to_num(moved))):
+        moved = np.var(drive.outputs[rows], axis=0, where=drive.present[rows])
+        level = current.mean_square[record]
+        if np.any((level > EXPLAINED) & (level * problem.floor[record] > MISSED**2 * moved)):
             return False
     return True
 

@@ -36,7 +36,7 @@ def law_curves(fitted: Estimate, problem: Problem, plant: Plant, spread: FloatAr
         fitted: The model, in free run.
         problem: The records it was fitted to.
         plant: The plant.
-        spread: (n, n) covariance of all unknowns, common ones first (`estimation.covariance`).
+        spread: (n, n) covariance of all unknowns, common ones first (`covariance.covariance`).
 
     Returns:
         One curve an effect, in their order.

@@ -29,7 +29,7 @@ TENTH = 0.1
 """Share of the observer gain that shows what the whole one hides."""
 FIRST_WORK, BEHIND = 40.0, 3.0
 """Simulations after which a fit ends that costs so many times as much as the best one: those that go astray take
-longest, and a good one takes ten to sixty."""
+longest, and a good one was seen to take eight to sixty."""
 MOST_OF_IT = 0.1
 """Share of what is left of the budget for one model that the rest of a fit may take."""
 HIDDEN = 1.5

@@ -51,7 +51,8 @@ def seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
 
 
 def _most(candidates: Sequence[Candidate]) -> float:
-    return max((candidate.fall for candidate in candidates), default=0.0)
+    """What the best of a screen takes away."""
+    return candidates[0].fall if candidates else 0.0
 
 
 def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -> list[Candidate]:
@@ -73,13 +74,13 @@ def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -
 
 
 def _convincing(candidates: Sequence[Candidate]) -> bool:
-    return bool(candidates) and candidates[0].fall >= CONVINCING
+    return _most(candidates) >= CONVINCING
 
 
 def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
     """The best places of each effect, the best shapes of each place."""
     kept: list[Candidate] = []
-    least = LEAST_SHARE * max((candidate.fall for candidate in candidates), default=0.0)
+    least = LEAST_SHARE * _most(candidates)
     few = 1 if _convincing(candidates) else FEWEST
     for candidate in candidates:
         if candidate.fall < least and len({other.key for other in kept}) >= few:
@@ -93,6 +94,7 @@ def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best first, of the others limits before richer laws."""
     others = simple_first(
         candidates[1:], lambda one: (one.key, one.where), lambda simple, rich: simple.fall >= SIMPLE * rich.fall
     )

@@ -11,11 +11,12 @@ from modal.discrepancy.advice import circumstances_of
 from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.checks import check_plant, check_records
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.decision import Decision, decide_nodes
 from modal.discrepancy.diagnosis import Calibrated
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
-from modal.discrepancy.estimation import Estimate, Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.given import Given, given_model, placed_assembly, returned_model
 from modal.discrepancy.nodes import Node, node_of, polished
 from modal.discrepancy.noise_floor import noise_floor

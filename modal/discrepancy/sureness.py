@@ -18,7 +18,8 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.assembly import Assembly
-from modal.discrepancy.estimation import Estimate, Problem, held_unknowns, normal_equations, sensitivity_of, simulate_at
+from modal.discrepancy.covariance import held_unknowns
+from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of, simulate_at
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import dropped

@@ -70,6 +70,17 @@ def test_records_must_be_alike():
     assert check_records(metres, third)
 
 
+def test_the_same_channels_in_another_order_are_refused_and_other_names_are_not():
+    """A diagnosis goes by the order of the channels: swapped ones would look like a strange effect."""
+    first, _, third = records()
+    named, swapped, other = (
+        replace(one, output_names=names)
+        for one, names in ((first, ("a", "b", "c")), (third, ("b", "a", "c")), (third, ("a", "b", "other")))
+    )
+    refuses("outputs in another order: a, b, c against b, a, c", lambda: check_records(named, swapped))
+    assert check_records(named, other)[1] == (other,)
+
+
 def test_one_level_only_is_said():
     first, _, third = records()
     size, like = (np.sqrt(np.mean(one.inputs**2, axis=0).sum()) for one in (first, third))

@@ -7,8 +7,9 @@ import pytest
 from engine_plants import some_records, two_masses, with_effects
 
 from modal.discrepancy.budget import Budget
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, covariance, estimate, normal_equations, simulate_at, weighted_residual
+from modal.discrepancy.estimation import Problem, estimate, normal_equations, simulate_at, weighted_residual
 from modal.discrepancy.sensitivity import sensitivity
 
 KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]

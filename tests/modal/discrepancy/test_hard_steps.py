@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.stiff_step import WALL
-from modal.discrepancy.estimation import Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.hard_steps import REACH, moved, reach_of, walls
 from modal.discrepancy.state_space_plant import state_space_plant
 from okid.record import Record

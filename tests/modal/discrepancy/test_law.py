@@ -9,8 +9,9 @@ from nonlinear_chain import no_force, run_chain
 
 from modal.discrepancy.assembly import assemble, initial_unknowns, place
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.law_points import bins_of
 from modal.discrepancy.structural_plant import structural_plant

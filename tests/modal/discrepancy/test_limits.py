@@ -5,8 +5,9 @@ import pytest
 from engine_records import experiment, nominal
 
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.given import given_model, placed_assembly
 from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.nodes import Task

@@ -9,8 +9,9 @@ from engine_plants import FORCES, some_records, two_masses, with_effects
 
 from modal.discrepancy.assembly import Unknowns
 from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, covariance, estimate, normal_equations, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, normal_equations, simulate_at
 from modal.discrepancy.screen import screen_candidates
 from modal.discrepancy.sensitivity import sensitivity
 

@@ -8,8 +8,9 @@ from brim_problem import tank_with
 from engine_plants import some_records, two_masses, with_effects
 
 from modal.discrepancy import sureness as module
+from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, covariance, estimate, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.sureness import sureness
 
 
