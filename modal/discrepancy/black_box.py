@@ -16,8 +16,9 @@ from modal.discrepancy.advice import circumstances_of
 from modal.discrepancy.callable_identification import LinearPart, identify_callable, quietest, relative_miss
 from modal.discrepancy.callable_model import Simulator, check_deterministic, run_callable
 from modal.discrepancy.corrected_callable import along_plant
-from modal.discrepancy.decision import decide_nodes, doubted_units
+from modal.discrepancy.decision import decide_nodes
 from modal.discrepancy.diagnosis import Diagnosis, Step
+from modal.discrepancy.doubted_units import doubted_units
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.gap import measure_gap
 from modal.discrepancy.given import Given, given_model

@@ -6,11 +6,12 @@ another effect or place, other than those that by structure cannot be told apart
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from modal.discrepancy.absorbed_gain import absorbed_gain
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.effect_names import effects_at
@@ -21,7 +22,7 @@ from modal.discrepancy.smaller_models import without
 from modal.discrepancy.statements import number, times_floor_text
 from modal.discrepancy.sureness import sureness
 
-__all__ = ["Decision", "decide_nodes", "doubted_units"]
+__all__ = ["Decision", "decide_nodes"]
 
 NEAR_FLOOR = 1.5
 """Held-out mean square, in units of the noise floor, up to which a model explains the data."""
@@ -39,12 +40,6 @@ SAME = 1.05
 """Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
 
 CLOSE_COMPANY = 30.0
-PLAUSIBLE_GAIN = (0.3, 3.0)
-"""Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
-SLIGHT = 0.01
-"""A gain that differs from one by less is no finding."""
-HARDLY_FOLLOWS = 0.03
-"""Size of a gain below which a channel may as well be dead, or another one."""
 CLEAR_RISE = 3.0
 """Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
 LEAST_SURE = 5.0
@@ -158,10 +153,23 @@ def _untried(best: Node, task: Task, *, most: float) -> list[str]:
 def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
     if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
+        absorbed = absorbed_gain(root, task)
+        if absorbed is not None:
+            return _absorbed(root, *absorbed, task)
         return Decision(status="none", node=root, runners=(), margins=(), reasons=())
     tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
     reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
+
+
+def _absorbed(root: Node, node: Node, fall: float, task: Task) -> Decision:
+    """A gain that only the model as given shows: never firm, because the records do not tell."""
+    reason = (
+        "the calibration explains the records as well without it, by internal forces further from the model as given "
+        f"(2 ln L lower by {number(fall, 2)} with their prior); check the gain, or pass M, C and K"
+    )
+    margin = float(log_likelihood_gain(root, node, task))
+    return Decision(status="unresolved", node=node, runners=(root,), margins=(margin,), reasons=(reason,))
 
 
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
@@ -252,35 +260,6 @@ def _weak(smaller: Node, best: Node, z: float) -> bool:
     The size of a hard limit (a brim, a stop) is hardly known where anything large will do: only the error tells.
     """
     return z < LEAST_SURE and smaller.held_out_level < CLEAR_RISE * best.held_out_level
-
-
-def doubted_units(decision: Decision) -> Decision:
-    """The decision, not firm where a gain far from one was found, a wrong unit, or one that hardly differs from one."""
-    assembly = decision.node.coarse.assembly
-    reasons = list(decision.reasons)
-    for i, item in enumerate(assembly.placements):
-        if item.effect.key in {"input_gain", "sensor_gain"}:
-            gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
-            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
-                reasons.append(_doubted_gain(gain, item.where))
-            elif abs(gain - 1.0) < SLIGHT:
-                reasons.append(
-                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
-                    "of and errors of a simulation look like"
-                )
-    if len(reasons) == len(decision.reasons):
-        return decision
-    return replace(decision, status="unresolved", reasons=tuple(reasons))
-
-
-def _doubted_gain(gain: float, where: str) -> str:
-    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
-    words = f"a gain of {number(gain)} at {where} looks like"
-    if abs(gain) < HARDLY_FOLLOWS:
-        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
-    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
-        return f"{words} a turned direction: check the sign of the channel"
-    return f"{words} a wrong unit: check the units of the records"
 
 
 def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:

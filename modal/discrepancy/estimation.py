@@ -165,20 +165,25 @@ def estimate(
     for iteration in range(iterations):
         slopes = sensitivity_of(current, problem)
         gram, score = normal_equations(current, problem, slopes)
-        better = None
-        for _ in range(TRIALS):
+        better, least = None, standstill * max(current.cost, 1.0)
+        for trial in range(TRIALS):
             step = _step(current, gram, score, damping, free_common=problem.free_common)
             better = _trial(current, problem, slopes, step)
             damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
-            if better is not None:
+            promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
+            if better is not None or (trial == 0 and 0.0 <= promised <= least) or _over(budget):
                 break
         if better is None:
             return current
         fall = current.cost - better.cost
         current = replace(better, iterations=start.iterations + iteration + 1)
-        if fall <= standstill * max(current.cost, 1.0) or (budget is not None and budget.left <= 0.0):
+        if fall <= least or _over(budget):
             return current
     return current
+
+
+def _over(budget: Budget | None) -> bool:
+    return budget is not None and budget.left <= 0.0
 
 
 def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:

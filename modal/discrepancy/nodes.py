@@ -186,12 +186,11 @@ def _finer(coarse: Estimate, unknowns: Unknowns, before: Problem, fine: Problem)
     )
     found: Estimate | None = None
     for smoothing in SHARPER:
-        start = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=smoothing)
-        if start is None:
+        found = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=smoothing)
+        if found is None:
             return None
-        found = estimate(start, fine, iterations=4 if smoothing == SHARPER[-1] else 1)
-        unknowns, states = found.unknowns, found.trajectory.states
-    return found
+        states = found.trajectory.states
+    return None if found is None else estimate(found, fine, iterations=4)
 
 
 def _between(states: FloatArray, n_times: int) -> FloatArray:

@@ -1,8 +1,7 @@
 """Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values."""
 
-import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,12 +27,26 @@ SOFT, SOFTER = 0.03, 0.1
 TENTH = 0.1
 """Share of the observer gain that shows what the whole one hides."""
 FIRST_WORK, BEHIND = 40.0, 3.0
-"""Simulations after which a fit ends that costs so many times as much as the best one: those that go astray take
-longest, and a good one was seen to take eight to sixty."""
+"""Simulations after which a fit waits for the others, and ends where it costs so many times as much as the best one:
+those that go astray take longest, and a good one was seen to take eight to sixty."""
+CLEAR, MUCH_LESS = 0.05, 0.5
+"""Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
+promised at least the second share of what it promised of that one."""
+EXPLAINED = 1.5
+"""Level below which a law is not fitted again from another of its shapes."""
 MOST_OF_IT = 0.1
 """Share of what is left of the budget for one model that the rest of a fit may take."""
 HIDDEN = 1.5
 """Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Begun:
+    """A candidate's fit, and whether it came to its end."""
+
+    candidate: Candidate
+    fit: Estimate
+    ended: bool
 
 
 def observed_form(fitted: Estimate, task: Task) -> Estimate:
@@ -90,29 +103,60 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         Those that could be simulated, and for which the budget was enough.
     """
     smoothing = _first_smoothing(node, observed, task)
-    best = np.inf
 
-    def fitted(candidate: Candidate, linear: Literal["calibrated", "given"]) -> Estimate | None:
-        nonlocal best
-        found = _observed_fit(node, observed, candidate, task, linear=linear, smoothing=smoothing, best=best)
-        best = min(best, np.inf if found is None else found.cost)
-        return found
+    def begin(candidate: Candidate, linear: Literal["calibrated", "given"]) -> _Begun | None:
+        return _begun(node, observed, candidate, task, linear=linear, smoothing=smoothing)
 
     budget = task.budget.stage()
-    others = itertools.takewhile(lambda _: budget.allows(), candidates[1:])
-    if node.coarse.at_bounds[: node.coarse.assembly.n_linear].any():
-        return _made([fitted(candidates[0], "given"), *(fitted(candidate, "given") for candidate in others)])
-    first = fitted(candidates[0], "calibrated")
     linear: Literal["calibrated", "given"] = "calibrated"
-    if not node.effects:
-        other = fitted(candidates[0], "given")
-        if other is not None and (first is None or other.cost < BETTER * first.cost):
+    if node.coarse.at_bounds[: node.coarse.assembly.n_linear].any():
+        linear = "given"
+    first = begin(candidates[0], linear)
+    if linear == "calibrated" and not node.effects:
+        other = begin(candidates[0], "given")
+        if other is not None and (first is None or other.fit.cost < BETTER * first.fit.cost):
             first, linear = other, "given"
-    return _made([first, *(fitted(candidate, linear) for candidate in others)])
+    race = [] if first is None else [first]
+    for candidate in candidates[1:]:
+        if not budget.allows():
+            break
+        if any(_outdone(candidate, one, observed) for one in race):
+            continue
+        one = begin(candidate, linear)
+        race += [] if one is None else [one]
+    return _finished(race, task)
 
 
-def _made(fits: Iterable[Estimate | None]) -> list[Estimate]:
-    return [fit for fit in fits if fit is not None]
+def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
+    """Whether a fit explains so much that the candidate need not be fitted.
+
+    Either the screen promised much less of the candidate, or it is the same law with another shape to start from.
+    """
+    clear = leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
+    same = (candidate.key, candidate.where) == (leader.candidate.key, leader.candidate.where)
+    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= EXPLAINED))
+
+
+def _finished(race: Sequence[_Begun], task: Task) -> list[Estimate]:
+    """All as far as they came, and those fitted to their end that may still be the best."""
+    done: list[Estimate] = []
+    leader: _Begun | None = None
+    for one in sorted(race, key=lambda one: one.fit.cost):
+        reached = one.fit
+        if not one.ended and (leader is None or _may_lead(one, leader)):
+            left, budget = MOST_OBSERVED - reached.iterations, task.budget.part(MOST_OF_IT)
+            reached = estimate(reached, task.fit, iterations=left, standstill=MOVING_OBSERVED, budget=budget)
+        done.append(reached)
+        if leader is None or reached.cost < leader.fit.cost:
+            leader = replace(one, fit=reached)
+    return done
+
+
+def _may_lead(one: _Begun, leader: _Begun) -> bool:
+    """Whether a fit is not far behind the best one, or promised as much while that explains too little."""
+    if leader.fit.level > EXPLAINED and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
+        return True
+    return one.fit.cost <= BEHIND * leader.fit.cost
 
 
 def _first_smoothing(node: Node, observed: Estimate, task: Task) -> float:
@@ -124,7 +168,7 @@ def _first_smoothing(node: Node, observed: Estimate, task: Task) -> float:
     return SHARP if hidden else SOFT
 
 
-def _observed_fit(
+def _begun(
     node: Node,
     observed: Estimate,
     candidate: Candidate,
@@ -132,22 +176,18 @@ def _observed_fit(
     *,
     linear: Literal["calibrated", "given"],
     smoothing: float,
-    best: float,
-) -> Estimate | None:
-    """Fit one candidate in observer form, to the end where it is not far behind the best of the others."""
+) -> _Begun | None:
+    """A candidate's fit in observer form, to its end unless that takes long; None where it cannot be simulated."""
     assembly, unknowns = _with(node.coarse, candidate)
     if linear == "given":
         unknowns.common[: assembly.n_linear] = assembly.plant.nominal
     states = _widened(observed, candidate)
-    first = Budget(FIRST_WORK * simulation_work(task.fit.drive.n_times, assembly.plant.n_states))
+    budget = Budget(FIRST_WORK * simulation_work(task.fit.drive.n_times, assembly.plant.n_states))
     start = within_reach(assembly, unknowns, task, states, gain=observed.gain, smoothing=smoothing)
     if start is None:
         return None
-    found = estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=first)
-    if first.left > 0.0 or found.cost > BEHIND * best:
-        return found
-    left = MOST_OBSERVED - found.iterations
-    return estimate(found, task.fit, iterations=left, standstill=MOVING_OBSERVED, budget=task.budget.part(MOST_OF_IT))
+    found = estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=budget)
+    return _Begun(candidate=candidate, fit=found, ended=budget.left > 0.0)
 
 
 def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:

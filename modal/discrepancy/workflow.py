@@ -11,8 +11,9 @@ from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.cautions import with_cautions
 from modal.discrepancy.checks import check_records, fewest_samples
 from modal.discrepancy.covariance import covariance
-from modal.discrepancy.decision import Decision, decide_nodes, doubted_units
+from modal.discrepancy.decision import Decision, decide_nodes
 from modal.discrepancy.diagnosis import Calibrated, Diagnosis, Step
+from modal.discrepancy.doubted_units import doubted_units
 from modal.discrepancy.effect_names import effect_name
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.findings import findings_of, hypothesis_of

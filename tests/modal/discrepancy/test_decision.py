@@ -15,6 +15,14 @@ def task():
 
 
 @pytest.fixture(autouse=True)
+def absorbed(monkeypatch):
+    """A gain that a free calibration has taken up, and what it saves: none, unless a test appends one."""
+    offered = []
+    monkeypatch.setattr(decision, "absorbed_gain", lambda _root, _task: offered[0] if offered else None)
+    return offered
+
+
+@pytest.fixture(autouse=True)
 def limits(monkeypatch):
     """Simpler laws that `with_limits` offers for the best model: none, unless a test appends some."""
     offered = []
@@ -52,6 +60,15 @@ def test_none(task):
     found = decide_nodes([root, made_up(1.05, "cubic_stiffness")], task)
     assert (found.status, found.node) == ("none", root)
     assert found.runners == found.margins == found.reasons == ()
+
+
+def test_a_gain_that_only_the_model_as_given_shows_is_never_firm(task, absorbed):
+    root, gain = made_up(1.1), made_up(1.1, "sensor_gain")
+    absorbed.append((gain, 42.0))
+    found = decide_nodes([root], task)
+    assert (found.status, found.node, found.runners) == ("unresolved", gain, (root,))
+    assert "2 ln L lower by 42" in found.reasons[0]
+    assert decide_nodes([made_up(1.6)], task).reasons[0].startswith("no effect of the catalogue")
 
 
 def test_a_gap_that_nothing_closes_is_unresolved(task):
@@ -193,7 +210,8 @@ def test_nothing_is_missing_only_where_the_fitted_records_agree_too(task):
 def test_a_gain_like_a_wrong_unit_or_hardly_off_one_is_never_firm(gain, status):
     from types import SimpleNamespace
 
-    from modal.discrepancy.decision import Decision, doubted_units
+    from modal.discrepancy.decision import Decision
+    from modal.discrepancy.doubted_units import doubted_units
 
     item = SimpleNamespace(effect=SimpleNamespace(key="input_gain"), where="input_0")
     assembly = SimpleNamespace(placements=(item,), common_of=lambda _: slice(0, 1))

@@ -111,19 +111,46 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     costs = {"calibrated": calibrated, "given": given}
     tried = []
 
-    def fit(_node, _observed, candidate, _task, *, linear, smoothing, best):
+    def begun(_node, _observed, candidate, _task, *, linear, smoothing):
         assert smoothing == 0.03
-        tried.append((candidate, linear))
+        tried.append((candidate.where, linear))
         cost = costs[linear]
-        return None if cost is None else SimpleNamespace(cost=cost, linear=linear, candidate=candidate)
+        return None if cost is None else begun_fit(candidate, cost, cost, linear=linear, where=candidate.where)
 
-    monkeypatch.setattr(fits_module, "_observed_fit", fit)
+    monkeypatch.setattr(fits_module, "_begun", begun)
     monkeypatch.setattr(fits_module, "_first_smoothing", lambda *_: 0.03)
     coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
     node, task = SimpleNamespace(coarse=coarse, effects=effects), SimpleNamespace(budget=Budget())
-    found = observed_fits(node, fitted, ["a", "b", "c"], task)
-    assert [(one.candidate, one.linear) for one in found] == [(name, begin) for name in "abc"]
+    candidates = [SimpleNamespace(key="cubic_stiffness", where=name, fall=0.5) for name in "abc"]
+    found = observed_fits(node, fitted, candidates, task)
+    assert [(one.where, one.linear) for one in found] == [(name, begin) for name in "abc"]
     assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
+
+
+def begun_fit(candidate, cost, level, *, ended=True, **more):
+    fit = SimpleNamespace(cost=cost, level=level, iterations=1, **more)
+    return fits_module._Begun(candidate=candidate, fit=fit, ended=ended)
+
+
+def candidate_of(key, fall, where="element_0"):
+    return SimpleNamespace(key=key, where=where, fall=fall)
+
+
+@pytest.mark.parametrize(
+    ("key", "where", "fall", "level", "outdone"),
+    [
+        ("gap_spring", "element_0", 0.19, 5.0, True),  # the screen promised less than half, and 95 % is explained
+        ("gap_spring", "element_0", 0.21, 5.0, False),
+        ("gap_spring", "element_0", 0.19, 6.5, False),  # too much is left
+        ("cubic_stiffness", "element_0", 0.3, 1.4, True),  # the same law from another of its shapes
+        ("cubic_stiffness", "element_0", 0.3, 1.6, False),
+        ("cubic_stiffness", "element_1", 0.3, 1.4, False),
+    ],
+)
+def test_what_promised_much_less_is_not_fitted_once_a_fit_explains_nearly_everything(key, where, fall, level, outdone):
+    leader = begun_fit(candidate_of("cubic_stiffness", 0.4), 100.0, level)
+    observed = SimpleNamespace(level=101.0)
+    assert fits_module._outdone(candidate_of(key, fall, where), leader, observed) == outdone
 
 
 def fit_of(key, cost, where="element_0"):
@@ -161,10 +188,6 @@ def test_a_limit_is_not_followed_through_the_richer_law():
 def test_a_limit_of_a_richer_law_is_followed_before_it_where_it_fits_nearly_as_well(cost, where, order):
     ranked = [fit_of("gap_spring", 90.0), fit_of("bouc_wen_hysteresis", 100.0), fit_of("coulomb_friction", cost, where)]
     assert [fit.assembly.placements[0].effect.key for fit in module._ordered(ranked)] == order
-
-
-def candidate_of(key, fall):
-    return SimpleNamespace(key=key, where="element_0", fall=fall)
 
 
 @pytest.mark.parametrize(
@@ -254,22 +277,44 @@ def test_close_rivals_of_the_best_are_followed_in_whatever_order(monkeypatch):
     assert tried == [90.0, 100.0]
 
 
-@pytest.mark.parametrize(("work", "cost", "ends"), [(0.0, 301.0, True), (0.0, 299.0, False), (1e9, 301.0, True)])
-def test_a_long_fit_far_behind_the_best_one_is_ended(monkeypatch, work, cost, ends):
-    """One that ended by itself is not gone on with either."""
+@pytest.mark.parametrize(
+    ("cost", "fall", "ended", "level", "gone_on"),
+    [
+        (299.0, 0.1, False, 100.0, True),  # not far behind the best one
+        (301.0, 0.1, False, 100.0, False),
+        (301.0, 0.1, True, 100.0, False),
+        (299.0, 0.1, True, 100.0, False),  # it ended by itself
+        (301.0, 0.21, False, 100.0, True),  # promised half as much, while the best one explains too little
+        (301.0, 0.21, False, 1.4, False),
+    ],
+)
+def test_long_fits_are_gone_on_with_where_they_may_still_lead(monkeypatch, *, cost, fall, ended, level, gone_on):
     ran = []
 
-    def estimate(*_args, **_options):
-        ran.append(cost)
-        return SimpleNamespace(cost=cost, iterations=1)
+    def estimate(start, _problem, **_options):
+        ran.append(start.cost)
+        return start
 
-    plant = SimpleNamespace(n_states=2)
-    monkeypatch.setattr(fits_module, "FIRST_WORK", work)
-    monkeypatch.setattr(fits_module, "_with", lambda *_: (SimpleNamespace(plant=plant), None))
-    monkeypatch.setattr(fits_module, "_widened", lambda *_: None)
-    monkeypatch.setattr(fits_module, "within_reach", lambda *_, **__: "start")
     monkeypatch.setattr(fits_module, "estimate", estimate)
-    task = SimpleNamespace(fit=SimpleNamespace(drive=SimpleNamespace(n_times=100)), budget=Budget())
-    node, observed = SimpleNamespace(coarse=None), SimpleNamespace(gain=None)
-    fits_module._observed_fit(node, observed, None, task, linear="calibrated", smoothing=0.1, best=100.0)
-    assert len(ran) == (1 if ends else 2)
+    best = begun_fit(candidate_of("cubic_stiffness", 0.4), 100.0, level)
+    other = begun_fit(candidate_of("gap_spring", fall), cost, 500.0, ended=ended)
+    done = fits_module._finished([other, best], SimpleNamespace(fit=None, budget=Budget()))
+    assert [fit.cost for fit in done] == [100.0, cost]
+    assert ran == ([cost] if gone_on else [])
+
+
+def test_a_fit_that_leads_after_all_ends_the_others(monkeypatch):
+    """The leader of the first round may be an unfinished one, and far better once it is fitted to its end."""
+    ran = []
+
+    def estimate(start, _problem, **_options):
+        ran.append(start.cost)
+        return SimpleNamespace(cost=start.cost / 10.0, level=1.0, iterations=9)
+
+    monkeypatch.setattr(fits_module, "estimate", estimate)
+    race = [begun_fit(candidate_of(key, 0.4), cost, 500.0, ended=False) for key, cost in (("a", 100.0), ("b", 250.0))]
+    assert [fit.cost for fit in fits_module._finished(race, SimpleNamespace(fit=None, budget=Budget()))] == [
+        10.0,
+        250.0,
+    ]
+    assert ran == [100.0]
