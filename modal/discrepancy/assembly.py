@@ -140,6 +140,11 @@ class Assembly:
         own = self.own_of(placement)
         return slice(own.start + self.placements[placement].n_memory, own.stop)
 
+    def memory_of(self, placement: int) -> slice:
+        """Where a placement's own states stand among all states, after those of the plant."""
+        first = self.plant.n_states + sum(item.n_memory for item in self.placements[:placement])
+        return slice(first, first + self.placements[placement].n_memory)
+
     @property
     def initial(self) -> tuple[int, ...]:
         """Where the initial value of each state, of the plant and of the effects, stands among a record's unknowns."""

@@ -19,10 +19,10 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.covariance import held_unknowns
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of, simulate_at
+from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
-from modal.discrepancy.smaller_models import dropped
+from modal.discrepancy.smaller_models import run_without
 from okid.arrays import FloatArray
 
 __all__ = ["sureness"]
@@ -59,8 +59,7 @@ def sureness(node: Node, task: Task) -> list[float]:
 
 def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray | None:
     """(n_rows, n_outputs) what an effect does to the outputs, all else as it is, in deviations of the noise."""
-    assembly, unknowns = dropped(current, placement)
-    off = simulate_at(assembly, unknowns, problem, smoothing=current.smoothing)
+    off = run_without(current, placement, problem, smoothing=current.smoothing)
     if off is None:
         return None
     change = (current.trajectory.outputs - off.trajectory.outputs) * problem.weights
