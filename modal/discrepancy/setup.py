@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 MOST_WORK = 4000.0
-"""A search may cost so many simulations along the records to fit: two effects were seen to take 1000 to 3800."""
+"""A search may cost so many simulations along the records to fit: two effects were seen to take 200 to 1600."""
 
 FOLLOWED = 1e-3
 """Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
