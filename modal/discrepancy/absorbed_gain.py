@@ -5,58 +5,66 @@ more than another set of such forces: both explain the records. The model as giv
 gain it stays where it was.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal.discrepancy.assembly import Unknowns, place
 from modal.discrepancy.calibration import fitted_either_way
+from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.discrepancy.nodes import SMALLEST_GAIN, Node, Task, node_of
+from modal.discrepancy.smaller_models import run_without
+from modal.discrepancy.trajectory import SHARP
 
-__all__ = ["absorbed_gain"]
+__all__ = ["AbsorbedGain", "absorbed_gain"]
 
-ITERATIONS = 20
+ITERATIONS, LONGEST = 20, 60
+"""Of the fit that finds the gain, and of one to its end."""
 EXPLAINED = 1.5
 """Held-out mean square, in units of the floor, up to which the model with the gain explains the data."""
 
 
-def absorbed_gain(root: Node, task: Task) -> tuple[Node, float] | None:
-    """The calibrated model with the one gain that explains its calibration, where there is one.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AbsorbedGain:
+    """A gain that explains a calibration.
+
+    Attributes:
+        node: The calibrated model with it.
+        without: The same without it, calibrated anew.
+        fall: By how much the cost of the first is lower, the priors of the calibration included, as 2 ln L.
+    """
+
+    node: Node
+    without: Node
+    fall: float
+
+
+def absorbed_gain(root: Node, task: Task) -> AbsorbedGain | None:
+    """The one gain that explains the calibration of a model, where there is one.
 
     Args:
         root: The calibrated model; it explains the data.
         task: Records, catalogue.
 
     Returns:
-        The model, and by how much its cost, the prior of the calibration included, is lower than without the gain (as
-        2 ln L); None where no internal force is free, or no gain is worth 30.
+        The best one; None where no internal force is free, or no gain is worth 30.
     """
-    if not any(one.name.startswith(INTERNAL_FORCE) for one in root.coarse.assembly.plant.parameters):
+    plant = root.coarse.assembly.plant
+    if not any(one.name.startswith(INTERNAL_FORCE) for one in plant.parameters):
         return None
     if _moved(root) <= SMALLEST_GAIN:  # no gain saves more than the calibration has cost
         return None
-    alone = _again(root, task)
-    if alone is None:
-        return None
-    plant = root.coarse.assembly.plant
+    alone = _alone(root, task)
     channels = {"input_gain": plant.input_names, "sensor_gain": plant.output_names}
-    found: tuple[Node, float] | None = None
+    found: AbsorbedGain | None = None
     for key, names in channels.items():
-        for where in names if key in task.catalogue else ():
-            node = _with_gain(root, key, where, task)
-            fall = -np.inf if node is None else alone.cost - node.coarse.cost
-            if node is not None and fall > (SMALLEST_GAIN if found is None else found[1]):
-                found = node, float(fall)
+        for where in names if task.catalogue.get(key) is CATALOGUE[key] else ():
+            one = None if (key, where) in root.effects else _with_gain(root, alone, key, where, task)
+            if one is not None and one.fall > (SMALLEST_GAIN if found is None else found.fall):
+                found = one
     return found
-
-
-def _again(root: Node, task: Task) -> Estimate | None:
-    """The calibrated model by the noise floor of now, which may be a lower one than it was fitted by."""
-    coarse = root.coarse
-    start = simulate_at(coarse.assembly, coarse.unknowns, task.fit, states=coarse.trajectory.states)
-    return None if start is None else estimate(start, task.fit, iterations=ITERATIONS)
 
 
 def _moved(root: Node) -> float:
@@ -67,15 +75,37 @@ def _moved(root: Node) -> float:
     return float(np.sum(moved**2))
 
 
-def _with_gain(root: Node, key: str, where: str, task: Task) -> Node | None:
-    """The model with a gain, fitted from the linear parameters as given; None where it does not explain the data."""
+def _alone(root: Node, task: Task) -> Estimate | None:
+    """The calibration as it is, fitted to its end by the noise floor of now."""
+    coarse = root.coarse
+    start = simulate_at(coarse.assembly, coarse.unknowns, task.fit, states=coarse.trajectory.states)
+    return None if start is None else _settled(start, task)
+
+
+def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: Task) -> AbsorbedGain | None:
+    """The model with a gain, from the linear parameters as given; None where it does not explain the data or save 30.
+
+    The calibration without it is fitted from there as well, and the better way counts.
+    """
     before = root.coarse.assembly
-    effect = task.catalogue[key]
+    effect = CATALOGUE[key]
     assembly = replace(before, placements=(*before.placements, place(before.plant, effect, where)))
     common = np.concatenate([before.plant.nominal, root.coarse.unknowns.common[before.n_linear :], effect.neutral])
     unknowns = Unknowns(common=common, local=root.coarse.unknowns.local)
     start = simulate_at(assembly, unknowns, task.fit, states=root.coarse.trajectory.states)
     if start is None:
         return None
-    node = node_of(fitted_either_way(start, task.fit, iterations=ITERATIONS), task)
-    return node if max(node.fit_level, node.held_out_level) <= EXPLAINED else None
+    node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
+    if alone is None or max(node.fit_level, node.held_out_level) > EXPLAINED:
+        return None
+    if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
+        return None
+    start = run_without(node.coarse, len(assembly.placements) - 1, task.fit, smoothing=SHARP)
+    other = alone if start is None else _settled(start, task)
+    rival = other if other.cost < alone.cost else alone
+    return AbsorbedGain(node=node, without=node_of(rival, task), fall=rival.cost - node.coarse.cost)
+
+
+def _settled(start: Estimate, task: Task) -> Estimate:
+    """Fitted until an iteration gains less than 1: the valley of the internal forces is long and flat."""
+    return estimate(start, task.fit, iterations=LONGEST, standstill=1.0 / max(start.cost, 1.0))

@@ -11,13 +11,13 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.absorbed_gain import absorbed_gain
+from modal.discrepancy.absorbed_gain import AbsorbedGain, absorbed_gain
 from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.estimation import Problem
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain
-from modal.discrepancy.simpler_laws import has_limit, with_limits
+from modal.discrepancy.simpler_laws import has_limit, with_limits, with_twins
 from modal.discrepancy.smaller_models import without
 from modal.discrepancy.statements import number, times_floor_text
 from modal.discrepancy.sureness import sureness
@@ -97,8 +97,11 @@ def decide_nodes(
         return _nothing(root, task)
     richer, best = best, _simplest(best, root, task)
     runners, margins, reasons = [], [], []
+    twins = [best, *(with_twins(best, task, nodes) if best.held_out_level <= NEAR_FLOOR else [])]
+    others = [*nodes, richer, *twins]
+    best = max(twins, key=lambda node: log_likelihood_gain(root, node, task))
     for effect in best.effects:
-        rivals = [node for node in [*nodes, richer] if node is not root and _rivals(node, best, effect, task)]
+        rivals = [node for node in others if node is not root and _rivals(node, best, effect, task)]
         runner = _strongest(rivals, root, task)
         margin = np.inf if runner is None else log_likelihood_gain(runner, best, task)
         runners.append(runner)
@@ -155,21 +158,28 @@ def _nothing(root: Node, task: Task) -> Decision:
     if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
         absorbed = absorbed_gain(root, task)
         if absorbed is not None:
-            return _absorbed(root, *absorbed, task)
+            return _absorbed(root, absorbed)
         return Decision(status="none", node=root, runners=(), margins=(), reasons=())
     tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
     reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
 
 
-def _absorbed(root: Node, node: Node, fall: float, task: Task) -> Decision:
+def _absorbed(root: Node, found: AbsorbedGain) -> Decision:
     """A gain that only the model as given shows: never firm, because the records do not tell."""
     reason = (
         "the calibration explains the records as well without it, by internal forces further from the model as given "
-        f"(2 ln L lower by {number(fall, 2)} with their prior); check the gain, or pass M, C and K"
+        f"(2 ln L lower by {number(found.fall, 2)} with their prior); check the gain, or give a model whose structure "
+        "is known (M, C and K)"
     )
-    margin = float(log_likelihood_gain(root, node, task))
-    return Decision(status="unresolved", node=node, runners=(root,), margins=(margin,), reasons=(reason,))
+    before = len(root.effects)
+    return Decision(
+        status="unresolved",
+        node=found.node,
+        runners=(*(None,) * before, found.without),
+        margins=(*(float("inf"),) * before, found.fall),
+        reasons=(reason,),
+    )
 
 
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:

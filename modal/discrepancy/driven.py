@@ -1,4 +1,8 @@
-"""The drive after the effects at the inputs."""
+"""The drive after the effects at the inputs, and which outputs it leaves unknown.
+
+A delayed drive comes from before the record at first, where nothing is known of it. The initial state makes up for that
+from then on; until then the outputs are as good as missing. Where a record starts without a drive there was none.
+"""
 
 from dataclasses import replace
 
@@ -6,9 +10,14 @@ import numpy as np
 
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.drive import Drive
-from okid.arrays import FloatArray
+from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["drive_inputs", "per_time"]
+
+STILL = 0.01
+"""A drive that starts below this share of its root mean square was none before."""
+MOST = 10
+"""A record is left out up to this part of it."""
 
 
 def per_time(value: FloatArray, drive: Drive) -> FloatArray:
@@ -24,6 +33,7 @@ def drive_inputs(assembly: Assembly, unknowns: Unknowns, drive: Drive, *, first:
     if not acting:
         return drive
     start, end, sample = drive.start.copy(), drive.end.copy(), drive.sample.copy()
+    present = drive.present.copy()
     for i in acting:
         item = assembly.placements[i]
         effect = item.input_effect
@@ -31,7 +41,22 @@ def drive_inputs(assembly: Assembly, unknowns: Unknowns, drive: Drive, *, first:
         for record in range(drive.n_records):
             times = drive.times_of(record)
             at = (times, item.channel)
+            _leave_out(present, drive, record, effect.unheard(values, drive.dt), started=_started(start[at]))
             felt = effect.at_samples(values, sample[at], start[at], end[at], drive.dt)
             start[at], end[at] = effect.apply(values, start[at], end[at], drive.dt)
             sample[at] = felt
-    return replace(drive, start=start, end=end, sample=sample)
+    return replace(drive, start=start, end=end, sample=sample, present=present)
+
+
+def _started(drive: FloatArray) -> bool:
+    """Whether a record's drive has begun at its first time."""
+    return bool(drive.size) and abs(float(drive[0])) > STILL * float(np.sqrt(np.mean(drive**2)))
+
+
+def _leave_out(present: BoolArray, drive: Drive, record: int, unheard: tuple[int, int], *, started: bool) -> None:
+    """Mark outputs at the start and at the end of a record as missing, a tenth of it at most."""
+    rows, times = drive.rows_of(record), drive.times_of(record)
+    length = times.stop - times.start
+    early, late = (min(count, length // MOST) for count in unheard)
+    at = drive.rows[rows] - times.start
+    present[rows][(at < early) & started | (at >= length - late)] = False

@@ -28,6 +28,7 @@ __all__ = [
     "sensitivity_of",
     "simulate_at",
     "weighted_residual",
+    "weights_along",
 ]
 
 FIRST_DAMPING = 1e-3
@@ -35,6 +36,8 @@ TRIALS = 5
 """Trial steps of an iteration, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
 """An iteration that lowers the cost by less than this share of it ends the fit."""
+NEAR = 10.0
+"""Level below which a first step that fails, and promised no more than that, ends it as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -97,9 +100,14 @@ class Estimate:
         return float(np.nanmean(self.mean_square))
 
 
+def weights_along(problem: Problem, trajectory: Trajectory) -> FloatArray:
+    """(n_rows, n_outputs) 1 / deviation, zero where a value is missing or the drive behind it is not known."""
+    return np.where(trajectory.drive.present, problem.weights, 0.0)
+
+
 def weighted_residual(problem: Problem, trajectory: Trajectory) -> FloatArray:
-    """(n_rows, n_outputs) residual in units of the noise's deviation, zero where a value is missing."""
-    return np.asarray((problem.drive.outputs - trajectory.outputs) * problem.weights)
+    """(n_rows, n_outputs) residual in units of the noise's deviation, zero where nothing is known."""
+    return np.asarray((problem.drive.outputs - trajectory.outputs) * weights_along(problem, trajectory))
 
 
 def simulate_at(
@@ -133,7 +141,7 @@ def simulate_at(
         slopes=slopes,
         cost=squares + _prior_cost(assembly, unknowns),
         squares=squares,
-        mean_square=_mean_square(problem, residual),
+        mean_square=_mean_square(problem, trajectory, residual),
         at_bounds=_at_bounds(assembly, unknowns, problem.drive.dt),
         iterations=0,
         gain=gain,
@@ -171,7 +179,8 @@ def estimate(
             better = _trial(current, problem, slopes, step)
             damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
             promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
-            if better is not None or (trial == 0 and 0.0 <= promised <= least) or _over(budget):
+            there = current.level <= NEAR and trial == 0 and 0.0 <= promised <= least
+            if better is not None or there or _over(budget):
                 break
         if better is None:
             return current
@@ -203,7 +212,7 @@ def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:
 
 def normal_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -> tuple[FloatArray, FloatArray]:
     """Gram matrix and score of all unknowns: the common ones first, then record by record, priors included."""
-    drive, weights = problem.drive, problem.weights
+    drive, weights = problem.drive, weights_along(problem, current.trajectory)
     n_common, n_local = len(slopes.common), len(slopes.local)
     size = n_common + drive.n_records * n_local
     gram, score = np.zeros((size, size)), np.zeros(size)
@@ -264,8 +273,8 @@ def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:
     return float(np.sum(((unknowns.common - centre) / deviation) ** 2) + np.sum(own**2))
 
 
-def _mean_square(problem: Problem, residual: FloatArray) -> FloatArray:
-    drive = problem.drive
+def _mean_square(problem: Problem, trajectory: Trajectory, residual: FloatArray) -> FloatArray:
+    drive = trajectory.drive
     found = np.full(problem.floor.shape, np.nan)
     for record in range(drive.n_records):
         rows = drive.rows_of(record)

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, weighted_residual
+from modal.discrepancy.estimation import Estimate, Problem, normal_equations, weighted_residual, weights_along
 from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitivity
 from okid.arrays import FloatArray
 
@@ -187,12 +187,13 @@ def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources:
     slopes = derivatives(fitted, problem)
     gram, score = normal_equations(fitted, problem, slopes)
     _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, gain=fitted.gain)
-    columns = outputs * problem.weights
+    weights = weights_along(problem, fitted.trajectory)
+    columns = outputs * weights
     flat = columns.reshape(len(columns), -1)
-    parts = [flat @ (slopes.common * problem.weights).reshape(len(slopes.common), -1).T]
+    parts = [flat @ (slopes.common * weights).reshape(len(slopes.common), -1).T]
     for record in range(problem.drive.n_records):
         rows = problem.drive.rows_of(record)
-        local = (slopes.local[:, rows] * problem.weights[rows]).reshape(len(slopes.local), -1)
+        local = (slopes.local[:, rows] * weights[rows]).reshape(len(slopes.local), -1)
         parts.append(columns[:, rows].reshape(len(columns), -1) @ local.T)
     cross = np.concatenate(parts, axis=1)
     whole = np.block([[gram, cross.T], [cross, flat @ flat.T]])

@@ -184,12 +184,12 @@ def _finer(coarse: Estimate, unknowns: Unknowns, before: Problem, fine: Problem)
             for r in range(drive.n_records)
         ]
     )
-    found: Estimate | None = None
-    for smoothing in SHARPER:
-        found = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=smoothing)
+    found = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=SHARPER[0])
+    for smoothing in SHARPER[1:]:
         if found is None:
             return None
         states = found.trajectory.states
+        found = simulate_at(coarse.assembly, unknowns, fine, states=states, smoothing=smoothing)
     return None if found is None else estimate(found, fine, iterations=4)
 
 

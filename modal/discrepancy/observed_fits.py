@@ -33,9 +33,11 @@ CLEAR, MUCH_LESS = 0.05, 0.5
 """Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
 promised at least the second share of what it promised of that one."""
 EXPLAINED = 1.5
-"""Level below which a law is not fitted again from another of its shapes."""
+"""Level below which a model explains the data in observer form: a law is then not fitted again from another of its
+shapes, and what is unfinished must be near the best one. Where the model without an effect is there already, no fit
+outdoes another."""
 MOST_OF_IT = 0.1
-"""Share of what is left of the budget for one model that the rest of a fit may take."""
+"""Share of what is left of the budget for these fits that the rest of one may take."""
 HIDDEN = 1.5
 """Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
 
@@ -88,7 +90,7 @@ def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: floa
 
 
 def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task) -> list[Estimate]:
-    """Each candidate fitted in observer form, from calibrated linear parameters or from those given.
+    """Candidates fitted in observer form, from calibrated linear parameters or from those given.
 
     A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
     that is plain; else the first candidate is fitted both ways, and the better way is gone with the others too.
@@ -100,7 +102,8 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         task: Records to fit.
 
     Returns:
-        Those that could be simulated, and for which the budget was enough.
+        Those that could be simulated, that no other one outdid before they were begun, and for which the budget was
+        enough; those that cannot lead any more as far as they came.
     """
     smoothing = _first_smoothing(node, observed, task)
 
@@ -118,13 +121,13 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
             first, linear = other, "given"
     race = [] if first is None else [first]
     for candidate in candidates[1:]:
-        if not budget.allows():
-            break
         if any(_outdone(candidate, one, observed) for one in race):
             continue
+        if not budget.allows():
+            break
         one = begin(candidate, linear)
         race += [] if one is None else [one]
-    return _finished(race, task)
+    return _finished(race, task, budget)
 
 
 def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
@@ -132,19 +135,19 @@ def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
 
     Either the screen promised much less of the candidate, or it is the same law with another shape to start from.
     """
-    clear = leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
+    clear = observed.level > EXPLAINED and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
     same = (candidate.key, candidate.where) == (leader.candidate.key, leader.candidate.where)
     return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= EXPLAINED))
 
 
-def _finished(race: Sequence[_Begun], task: Task) -> list[Estimate]:
+def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimate]:
     """All as far as they came, and those fitted to their end that may still be the best."""
     done: list[Estimate] = []
     leader: _Begun | None = None
     for one in sorted(race, key=lambda one: one.fit.cost):
         reached = one.fit
         if not one.ended and (leader is None or _may_lead(one, leader)):
-            left, budget = MOST_OBSERVED - reached.iterations, task.budget.part(MOST_OF_IT)
+            left, budget = MOST_OBSERVED - reached.iterations, stage.part(MOST_OF_IT)
             reached = estimate(reached, task.fit, iterations=left, standstill=MOVING_OBSERVED, budget=budget)
         done.append(reached)
         if leader is None or reached.cost < leader.fit.cost:

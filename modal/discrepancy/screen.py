@@ -16,7 +16,7 @@ import scipy
 from modal.discrepancy.assembly import Placement
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Effect, ForceEffect
-from modal.discrepancy.estimation import Estimate, Problem
+from modal.discrepancy.estimation import Estimate, Problem, weights_along
 from modal.discrepancy.placed import possible_places
 from modal.discrepancy.screen_trials import Trial, trials_of
 from modal.discrepancy.sensitivity import respond, sensitivity
@@ -126,7 +126,7 @@ class _Nuisance:
             gain=current.gain,
         )
         level = np.sqrt(np.maximum(np.nan_to_num(current.mean_square, nan=1.0), 1.0))
-        weights = problem.weights / np.repeat(level, np.diff(drive.row_firsts), axis=0)
+        weights = weights_along(problem, current.trajectory) / np.repeat(level, np.diff(drive.row_firsts), axis=0)
         blocks = [slopes.common * weights]
         for record in range(drive.n_records):
             own = np.zeros_like(slopes.local)

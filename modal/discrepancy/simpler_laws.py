@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
+
 from modal.discrepancy.assembly import Assembly, Placement
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.effects.effect import Effect
@@ -17,7 +19,7 @@ from modal.discrepancy.placed import possible_places
 from modal.discrepancy.smaller_models import instead
 from okid.arrays import FloatArray
 
-__all__ = ["LIMITS", "Law", "Limit", "has_limit", "is_limit", "simple_first", "with_limits"]
+__all__ = ["LIMITS", "Law", "Limit", "has_limit", "is_limit", "simple_first", "with_limits", "with_twins"]
 
 T = TypeVar("T")
 Law = tuple[str, str]
@@ -104,6 +106,50 @@ def with_limits(node: Node, task: Task) -> list[Node]:
             there = (limit.law, item.where) in node.effects
             if law is CATALOGUE[limit.law] and not there and item.where in possible_places(assembly.plant, law):
                 found.append(instead(node, i, _placed(assembly, i, law), limit.values(values), task))
+    return found
+
+
+def _softening_as_sine(values: Values, stiffness: float) -> tuple[float, ...] | None:
+    return (float(np.sqrt(-stiffness / (6.0 * values[0]))),) if values[0] < 0.0 else None
+
+
+def _sine_as_cubic(values: Values, stiffness: float) -> tuple[float, ...] | None:
+    return (-stiffness / (6.0 * values[0] ** 2),)
+
+
+TWINS = {
+    "cubic_stiffness": ("sine_softening", _softening_as_sine),
+    "sine_softening": ("cubic_stiffness", _sine_as_cubic),
+}
+"""Laws that are the same to third order: the other one, and its parameters beside a linear stiffness."""
+
+
+def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node]:
+    """The models with one of the node's effects replaced by the law that is nearly the same.
+
+    The search may have lost it on the way, and without it a name would lead for want of a rival.
+
+    Args:
+        node: A fitted model.
+        task: Records and catalogue; a law that is not in the catalogue is not tried.
+        fitted: Models that need not be fitted again.
+
+    Returns:
+        One model an effect that has such a law and stands beside a linear stiffness.
+    """
+    assembly, common = node.coarse.assembly, node.coarse.unknowns.common
+    there = [set(one.effects) for one in fitted]
+    found: list[Node] = []
+    for i, item in enumerate(assembly.placements):
+        key, as_twin = TWINS.get(item.effect.key, ("", None))
+        law, linear = task.catalogue.get(key), assembly.stiffness_parameter(i)
+        if as_twin is None or law is not CATALOGUE[key] or linear is None:
+            continue
+        if {*node.effects} - {node.effects[i]} | {(key, item.where)} in there:
+            continue
+        values = as_twin(common[assembly.common_of(i)], float(common[linear]))
+        if values is not None:
+            found.append(instead(node, i, _placed(assembly, i, law), values, task))
     return found
 
 

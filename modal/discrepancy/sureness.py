@@ -19,7 +19,7 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.covariance import held_unknowns
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of
+from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of, weights_along
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import run_without
@@ -51,7 +51,7 @@ def sureness(node: Node, task: Task) -> list[float]:
         others = np.ones(len(gram), dtype=bool)
         others[held] = False
         others[_own(current.assembly, i)] = False
-        seen = _against(problem, slopes, change)[others]
+        seen = _against(problem, current, slopes, change)[others]
         left = float(np.sum(change**2)) - float(seen @ _solved(gram[np.ix_(others, others)], seen))
         found.append(float(np.sqrt(max(left, 0.0) / max(1.0, current.level))))
     return found
@@ -62,7 +62,7 @@ def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray |
     off = run_without(current, placement, problem, smoothing=current.smoothing)
     if off is None:
         return None
-    change = (current.trajectory.outputs - off.trajectory.outputs) * problem.weights
+    change = (current.trajectory.outputs - off.trajectory.outputs) * weights_along(problem, current.trajectory)
     return change if np.isfinite(np.sum(change**2)) else None
 
 
@@ -74,9 +74,9 @@ def _own(assembly: Assembly, placement: int) -> list[int]:
     return found or [begin + position for position in range(len(roles))]
 
 
-def _against(problem: Problem, slopes: Sensitivity, change: FloatArray) -> FloatArray:
+def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: FloatArray) -> FloatArray:
     """What each unknown's effect on the outputs has in common with a change, in the order of the normal equations."""
-    drive, weights = problem.drive, problem.weights
+    drive, weights = problem.drive, weights_along(problem, current.trajectory)
     found = [np.sum(slopes.common * weights * change, axis=(1, 2))]
     for record in range(drive.n_records):
         rows = drive.rows_of(record)

@@ -197,6 +197,10 @@ class InputEffect(Effect):
         """
         return self.apply(values, sample, sample, dt)[0]
 
+    def unheard(self, values: Values, dt: float) -> tuple[int, int]:  # noqa: ARG002 - most changes act at once
+        """Times at the start and at the end of a record whose drive lies outside of it, and is not known."""
+        return 0, 0
+
     def by_parameter(
         self, values: Values, sample: FloatArray, start: FloatArray, end: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

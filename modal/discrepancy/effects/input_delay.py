@@ -75,7 +75,8 @@ class InputDelay(InputEffect):
     Signature: the phase of the output lags by an angle in proportion to frequency, the same at every level; the
     magnitude is right. The relative gap grows with frequency.
 
-    Law: `u'(t) = u(t - tau)`, with the first value held before the record starts and the last one after its end.
+    Law: `u'(t) = u(t - tau)`, with the first value held before the record starts and the last one after its end; what
+    a record shows before its own drive arrives is not judged, unless it starts without any.
     Parameters: tau [s]; a negative one is no physics but skew of the record.
 
     Confused with: a wrongly declared hold (half a sample, of either sign); outputs written down a step after their
@@ -133,6 +134,12 @@ class InputDelay(InputEffect):
         if f == 0.0:
             return _steps_before(sample, lag, first=float(sample[0]), last=float(sample[-1]))
         return _Step.of(start, end, lag + 1).at(1.0 - f)
+
+    def unheard(self, values: Values, dt: float) -> tuple[int, int]:
+        """As many times at the start as the delay is long, or at the end where it is negative."""
+        steps = float(values[0]) / dt
+        count = math.ceil(abs(steps) - WHOLE)
+        return (count, 0) if steps > 0.0 else (0, count)
 
     def by_parameter(
         self,

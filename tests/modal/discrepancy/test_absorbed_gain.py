@@ -6,6 +6,7 @@ import pytest
 import scipy
 
 from modal.discrepancy import diagnose
+from modal.discrepancy.given import given_model
 from okid.record import Record
 
 DT, N = 0.02, 1500
@@ -22,9 +23,9 @@ def system(stiffnesses, dampings):
     return A, B, np.eye(6)[[0, 2]], np.zeros((2, 1))
 
 
-def as_given(rng):
+def as_given(rng, stiffnesses=(970.0, 1240.0, 810.0)):
     """The same with stiffness some per cent wrong, in other coordinates."""
-    A, B, C, D = system([970.0, 1240.0, 810.0], [1.2, 0.8, 0.9])
+    A, B, C, D = system(stiffnesses, [1.2, 0.8, 0.9])
     T = rng.standard_normal((6, 6)) + 3.0 * np.eye(6)
     return control.ss(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D)
 
@@ -41,6 +42,27 @@ def records(rng, gain):
         y[:, 1] *= gain
         y += 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
         yield Record(u, y, DT)
+
+
+@pytest.mark.parametrize("stiffnesses", [(800.0, 1200.0, 800.0), (920.0, 960.0, 848.0)])
+def test_a_stiffness_that_is_far_off_is_no_gain(stiffnesses):
+    """The calibration moves as far as it does for a gain, and a gain does not save it."""
+    rng = np.random.default_rng(7)
+    model = as_given(rng, stiffnesses)
+    first, second, held_out = records(rng, 1.0)
+    found = diagnose(model, [first, second], held_out, sensor_kind="displacement")
+    assert (found.status, found.findings) == ("none", ())
+
+
+def test_a_gain_beside_an_effect_that_the_model_has_already():
+    rng = np.random.default_rng(7)
+    plain = as_given(rng)
+    first, second, held_out = records(rng, 0.6)
+    model = given_model(plain, [first], sensor_kind="displacement").model
+    model = model.with_effect("sensor_bias", "output_0", offset=0.0, slope=0.0)
+    found = diagnose(model, [first, second], held_out)
+    assert found.status == "unresolved"
+    assert ("sensor_gain", "output_1") in [(one.effect, one.where) for one in found.findings]
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.0])

@@ -5,6 +5,7 @@ import pytest
 from made_up_nodes import N, made_up, made_up_task
 
 from modal.discrepancy import decision
+from modal.discrepancy.absorbed_gain import AbsorbedGain
 from modal.discrepancy.decision import decide_nodes
 from modal.discrepancy.nodes import counts, log_likelihood_gain
 
@@ -19,6 +20,14 @@ def absorbed(monkeypatch):
     """A gain that a free calibration has taken up, and what it saves: none, unless a test appends one."""
     offered = []
     monkeypatch.setattr(decision, "absorbed_gain", lambda _root, _task: offered[0] if offered else None)
+    return offered
+
+
+@pytest.fixture(autouse=True)
+def twins(monkeypatch):
+    """Models with a law that is nearly the same: none, unless a test appends some."""
+    offered = []
+    monkeypatch.setattr(decision, "with_twins", lambda _node, _task, _fitted: offered)
     return offered
 
 
@@ -63,11 +72,13 @@ def test_none(task):
 
 
 def test_a_gain_that_only_the_model_as_given_shows_is_never_firm(task, absorbed):
-    root, gain = made_up(1.1), made_up(1.1, "sensor_gain")
-    absorbed.append((gain, 42.0))
+    root, gain, without = made_up(1.1), made_up(1.1, "sensor_gain"), made_up(1.09)
+    absorbed.append(AbsorbedGain(node=gain, without=without, fall=42.0))
     found = decide_nodes([root], task)
-    assert (found.status, found.node, found.runners) == ("unresolved", gain, (root,))
+    assert (found.status, found.node, found.runners, found.margins) == ("unresolved", gain, (without,), (42.0,))
     assert "2 ln L lower by 42" in found.reasons[0]
+    root = made_up(1.1, "cubic_stiffness")  # it stood in the model as given
+    assert decide_nodes([root], task).runners == (None, without)
     assert decide_nodes([made_up(1.6)], task).reasons[0].startswith("no effect of the catalogue")
 
 
@@ -84,6 +95,18 @@ def test_a_name_needs_the_floor(task, level, status):
     assert found.status == status
     assert bool(found.reasons) == (status == "unresolved")
     assert all("1.23 times the noise floor (limit 1.22)" in reason for reason in found.reasons)
+
+
+def test_a_law_that_is_nearly_the_same_is_a_rival_that_the_search_may_have_lost(task, twins):
+    nodes = [made_up(50.0), made_up(1.02, "cubic_stiffness")]
+    assert decide_nodes(nodes, task).status == "named"
+    twins.append(made_up(1.021, "sine_softening"))
+    found = decide_nodes(nodes, task)
+    assert (found.status, found.node, found.runners[0]) == ("unresolved", nodes[1], twins[0])
+    assert "sine softening" in found.reasons[0]
+    twins[:] = [made_up(1.019, "sine_softening")]
+    found = decide_nodes(nodes, task)
+    assert (found.status, found.node, found.runners[0]) == ("unresolved", twins[0], nodes[1])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,9 @@
 """The drive behind the effects at its inputs."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from engine_plants import VALUES, some_records, two_masses, with_effects
 
 from modal.discrepancy.drive import drive_of
@@ -37,6 +40,31 @@ def test_a_delay_does_not_leak_from_record_to_record():
         times = drive.times_of(record)
         u = drive.sample[times, 0]
         assert np.allclose(found.sample[times, 0], np.r_[np.full(5, u[0]), u[:-5]])
+
+
+@pytest.mark.parametrize(
+    ("lag", "early", "late"),  # in steps, two of which make a sample
+    [(4.0, 2, 0), (3.0, 2, 0), (4.2, 3, 0), (-3.0, 0, 2), (0.0, 0, 0), (70.0, 35, 0)],
+)
+def test_what_a_record_shows_before_its_own_drive_arrives_is_left_out(lag, early, late):
+    drive, assembly, unknowns = situation(["input_delay"], lag=lag)
+    found = drive_inputs(assembly, unknowns, drive).present
+    rows = drive.rows_of(1)
+    whole = drive.present[rows]
+    early = min(early, (2 * len(whole) // 10 + 1) // 2)  # never more than a tenth
+    assert not found[rows][:early].any()
+    assert not found[rows][len(whole) - late :].any()
+    assert np.array_equal(found[rows][early : len(whole) - late], whole[early : len(whole) - late])
+
+
+def test_a_record_that_starts_without_a_drive_is_not_left_out():
+    """There was none before either."""
+    drive, assembly, unknowns = situation(["input_delay"], lag=5)
+    start = drive.start.copy()
+    start[drive.firsts[1], 0] = 0.005 * start[drive.times_of(1), 0].std()
+    found = drive_inputs(assembly, unknowns, replace(drive, start=start)).present
+    assert not found[:2].any()
+    assert np.array_equal(found[drive.rows_of(1)], drive.present[drive.rows_of(1)])
 
 
 def test_without_effects_it_is_the_drive_itself():

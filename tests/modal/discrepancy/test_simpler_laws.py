@@ -8,13 +8,15 @@ import pytest
 from engine_plants import some_records, two_masses, with_effects
 
 from modal.discrepancy import nodes, simpler_laws
-from modal.discrepancy.assembly import Unknowns
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Motion
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, node_of
-from modal.discrepancy.simpler_laws import LIMITS, has_limit, with_limits
+from modal.discrepancy.simpler_laws import LIMITS, TWINS, has_limit, with_limits, with_twins
+from modal.discrepancy.structural_plant import structural_plant
+from modal.structure import StructuralModel
 from okid.record import Record
 
 
@@ -147,3 +149,55 @@ def test_a_limit_that_cannot_be_simulated_is_no_model(slack_at_work, monkeypatch
     node, task = slack_at_work
     monkeypatch.setattr(nodes, "simulate_at", lambda *_a, **_k: None)
     assert all(np.isinf(one.held_out_level) for one in with_limits(node, task))
+
+
+@pytest.mark.parametrize(
+    ("key", "twin"), [("cubic_stiffness", "sine_softening"), ("sine_softening", "cubic_stiffness")]
+)
+def test_a_law_and_its_twin_are_the_same_to_third_order(key, twin):
+    stiffness, d = 93.0, np.array([0.01, 0.02])
+    values = {"cubic_stiffness": (-31.0,), "sine_softening": (0.7,)}[key]
+    name, as_twin = TWINS[key]
+    assert name == twin
+
+    def force(law, at):
+        motion = Motion(
+            displacement=d,
+            velocity=0.0 * d,
+            time=0.0 * d,
+            memory=np.zeros((2, 0)),
+            displacement_scale=1.0,
+            velocity_scale=1.0,
+            stiffness=stiffness,
+        )
+        return CATALOGUE[law].force(at, motion).value
+
+    np.testing.assert_allclose(force(twin, as_twin(values, stiffness)), force(key, values), rtol=1e-3)
+
+
+def test_a_hardening_spring_has_no_twin():
+    assert TWINS["cubic_stiffness"][1]((31.0,), 93.0) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "known", "asked"),
+    [
+        (-31.0, [], [("sine_softening", np.sqrt(93.0 / (6.0 * 31.0)))]),
+        (31.0, [], []),
+        (-31.0, [("sine_softening", "element_0")], []),  # the search has fitted it already
+    ],
+)
+def test_the_twin_of_a_law_is_fitted_in_its_place_unless_it_was_already(monkeypatch, value, known, asked):
+    plant = structural_plant(StructuralModel.chain([1.0], [90.0], [1.0], force_dofs=[0], sensor_dofs=[0]))
+    assembly = assemble(plant, [place(plant, CATALOGUE["cubic_stiffness"], "element_0")])
+    unknowns = initial_unknowns(assembly, 2)
+    common = unknowns.common.copy()
+    common[assembly.stiffness_parameter(0)], common[assembly.common_of(0)] = 93.0, value
+    fitted = SimpleNamespace(assembly=assembly, unknowns=Unknowns(common=common, local=unknowns.local))
+    node = SimpleNamespace(coarse=fitted, effects=(("cubic_stiffness", assembly.placements[0].where),))
+    tried = []
+    monkeypatch.setattr(
+        simpler_laws, "instead", lambda _node, _i, law, values, _task: tried.append((law.effect.key, values[0]))
+    )
+    with_twins(node, SimpleNamespace(catalogue=CATALOGUE), [SimpleNamespace(effects=known)])
+    assert tried == [(key, pytest.approx(value)) for key, value in asked]
