@@ -19,6 +19,8 @@ def test_every_unknown_has_one_place():
     assert assembly.n_common == 2 + (1 + 1) + (3 + 1) + (2 + 1) + 1 + (3 + 1) + 2
     assert assembly.n_local == 4 + 2 + 1 + 1
     assert assembly.n_memory == 3
+    states = [np.arange(4), *(np.r_[assembly.memory_of(i)] for i in range(6))]  # the plant's, then the effects' own
+    assert np.array_equal(np.concatenate(states), np.arange(4 + assembly.n_memory))
     assert assembly.initial == (0, 1, 2, 3, 4, 5, 7)
     assert (assembly.forces, assembly.inputs, assembly.sensors) == ((0, 1, 2, 4), (3,), (5,))
 

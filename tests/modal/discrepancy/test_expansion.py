@@ -153,6 +153,33 @@ def test_what_promised_much_less_is_not_fitted_once_a_fit_explains_nearly_everyt
     assert fits_module._outdone(candidate_of(key, fall, where), leader, observed) == outdone
 
 
+def test_what_is_outdone_is_not_begun_and_does_not_ask_for_work(current, monkeypatch):
+    fitted, _ = current
+    begun = []
+
+    def begin(_node, _observed, candidate, _task, **_options):
+        begun.append(candidate.key)
+        return begun_fit(candidate, 100.0, 1.0)
+
+    monkeypatch.setattr(fits_module, "_begun", begin)
+    monkeypatch.setattr(fits_module, "_first_smoothing", lambda *_: 0.03)
+    coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([True, False]))
+    candidates = [candidate_of(key, fall) for key, fall in (("a", 0.8), ("b", 0.5), ("c", 0.3))]
+    task = SimpleNamespace(budget=Budget())
+    observed = SimpleNamespace(level=50.0)
+    observed_fits(SimpleNamespace(coarse=coarse, effects=()), observed, candidates, task)
+    assert begun == ["a", "b"]
+    spent = SimpleNamespace(budget=Budget(0.0))
+    observed_fits(SimpleNamespace(coarse=coarse, effects=()), observed, [candidates[0], candidates[2]], spent)
+    assert not spent.budget.spent
+
+
+def test_nothing_is_outdone_beside_a_model_that_explains_the_data_as_it_is():
+    """Levels below 1 are those of a floor that is too high: a fit that is worse than none would look clear."""
+    leader = begun_fit(candidate_of("cubic_stiffness", 0.4), 100.0, 0.97)
+    assert not fits_module._outdone(candidate_of("gap_spring", 0.1), leader, SimpleNamespace(level=0.95))
+
+
 def fit_of(key, cost, where="element_0"):
     item = SimpleNamespace(effect=CATALOGUE[key], where=where)
     return SimpleNamespace(assembly=SimpleNamespace(placements=(item,)), cost=cost)
@@ -298,7 +325,7 @@ def test_long_fits_are_gone_on_with_where_they_may_still_lead(monkeypatch, *, co
     monkeypatch.setattr(fits_module, "estimate", estimate)
     best = begun_fit(candidate_of("cubic_stiffness", 0.4), 100.0, level)
     other = begun_fit(candidate_of("gap_spring", fall), cost, 500.0, ended=ended)
-    done = fits_module._finished([other, best], SimpleNamespace(fit=None, budget=Budget()))
+    done = fits_module._finished([other, best], SimpleNamespace(fit=None), Budget())
     assert [fit.cost for fit in done] == [100.0, cost]
     assert ran == ([cost] if gone_on else [])
 
@@ -313,7 +340,7 @@ def test_a_fit_that_leads_after_all_ends_the_others(monkeypatch):
 
     monkeypatch.setattr(fits_module, "estimate", estimate)
     race = [begun_fit(candidate_of(key, 0.4), cost, 500.0, ended=False) for key, cost in (("a", 100.0), ("b", 250.0))]
-    assert [fit.cost for fit in fits_module._finished(race, SimpleNamespace(fit=None, budget=Budget()))] == [
+    assert [fit.cost for fit in fits_module._finished(race, SimpleNamespace(fit=None), Budget())] == [
         10.0,
         250.0,
     ]
