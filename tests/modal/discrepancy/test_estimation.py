@@ -10,7 +10,15 @@ from modal.discrepancy import estimation as module
 from modal.discrepancy.budget import Budget
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, estimate, normal_equations, simulate_at, weighted_residual
+from modal.discrepancy.estimation import (
+    Problem,
+    estimate,
+    normal_equations,
+    sensitivity_of,
+    simulate_at,
+    weighted_residual,
+    weights_along,
+)
 from modal.discrepancy.sensitivity import sensitivity
 
 KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]
@@ -61,9 +69,13 @@ def test_a_fit_ends_when_its_budget_is_spent():
     assert found.cost < start.cost
 
 
-@pytest.mark.parametrize(("near", "budget", "trials"), [(True, None, 1), (False, None, 5), (False, Budget(0.0), 1)])
-def test_a_step_that_fails_is_shortened_unless_it_promised_next_to_nothing(monkeypatch, near, budget, trials):
-    assembly, truth, problem = problem_of(KEYS, noise=1e-3, floor=1e-6)
+@pytest.mark.parametrize(
+    ("near", "floor", "budget", "trials"),
+    [(True, 1e-6, None, 1), (False, 1e-6, None, 5), (False, 1e-6, Budget(0.0), 1), (True, 1e-8, None, 5)],
+)
+def test_a_step_that_fails_is_shortened_unless_it_promised_next_to_nothing(monkeypatch, near, floor, budget, trials):
+    """Far above the floor what it promises tells nothing."""
+    assembly, truth, problem = problem_of(KEYS, noise=1e-3, floor=floor)
     unknowns = truth if near else away(assembly, truth)
     start = simulate_at(assembly, unknowns, problem)
     start = estimate(start, problem, iterations=10) if near else start
@@ -71,6 +83,28 @@ def test_a_step_that_fails_is_shortened_unless_it_promised_next_to_nothing(monke
     monkeypatch.setattr(module, "_trial", lambda *_: tried.append(1))
     assert estimate(start, problem, iterations=10, budget=budget) is start
     assert len(tried) == trials
+
+
+def test_what_a_record_shows_before_its_delayed_drive_arrives_is_not_judged():
+    assembly, unknowns, problem = problem_of(["input_delay"], noise=1e-3, floor=1e-6)
+    at = assembly.common_of(0)
+    unknowns.common[at] = 3.4 * problem.drive.dt
+    first = problem.drive.row_firsts[1]
+
+    def cost(row):
+        outputs = problem.drive.outputs.copy()
+        outputs[row] += 100.0
+        return simulate_at(assembly, unknowns, replace(problem, drive=replace(problem.drive, outputs=outputs))).cost
+
+    untouched = simulate_at(assembly, unknowns, problem)
+    assert [cost(row) == untouched.cost for row in (0, 3, 4, first, first + 3, first + 4)] == [True, True, False] * 2
+    gram, _ = normal_equations(untouched, problem, sensitivity_of(untouched, problem))
+    weights = weights_along(problem, untouched.trajectory)
+    assert not weights[first : first + 4].any()
+    assert weights[first + 4].all()
+    slopes = sensitivity_of(untouched, problem).common * weights
+    prior = assembly.prior()[1] ** -2.0
+    np.testing.assert_allclose(np.diag(gram)[: assembly.n_common], np.sum(slopes**2, axis=(1, 2)) + prior)
 
 
 def test_recovery_in_observer_form():
