@@ -180,7 +180,8 @@ def diagnosis_of(
     deviations = np.hypot(chance, grid_error(best))
     calibrated = calibrated_parameters(best.fitted, deviations)
     hits = tuple(item.name for item in calibrated if item.at_bound)
-    ranked = sorted(nodes, key=lambda node: node.held_out_level)
+    found = nodes if any(node is best for node in nodes) else [*nodes, best]
+    ranked = sorted(found, key=lambda node: node.held_out_level)
     before, after = _rmse(as_given, setup), _rmse(best, setup)
     return Diagnosis(
         status=decision.status,
