@@ -6,7 +6,7 @@ from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.held_out import rested
 from modal.discrepancy.nodes import Node, Task, node_of, polished
-from modal.discrepancy.observed_fits import SOFT, observed_fits
+from modal.discrepancy.observed_fits import CLEAR, SOFT, observed_fits
 from modal.discrepancy.promising import seen
 from modal.discrepancy.settling import settled_stiffness
 from modal.discrepancy.simpler_laws import Law, is_limit, simple_first
@@ -53,9 +53,17 @@ def expand(node: Node, task: Task) -> list[Node]:
         return []
     if node.held_out_level <= ENOUGH and candidates[0].fall < WORTH_A_TRY:
         return []
-    fitted = _worth(observed_fits(node, observed, candidates, task), observed)
-    runs, found = _free_runs(_ordered(_leading(fitted, RUNS)), task, node)
-    return _judged(_leading(runs, FINALISTS), task, found, reach=REACH_SHARP if node.effects else REACH)
+    found: list[Node] = []
+    while candidates and not _clear(found, node):
+        fits, candidates = observed_fits(node, observed, candidates, task)
+        runs, known = _free_runs(_ordered(_leading(_worth(fits, observed), RUNS)), task, node)
+        found += _judged(_leading(runs, FINALISTS), task, known, reach=REACH_SHARP if node.effects else REACH)
+    return found
+
+
+def _clear(found: Sequence[Node], node: Node) -> bool:
+    """Whether one explains nearly everything in free run too: in observer form the outputs hide what is left."""
+    return any(one.fit_level - 1.0 <= CLEAR * (node.fit_level - 1.0) for one in found)
 
 
 def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node], *, reach: float) -> list[Node]:

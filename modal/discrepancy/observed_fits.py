@@ -16,7 +16,7 @@ from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import within_reach
 from okid.arrays import FloatArray
 
-__all__ = ["SOFT", "observed_fits", "observed_form", "weaker_form"]
+__all__ = ["CLEAR", "SOFT", "observed_fits", "observed_form", "weaker_form"]
 
 MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
 """A fit in observer form ends after so many iterations, or when one gains less than the second share."""
@@ -89,7 +89,9 @@ def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: floa
     )
 
 
-def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task) -> list[Estimate]:
+def observed_fits(
+    node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task
+) -> tuple[list[Estimate], list[Candidate]]:
     """Candidates fitted in observer form, from calibrated linear parameters or from those given.
 
     A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
@@ -102,8 +104,8 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         task: Records to fit.
 
     Returns:
-        Those that could be simulated, that no other one outdid before they were begun, and for which the budget was
-        enough; those that cannot lead any more as far as they came.
+        Those that could be simulated, and for which the budget was enough; those that cannot lead any more as far as
+        they came. Beside them the candidates that another one outdid before they were begun.
     """
     smoothing = _first_smoothing(node, observed, task)
 
@@ -120,14 +122,16 @@ def observed_fits(node: Node, observed: Estimate, candidates: Sequence[Candidate
         if other is not None and (first is None or other.fit.cost < BETTER * first.fit.cost):
             first, linear = other, "given"
     race = [] if first is None else [first]
+    left_out: list[Candidate] = []
     for candidate in candidates[1:]:
         if any(_outdone(candidate, one, observed) for one in race):
+            left_out.append(candidate)
             continue
         if not budget.allows():
             break
         one = begin(candidate, linear)
         race += [] if one is None else [one]
-    return _finished(race, task, budget)
+    return _finished(race, task, budget), left_out
 
 
 def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:

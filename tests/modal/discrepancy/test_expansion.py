@@ -122,7 +122,8 @@ def test_all_start_from_the_linear_parameters_that_lead_the_first_further(
     coarse = SimpleNamespace(assembly=fitted.assembly, at_bounds=np.array([at_bound, False]))
     node, task = SimpleNamespace(coarse=coarse, effects=effects), SimpleNamespace(budget=Budget())
     candidates = [SimpleNamespace(key="cubic_stiffness", where=name, fall=0.5) for name in "abc"]
-    found = observed_fits(node, fitted, candidates, task)
+    found, left_out = observed_fits(node, fitted, candidates, task)
+    assert left_out == []
     assert [(one.where, one.linear) for one in found] == [(name, begin) for name in "abc"]
     assert {linear for candidate, linear in tried if candidate != "a"} == {begin}
 
@@ -167,11 +168,30 @@ def test_what_is_outdone_is_not_begun_and_does_not_ask_for_work(current, monkeyp
     candidates = [candidate_of(key, fall) for key, fall in (("a", 0.8), ("b", 0.5), ("c", 0.3))]
     task = SimpleNamespace(budget=Budget())
     observed = SimpleNamespace(level=50.0)
-    observed_fits(SimpleNamespace(coarse=coarse, effects=()), observed, candidates, task)
-    assert begun == ["a", "b"]
+    _, left_out = observed_fits(SimpleNamespace(coarse=coarse, effects=()), observed, candidates, task)
+    assert (begun, left_out) == (["a", "b"], candidates[2:])
     spent = SimpleNamespace(budget=Budget(0.0))
     observed_fits(SimpleNamespace(coarse=coarse, effects=()), observed, [candidates[0], candidates[2]], spent)
     assert not spent.budget.spent
+
+
+@pytest.mark.parametrize(("level", "begun"), [(2.0, [["a", "b", "c"]]), (40.0, [["a", "b", "c"], ["c"]])])
+def test_what_was_left_out_is_fitted_where_the_leader_fails_in_free_run(monkeypatch, level, begun):
+    """An observer that follows the outputs closely hides how much a model leaves."""
+    asked = []
+
+    def fits(_node, _observed, candidates, _task):
+        asked.append([one.key for one in candidates])
+        return [], [one for one in candidates if one.key == "c" and len(asked) == 1]
+
+    candidates = [candidate_of(key, fall) for key, fall in (("a", 0.8), ("b", 0.5), ("c", 0.3))]
+    monkeypatch.setattr(module, "seen", lambda *_: (None, candidates))
+    monkeypatch.setattr(module, "observed_fits", fits)
+    monkeypatch.setattr(module, "_free_runs", lambda *_: ([], {}))
+    monkeypatch.setattr(module, "_judged", lambda *_, **__: [SimpleNamespace(fit_level=level)])
+    node = SimpleNamespace(held_out_level=50.0, fit_level=50.0, effects=())
+    module.expand(node, None)
+    assert asked == begun
 
 
 def test_nothing_is_outdone_beside_a_model_that_explains_the_data_as_it_is():
