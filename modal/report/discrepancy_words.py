@@ -124,7 +124,7 @@ def finding_sentence(finding: Finding) -> str:
 def runner_up_sentence(finding: Finding) -> str:
     """Which other hypothesis came nearest, and by how much the finding leads it."""
     if finding.runner_up is None:
-        return "No other hypothesis could be fitted in its place."
+        return "No other hypothesis was worth a fit in its place."
     other = effects_text(finding.runner_up.effects)
     margin = finding.evidence.margin
     if not math.isfinite(margin):

@@ -121,7 +121,7 @@ def test_the_runner_up_and_its_lead(diagnosis, margin, said):
 
 
 def test_without_a_runner_up_nothing_is_compared(diagnosis):
-    assert words.runner_up_sentence(diagnosis.findings[1]) == "No other hypothesis could be fitted in its place."
+    assert words.runner_up_sentence(diagnosis.findings[1]) == "No other hypothesis was worth a fit in its place."
 
 
 def test_a_runner_up_that_ran_away_has_no_size(diagnosis):
