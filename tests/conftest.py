@@ -17,6 +17,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY / "tests" / "reference"))  # `from systems import random_system`
 sys.path.insert(0, str(REPOSITORY / "tests" / "hidden_effects"))  # `from hidden_cases import cases`
+sys.path.append(str(REPOSITORY / "tests" / "benchmarks"))  # `from hidden_scoring import outcome`
 
 
 @pytest.fixture(scope="session")
