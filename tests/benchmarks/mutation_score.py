@@ -34,7 +34,18 @@ ALSO = {
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""
-EQUIVALENT: dict[tuple[str, str, str], str] = {}
+EQUIVALENT = {
+    ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
+        "one lag more than needed meets no row and column"
+    ),
+    ("modal/indicators.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
+        "NumPy takes any negative size for the open one"
+    ),
+    ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
+    ("okid/regression.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
+        "two exact ways to one solution; which is taken at the border costs the same"
+    ),
+}
 """{(file, mutated line, what was done): why nobody may notice}."""
 
 COMPARISONS = {
