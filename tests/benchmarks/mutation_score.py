@@ -30,13 +30,17 @@ CORE = (
     "era/decomposition.py", "modal/extraction.py", "modal/indicators.py", "modal/probability.py",
 )  # fmt: skip
 ALSO = {
-    "era/decomposition.py": ("tests/era/test_realisation.py", "tests/era/test_randomised.py"),
+    "era/decomposition.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""
 EQUIVALENT = {
     ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
         "one lag more than needed meets no row and column"
+    ),
+    ("era/decomposition.py", "order: int = self.A.shape[0]", "one more"): "A is square",
+    ("era/balanced.py", "if 1 < end <= rank and end < singular_values.size:", "Lt to LtE"): (
+        "with no value beyond the end there is no drop there that the rule could take for a gap"
     ),
     ("modal/indicators.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
         "NumPy takes any negative size for the open one"

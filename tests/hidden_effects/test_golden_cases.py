@@ -18,12 +18,12 @@ from modal.discrepancy import diagnose
 
 NAMED = {
     "1dof_displacement": (*range(3000, 3013), *range(3014, 3018)),
-    "1dof_accelerometer": (3001, 3003, 3004, 3005, 3006, 3007, 3010, 3011, 3012, 3014, 3015),
-    "motor_propeller": (3000, 3001, 3002, 3003, 3010, 3013, 3017),
-    "motor_friction": (3002, 3005, 3006),
-    "tank": (3000, 3001, 3002, 3003, 3010, 3011),
+    "1dof_accelerometer": (3001, 3004, 3005, 3006, 3007, 3010, 3011, 3012, 3014),
+    "motor_propeller": (3000, 3001, 3002, 3003, 3005, 3010, 3011, 3013, 3017),
+    "motor_friction": (3002, 3005),
+    "tank": (3000, 3001, 3002, 3003, 3004, 3006, 3010, 3011),
     "3dof_displacement": (3000, 3004, 3005),
-    "3dof_accelerometers": (3002, 3003),
+    "3dof_accelerometers": (3002,),
     "state_space": (3003, 3005),
     "two_effects": (3004,),
     "weak_effects": (3000,),
