@@ -10,7 +10,9 @@ from types import FrameType
 __all__ = ["stop_no_more", "stop_politely", "uninterrupted"]
 
 _STOPS = tuple(
-    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
+    number
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    if (number := getattr(signal, name, None)) is not None
 )
 _AGAIN_AFTER = 3.0
 """Seconds within which a second request is taken for the same one: it must not stop the clearing up."""

@@ -8,6 +8,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -16,6 +17,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY / "tests" / "reference"))  # `from systems import random_system`
 sys.path.insert(0, str(REPOSITORY / "tests" / "hidden_effects"))  # `from hidden_cases import cases`
+sys.path.append(str(REPOSITORY / "tests" / "benchmarks"))  # `from hidden_scoring import outcome`
 
 
 @pytest.fixture(scope="session")
@@ -24,13 +26,43 @@ def repository() -> Path:
     return REPOSITORY
 
 
+UNSEEN = "no measured record "
+
+
+class MeasuredRecords:
+    """Measured records in a folder beside the repository: `shared_data / "name"` is the path of one.
+
+    A test that asks for one that is not there is skipped, and the last lines of the run say which were not seen.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __truediv__(self, name: str) -> Path:
+        if not (self.folder / name).exists():
+            pytest.skip(f"{UNSEEN}{name}")
+        return self.folder / name
+
+
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """Measured records beside the repository; tests that need them are skipped where they are not."""
-    folder = REPOSITORY.parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip(f"no measured records at {folder.parent.name}/{folder.name} beside the repository")
-    return folder
+def shared_data() -> MeasuredRecords:
+    """Measured records beside the repository."""
+    return MeasuredRecords(REPOSITORY.parent / "shared" / "data")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterator[None]:
+    """Say last how many measured records this run has not seen; reports come from all workers."""
+    yield
+    reasons = [str(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", [])]
+    unseen = [reason.partition(UNSEEN)[2] for reason in reasons if UNSEEN in reason]
+    if unseen:
+        names = sorted(set(unseen))
+        terminalreporter.section("measured records")
+        terminalreporter.line(
+            f"{len(names)} measured records not seen, {len(unseen)} tests skipped: there is no ../shared/data/ with "
+            + ", ".join(names)
+        )
 
 
 # in CI the same examples every time, so that a red run means a change; elsewhere new ones every time

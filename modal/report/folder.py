@@ -123,7 +123,11 @@ def _make_parents(target: Path) -> list[Path]:
 
 
 def _move(temporary: Path, target: Path) -> None:
-    """One rename for a new folder; file by file, each at once, into one that exists."""
+    """One rename for a new folder; file by file, each at once, into one that exists.
+
+    Where open files are locked (Windows), renaming one to its own name fails, and so does the whole before anything
+    is replaced; elsewhere that does nothing.
+    """
     if not target.exists():
         mask = os.umask(0)
         os.umask(mask)
@@ -131,7 +135,11 @@ def _move(temporary: Path, target: Path) -> None:
         temporary.rename(target)
         return
     with uninterrupted():  # stopped half-way, it would leave files of two reports side by side
-        for path in sorted(temporary.iterdir()):
+        files = sorted(temporary.iterdir())
+        for there in (target / path.name for path in files):
+            if there.exists():
+                there.replace(there)
+        for path in files:
             path.replace(target / path.name)
         temporary.rmdir()
 

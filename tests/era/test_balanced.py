@@ -226,7 +226,7 @@ def test_pure_feedthrough_is_a_model_of_order_zero():
 def test_an_order_above_the_rank_is_an_error_with_numbers():
     parameters = parameters_of(random_system(np.random.default_rng(0)))
     for method in ("full", "randomised"):
-        with pytest.raises(InsufficientDataError, match=r"model order 8 .* numerical rank 6 .* at most 6"):
+        with pytest.raises(InsufficientDataError, match=r"model order 8 .* numerical rank 6 .* at most 6") as told:
             realise(parameters, order=8, method=method)
 
 

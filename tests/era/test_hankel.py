@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from era.hankel import BlockHankelOperator, _smooth_length, block_hankel, block_sizes, hankel_energy
+from era.hankel import BlockHankelOperator, block_hankel, block_sizes, hankel_energy
 from okid.errors import InsufficientDataError, InvalidDataError
 
 
@@ -47,10 +47,28 @@ def test_products_equal_those_of_the_matrix(size, products):
     np.testing.assert_allclose(operator.transpose_times(left), matrix.T @ left, atol=1e-12)
 
 
-def test_large_matrix_is_not_built():
-    operator = BlockHankelOperator.of(np.zeros((4001, 8, 2)), 2000, 2000)
-    assert operator.matrix is None
-    assert operator.spectrum is not None
+def test_a_large_matrix_is_not_built_and_a_small_one_is():
+    large = BlockHankelOperator.of(np.zeros((4001, 8, 2)), 2000, 2000)
+    assert large.matrix is None
+    assert large.spectrum is not None
+    small = BlockHankelOperator.of(np.zeros((21, 2, 2)), 10, 10)
+    assert small.matrix is not None
+    assert small.spectrum is None
+
+
+def test_without_inputs_there_are_rows_and_no_columns():
+    assert block_hankel(np.zeros((6, 3, 0)), 2, 3).shape == (6, 0)
+
+
+@pytest.mark.parametrize("products", ["dense", "fft"])
+def test_as_many_lags_as_needed_are_enough_and_one_less_is_not(products):
+    markov = np.ones((5, 1, 1))
+    assert block_hankel(markov, 2, 3).shape == (2, 3)
+    assert BlockHankelOperator.of(markov, 2, 3, products=products).shape == (2, 3)
+    with pytest.raises(InsufficientDataError, match="up to lag 4, but there are 3"):
+        BlockHankelOperator.of(markov[:4], 2, 3, products=products)
+    with pytest.raises(InsufficientDataError, match="up to lag 5, but there are 4"):
+        block_hankel(markov, 2, 3, shift=1)
 
 
 @given(sizes)
@@ -71,7 +89,8 @@ def test_transform_length_is_the_smallest_product_of_2_3_and_5(least):
         if rest == 1:
             break
         length += 1
-    assert _smooth_length(least) == length
+    operator = BlockHankelOperator.of(np.zeros((least + 1, 1, 1)), least, 1, products="fft")
+    assert operator.n_transform == length
 
 
 @given(st.integers(2, 500), st.integers(1, 20), st.integers(1, 20))
@@ -84,6 +103,17 @@ def test_default_sizes_use_every_lag_and_neither_side_is_short(n_lags, n_outputs
 def test_one_given_size_leaves_the_rest_to_the_other():
     assert block_sizes(100, 2, 2, n_block_rows=30) == (30, 70)
     assert block_sizes(100, 2, 2, n_block_columns=30) == (70, 30)
+    assert block_sizes(100, 2, 2, n_block_columns=1) == (99, 1)
+    assert block_sizes(100, 2, 2, n_block_rows=1) == (1, 99)
+    assert block_sizes(100, 2, 2, n_block_rows=20, n_block_columns=80) == (20, 80)
+
+
+@pytest.mark.parametrize(
+    ("channels", "sizes"), [((2, 2), (45, 45)), ((16, 1), (30, 60)), ((1, 16), (60, 30)), ((3, 2), (36, 54))]
+)
+def test_shares_follow_the_channels_between_a_third_and_two_thirds(channels, sizes):
+    assert block_sizes(90, *channels) == sizes
+    assert block_sizes(2, *channels) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -101,5 +131,7 @@ def test_wrong_sizes_are_errors():
         block_sizes(1, 1, 1)
     with pytest.raises(InvalidDataError, match="n_block_rows must be a whole number of at least 1, but is 0"):
         block_sizes(10, 1, 1, n_block_rows=0)
+    with pytest.raises(InvalidDataError, match="n_block_columns must be a whole number of at least 1, but is 0"):
+        block_sizes(10, 1, 1, n_block_columns=0)
     with pytest.raises(InsufficientDataError, match="up to lag 9, but there are 5"):
         block_hankel(np.zeros((6, 1, 1)), 5, 5)

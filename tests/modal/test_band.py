@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.band import COHERENT, _upper_frequency, coherent_band
+from modal.band import COHERENT, coherent_band
 from okid.record import Record
 
 
@@ -134,17 +134,3 @@ def test_chance_coherence_is_taken_off():
     rng = np.random.default_rng(7)
     band = coherent_band([Record(rng.standard_normal((3000, 2)), rng.standard_normal((3000, 3)), 0.01)])
     assert 0.0 < band.coherence.mean() < 0.03
-
-
-@pytest.mark.parametrize(("n_lines", "upper"), [(0, 20), (1, 20), (2, 20), (3, 82)])
-def test_one_lucky_line_does_not_decide(n_lines, upper):
-    """Three neighbouring lines must agree."""
-    coherence = np.zeros((101, 1))
-    coherence[:20] = 0.9
-    coherence[80 : 80 + n_lines] = 0.6
-    found = _upper_frequency(np.arange(101.0), np.ones((101, 2, 2), complex), coherence)
-    assert found == pytest.approx(upper, abs=1)
-
-
-def test_no_coherent_lines_no_band():
-    assert _upper_frequency(np.arange(101.0), np.ones((101, 2, 2), complex), np.zeros((101, 1))) is None

@@ -296,3 +296,16 @@ def test_one_block_alone_has_nothing_to_compare():
     model = textbook_era(markov(truth, 40), 30, 1, 2)
     realisation = realisation_from(model)
     assert np.isnan(amplitude_coherence(realisation.factors, modal_basis(realisation))).all()
+
+
+@pytest.mark.parametrize(("n_columns", "known"), [(1, False), (2, True)])
+def test_two_blocks_of_columns_are_enough_to_compare_and_one_pole_enough_to_judge(n_columns, known):
+    """One real pole: its exact row of the block Hankel matrix is the geometric sequence itself."""
+    h = 0.7 ** np.arange(-1.0, 12.0)[:, np.newaxis, np.newaxis]
+    model = textbook_era(h, 4, n_columns, 1)
+    found = realisation_from(model)
+    coherence = amplitude_coherence(found.factors, modal_basis(found))
+    assert coherence.shape == (1,)
+    assert np.isnan(coherence[0]) != known
+    if known:
+        assert coherence[0] == pytest.approx(1.0, abs=1e-12)

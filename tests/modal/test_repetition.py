@@ -1,19 +1,16 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.balanced import decompose, realise
 from modal.extraction import extract_modes
 from modal.ground import markov_lags
-from modal.repetition import _carried, _every_second_block, _other_orders, repeat
-from okid.gram import lag_gram
+from modal.repetition import repeat
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.recovery import recover_markov
-from okid.scaling import channel_scaling
 
 
 def a_record(seed, n_samples=1500, *, noise=0.03):
@@ -34,46 +31,6 @@ def repeated(records, *, observer_order=20, ridge=1e-4, model_order=4):
         model_order=model_order,
         decomposition=decompose(markov, max_order=24),
     )
-
-
-@pytest.mark.parametrize("n_samples", [9, 100, 1003])
-def test_halves_share_no_row_and_leave_none(n_samples):
-    half = _every_second_block(n_samples)
-    edges = np.flatnonzero(np.diff(half.astype(int))) + 1
-    assert half[0]
-    assert abs(int(half.sum()) - n_samples / 2) <= 5
-    if n_samples >= 10:
-        assert edges.size == 9  # ten blocks, every second one
-        assert np.diff([0, *edges, n_samples]).max() <= n_samples // 10 + 1
-
-
-@pytest.mark.parametrize(
-    ("order", "largest", "others"),
-    [
-        (4, 64, [6]),  # 0.85 and 1.2 of it are 4 again, so the next pair decides
-        (6, 64, [8]),
-        (8, 64, [6, 10, 12]),
-        (20, 64, [16, 18, 22, 24, 28]),
-        (5, 64, [4, 6, 7]),
-        (1, 64, [2]),
-        (20, 23, [16, 18, 22]),
-        (20, 20, []),  # exact data have no higher order, and a lower one alone says nothing
-        (4, 5, []),
-    ],
-)
-def test_other_orders_lie_around_and_keep_pairs_whole(order, largest, others):
-    found = _other_orders(order, largest)
-    if order == 20 and largest == 64:
-        assert set(found) <= set(others)
-        assert {22, 28} <= set(found)
-        assert min(found) < 20
-    elif order == 20 and others:
-        assert found[-1] == 22
-        assert found[0] < 20
-    else:
-        assert found == others
-    if order % 2 == 0:
-        assert all(n % 2 == 0 for n in found)
 
 
 def test_what_is_repeated():
@@ -106,7 +63,7 @@ def test_a_half_sees_its_own_rows_only():
     """The first half is exact, the second lost: only the first can be repeated, and exactly."""
     system, record = a_record(3, noise=0.0)
     order = 8
-    mine = _every_second_block(record.n_samples)
+    mine = np.arange(record.n_samples) * 10 // record.n_samples % 2 == 0  # ten blocks, every second one
     outputs = np.where(mine[:, np.newaxis], record.outputs, np.nan)
     runs = repeated([replace(record, outputs=outputs)], observer_order=order, ridge=0.0).runs
     assert [run.label for run in runs if run.change == "data"] == ["first half"]
@@ -140,20 +97,6 @@ def test_a_half_gets_an_observer_that_its_rows_can_carry():
     for run in repeated([record], observer_order=longest, ridge=0.0).runs[:2]:
         for pole in system.poles:
             assert min(abs(mode.pole - pole) / abs(pole) for mode in run.modes) < 0.01
-
-
-@pytest.mark.parametrize(
-    ("n_samples", "given", "carried"),
-    [
-        (910, 10, 10),  # 900 rows carry an order of 100: the given one stays
-        (280, 60, 24),  # 220 rows, 3 channels, 3 rows an unknown
-        (40, 20, 4),  # 20 rows carry 2, but 8 states need at least 4 past samples of 2 outputs
-    ],
-)
-def test_the_observer_of_a_half(n_samples, given, carried):
-    _, record = a_record(7, n_samples=n_samples)
-    gram = lag_gram([record], given, scaling=channel_scaling([record]))
-    assert _carried(gram, 8).order == carried
 
 
 def test_the_other_observer_has_the_order_and_the_ridge_of_its_label():

@@ -111,6 +111,8 @@ def test_truncated_is_the_leading_part():
     V = naive_regressors([record], 6, scaling)[:, : 1 + 3 * 3]
     assert gram.truncated(2).n_rows == 194
     assert np.abs(gram.truncated(2).matrix - V.T @ V).max() < 1e-11 * 194
+    assert np.array_equal(gram.truncated(6).matrix, gram.matrix)
+    assert np.array_equal(gram.truncated(0).matrix, gram.matrix[:4, :4])
     with pytest.raises(InvalidDataError, match="holds orders 0 to 6, not 7"):
         gram.truncated(7)
 

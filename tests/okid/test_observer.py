@@ -1,5 +1,6 @@
 """OKID on exact data: Markov parameters equal C A^(k-1) B whatever the initial state, units, offsets and gaps."""
 
+import re
 import warnings
 
 import numpy as np
@@ -73,6 +74,36 @@ def test_missing_samples_drop_only_the_rows_they_touch():
     fit = fit_observer(Record(u, y, record.dt), order=4)
     assert fit.n_rows == 1200 - 4 - 6 - 5 - 5
     assert relative_error(recover_markov(fit, n_lags=N_LAGS).system, markov(system, N_LAGS)) < 1e-10
+
+
+def equation_written_out(record, order):
+    """Rows [1, u(k), u(k-1), y(k-1), u(k-2), y(k-2), ...] of the observer equation and the outputs y(k)."""
+    u, y, n = record.inputs, record.outputs, record.n_samples
+    columns = [np.ones((n - order, 1)), u[order:]]
+    for lag in range(1, order + 1):
+        columns += [u[order - lag : n - lag], y[order - lag : n - lag]]
+    return np.hstack(columns), y[order:]
+
+
+def test_all_of_a_fit_is_that_of_the_equation_written_out():
+    """Coefficients, offset and residual covariance in the record's own units, against plain least squares."""
+    rng = np.random.default_rng(21)
+    u = random_inputs(rng, 900, 2) * [3.0, 0.2] + [5.0, -0.7]
+    system = random_system(rng, n_modes=2, n_inputs=2, n_outputs=3)
+    clean = simulate(system, u) * [10.0, 1.0, 0.1]
+    y = with_noise(rng, clean, 0.2) + np.array([40.0, 0.0, -3.0])
+    record = Record(u, y, system.dt)
+    fit = fit_observer(record, order=3)
+    rows, outputs = equation_written_out(record, 3)
+    x, *_ = np.linalg.lstsq(rows, outputs, rcond=None)
+    left = outputs - rows @ x
+    lags = x[3:].reshape(3, 5, 3).transpose(0, 2, 1)
+    np.testing.assert_allclose(fit.offset, x[0], rtol=1e-8)
+    np.testing.assert_allclose(fit.feedthrough, x[1:3].T, rtol=1e-7, atol=1e-9 * np.abs(x).max())
+    np.testing.assert_allclose(fit.input_coefficients, lags[:, :, :2], rtol=1e-7, atol=1e-9 * np.abs(x).max())
+    np.testing.assert_allclose(fit.output_coefficients, lags[:, :, 2:], rtol=1e-7, atol=1e-9 * np.abs(x).max())
+    assert (fit.n_rows, fit.n_parameters, fit.rank) == (897, 18, 18)
+    np.testing.assert_allclose(fit.residual_covariance, left.T @ left / (897 - 18), rtol=1e-7)
 
 
 def test_output_only_is_an_autoregression():
@@ -201,15 +232,38 @@ class TestWarnings:
         spectrum[int(0.6 * spectrum.size) :] = 0.0
         u = np.fft.irfft(spectrum)[:, np.newaxis]
         record = Record(u, simulate(system, u), system.dt)
-        with pytest.warns(IdentificationWarning, match="inputs do not excite enough for observer order 30"):
+        with pytest.warns(IdentificationWarning, match="inputs do not excite enough for observer order 30") as warned:
             fit_observer(record, order=30)
+        assert warned[0].filename == __file__
+
+    @pytest.mark.parametrize("ridge", [0.0, 1e-10])
+    def test_the_condition_number_is_that_of_the_inputs_lags_less_their_means(self, ridge):
+        rng = np.random.default_rng(15)
+        u = rng.standard_normal(2000)
+        u = np.column_stack([u + 7.0, u + 3e-5 * rng.standard_normal(2000)])
+        y = np.convolve(u[:, 0], 0.9 ** np.arange(50))[:2000] + 0.1 * rng.standard_normal(2000)
+        record = Record(u, y, 0.1)
+        with pytest.warns(IdentificationWarning, match="do not excite enough") as warned:
+            fit = fit_observer(record, order=4, ridge=ridge)
+        lags = np.hstack([u[4 - lag : 2000 - lag] / fit.input_scale for lag in range(5)])
+        extra = np.sqrt(ridge * len(lags) * np.repeat(np.arange(1.0, 6.0), 2))
+        values = np.linalg.svd(np.vstack([lags - lags.mean(axis=0), np.diag(extra)]), compute_uv=False)
+        said = re.search(r"their 5 lags have condition number ([0-9.e+]+)", str(warned[0].message)).group(1)
+        assert said == f"{values[0] / values[-1]:.1e}"
+
+    def test_an_input_twice_has_the_largest_condition_number_that_doubles_hold(self):
+        u, y = np.random.default_rng(16).standard_normal((2, 500))
+        with pytest.warns(IdentificationWarning, match="condition number 6.7e.07"):
+            fit_observer(Record(np.column_stack([u, u]), y, 0.1), order=1)
 
     def test_outputs_that_repeat_each_other_are_reported(self):
         rng = np.random.default_rng(6)
         u = rng.standard_normal(2000)
         y = np.convolve(u, 0.9 ** np.arange(50))[:2000] + 0.1 * rng.standard_normal(2000)
-        with pytest.warns(IdentificationWarning, match="nearly dependent"):
+        with pytest.warns(IdentificationWarning, match="nearly dependent") as warned:
             fit_observer(Record(u, np.column_stack([y, 2 * y]), 0.1), order=5)
+        assert warned[0].filename == __file__
+        assert "12 of 17 directions kept" in str(warned[0].message)
 
     def test_good_data_give_none(self):
         system = random_system(np.random.default_rng(7))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import InvalidDataError
+from okid.errors import InvalidDataError, NumericalError
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.recovery import recover_arrays, recover_markov, recover_system
@@ -95,3 +95,25 @@ def test_lags_that_are_none(n_lags):
     u, y = np.random.default_rng(5).standard_normal((2, 100))
     with pytest.raises(InvalidDataError, match="n_lags must be a whole number"):
         recover_markov(fit_observer(Record(u, y, 0.1), order=1), n_lags=n_lags)
+
+
+def test_lags_are_twice_the_order_and_at_least_20_unless_given():
+    rng = np.random.default_rng(5)
+    record = Record(rng.standard_normal(400), rng.standard_normal(400), 0.1)
+    short, long = (fit_observer(record, order=order, ridge=0.0) for order in (3, 15))
+    assert recover_markov(short).n_lags == 20
+    assert recover_markov(long).n_lags == 30
+    assert recover_markov(long, n_lags=1).n_lags == 1
+    with pytest.raises(InvalidDataError, match="n_lags must be a whole number of at least 1, but is 0"):
+        recover_markov(long, n_lags=0)
+
+
+def test_markov_parameters_beyond_all_numbers_are_refused():
+    rng = np.random.default_rng(6)
+    u, y = rng.standard_normal(30), np.zeros(30)
+    for k in range(1, 30):
+        y[k] = 3.0 * y[k - 1] + u[k - 1]
+    fit = fit_observer(Record(u, y, 0.1), order=1, ridge=0.0)
+    assert recover_markov(fit, n_lags=600).system[-1].item() > 1e250
+    with pytest.raises(NumericalError, match="order 1 overflow within 2000 lags"):
+        recover_markov(fit, n_lags=2000)

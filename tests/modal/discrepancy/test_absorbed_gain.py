@@ -6,7 +6,6 @@ import pytest
 import scipy
 
 from modal.discrepancy import diagnose
-from modal.discrepancy.given import given_model
 from okid.record import Record
 
 DT, N = 0.02, 1500
@@ -44,37 +43,13 @@ def records(rng, gain):
         yield Record(u, y, DT)
 
 
-@pytest.mark.parametrize("stiffnesses", [(800.0, 1200.0, 800.0), (920.0, 960.0, 848.0)])
-def test_a_stiffness_that_is_far_off_is_no_gain(stiffnesses):
-    """The calibration moves as far as it does for a gain, and a gain does not save it."""
-    rng = np.random.default_rng(7)
-    model = as_given(rng, stiffnesses)
-    first, second, held_out = records(rng, 1.0)
-    found = diagnose(model, [first, second], held_out, sensor_kind="displacement")
-    assert (found.status, found.findings) == ("none", ())
-
-
-def test_a_gain_beside_an_effect_that_the_model_has_already():
-    rng = np.random.default_rng(7)
-    plain = as_given(rng)
-    first, second, held_out = records(rng, 0.6)
-    model = given_model(plain, [first], sensor_kind="displacement").model
-    model = model.with_effect("sensor_bias", "output_0", offset=0.0, slope=0.0)
-    found = diagnose(model, [first, second], held_out)
-    assert found.status == "unresolved"
-    assert ("sensor_gain", "output_1") in [(one.effect, one.where) for one in found.findings]
-
-
-@pytest.mark.parametrize("gain", [0.7, 1.0])
-def test_a_gain_that_a_free_calibration_takes_up_is_told_but_not_firm(gain):
+def test_a_gain_that_a_free_calibration_takes_up_is_told_but_not_firm():
+    gain = 0.7
     rng = np.random.default_rng(7)
     model = as_given(rng)
     first, second, held_out = records(rng, gain)
     found = diagnose(model, [first, second], held_out, sensor_kind="displacement")
     assert any(one.name.startswith("internal force") for one in found.calibrated)
-    if gain == 1.0:
-        assert (found.status, found.findings) == ("none", ())
-        return
     assert found.status == "unresolved"
     [finding] = found.findings
     assert (finding.effect, finding.where) == ("sensor_gain", "output_1")

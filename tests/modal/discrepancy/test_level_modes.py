@@ -1,7 +1,6 @@
 """Modes against level: linear truth, equivalent linear systems of nonlinear laws, and what is not known."""
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from nonlinear_chain import no_force, run_chain
 from systems import chain_matrices
 
 from modal.discrepancy.free_decay import decay_windows
-from modal.discrepancy.level_modes import HEAVY, LevelMode, LevelModes, level_modes, measured_modes, tendency
+from modal.discrepancy.level_modes import LevelModes, level_modes, tendency
 from modal.discrepancy.level_words import mode_statements
 from okid.record import Record
 
@@ -271,7 +270,7 @@ def test_chance_seldom_moves_a_mode():
     assert sum(word in ("rises", "falls", "mixed") for word in said) <= 3
 
 
-# --- deviations and words -------------------------------------------------------------------------------------------
+# --- deviations ------------------------------------------------------------------------------------------------------
 
 
 def test_deviations_are_those_of_realisations_of_a_nonlinear_structure():
@@ -295,38 +294,6 @@ def test_deviations_are_those_of_realisations_of_a_nonlinear_structure():
         said = np.sqrt(np.mean([getattr(mode, deviations) ** 2 for mode in modes], axis=0))
         assert (scatter / said < 3.5).all()
         assert (scatter / said > 0.15).all()
-
-
-def by_hand(frequencies, damping_ratios):
-    frequencies, damping_ratios = np.array(frequencies), np.array(damping_ratios)
-    mode = LevelMode(
-        number=1,
-        kind="oscillatory",
-        frequencies=frequencies,
-        frequency_stds=np.full(2, 1e-4),
-        damping_ratios=damping_ratios,
-        damping_ratio_stds=np.full(2, 1e-5),
-        assurances=np.ones(2),
-        frequency_tendency=tendency(frequencies, np.full(2, 1e-4), counts=2e-3),
-        damping_tendency=tendency(damping_ratios, np.full(2, 1e-5), counts=5e-2),
-    )
-    return LevelModes(levels=np.array([0.5, 1.0]), modes=(mode,), left_over=np.zeros((2, 1)), order=2, reason="")
-
-
-@pytest.mark.parametrize(
-    ("frequencies", "damping_ratios", "said"),
-    [
-        ([1.42, 1.48], [0.0088, 0.0055], ["a spring that hardens"]),
-        ([1.42, 1.425], [0.0088, 0.0188], ["drag-like"]),
-        ([1.42, 1.38], [0.02, 0.06], ["a spring that softens", "drag-like"]),
-        ([1.42, 1.42], [0.02, 0.02], ["No mode moves"]),
-    ],
-)
-def test_only_the_larger_movement_of_a_pole_is_said_unless_they_are_alike(frequencies, damping_ratios, said):
-    texts = [statement.text for statement in mode_statements(by_hand(frequencies, damping_ratios))]
-    assert len(texts) == len(said)
-    for text, words in zip(texts, said, strict=True):
-        assert words in text
 
 
 # --- free decays -----------------------------------------------------------------------------------------------------
@@ -399,48 +366,3 @@ def test_windows_that_miss_samples_are_left_out():
     windows = decay_windows([Record([], values, 0.04)])
     assert len(windows) == 5
     assert windows[0].start_time == pytest.approx(250 * 0.04)
-
-
-def pole(frequency, damping_ratio=0.01, kind="oscillatory"):
-    return SimpleNamespace(frequency=frequency, damping_ratio=damping_ratio, kind=kind)
-
-
-@pytest.mark.parametrize(
-    ("modes", "kept"),
-    [
-        ([pole(2.0), pole(5.0)], [0, 1]),
-        ([pole(2.0), pole(3.0, HEAVY + 0.01), pole(5.0)], [0, 2]),  # heavily damped beside lighter ones
-        ([pole(2.0), pole(3.0, HEAVY - 0.01), pole(5.0)], [0, 1, 2]),
-        ([pole(2.0, 0.7)], [0]),  # nothing lighter beside it: a structure may be damped so
-        ([pole(2.0), pole(48.0)], [0]),  # beyond what is sampled at 100 Hz
-        ([pole(2.0), pole(47.0)], [0, 1]),
-        ([pole(0.1, 1.0, "real"), pole(2.0)], [0, 1]),  # a real pole is no heavily damped mode
-        ([pole(49.0, 1.0, "real"), pole(2.0)], [1]),
-        ([], []),
-    ],
-)
-def test_only_what_may_be_measured_is_a_mode(modes, kept):
-    assert measured_modes(modes, 0.01) == kept
-
-
-def test_modes_are_counted_without_what_is_none(monkeypatch):
-    """A model with a computational mode between two of the structure numbers the structure's 1 and 2."""
-    from modal.discrepancy import level_modes as module
-
-    fits = [fit_of([pole(2.0), pole(3.0, 0.8), pole(5.0), pole(7.0, 1.0, "real")]) for _ in range(2)]
-    monkeypatch.setattr(module, "partners", lambda first, second: np.arange(len(first)))
-    found = module._paired(0, fits, fits[0], dt=0.01)
-    assert [(mode.number, mode.kind, mode.frequencies[0]) for mode in found] == [
-        (1, "oscillatory", 2.0),
-        (2, "oscillatory", 5.0),
-        (1, "real", 7.0),
-    ]
-
-
-def fit_of(modes):
-    for mode in modes:
-        mode.shape = np.array([1.0, 0.5])
-    n_modes = len(modes)
-    return SimpleNamespace(
-        modes=modes, frequency_stds=np.full(n_modes, 1e-3), damping_ratio_stds=np.full(n_modes, 1e-3)
-    )

@@ -1,0 +1,85 @@
+"""Sixty hidden cases from door to door: `diagnose` sees a wrong model and records, and finds what was hidden.
+
+The cases are made by an integrator of their own, with sharp laws; models and records go in through public names only.
+The seeds stand in no table of `modal/docs/discrepancy_confusion.md`. Nothing here is the product's own output: the
+truth is the generator's.
+"""
+
+import warnings
+
+import hidden_products
+import hidden_scoring
+import numpy as np
+import pytest
+from hidden_cases import hidden_case
+from hidden_kinds import KINDS
+
+from modal.discrepancy import diagnose
+
+NAMED = {
+    "1dof_displacement": (*range(3000, 3013), *range(3014, 3018)),
+    "1dof_accelerometer": (3001, 3004, 3005, 3006, 3007, 3010, 3011, 3012, 3014),
+    "motor_propeller": (3000, 3001, 3002, 3003, 3005, 3010, 3011, 3013, 3017),
+    "motor_friction": (3002, 3005),
+    "tank": (3000, 3001, 3002, 3003, 3004, 3006, 3010, 3011),
+    "3dof_displacement": (3000, 3004, 3005),
+    "3dof_accelerometers": (3002,),
+    "state_space": (3003, 3005),
+    "two_effects": (3004,),
+    "weak_effects": (3000,),
+}
+"""Named firmly, at the right place, with the right parameters, and nothing left above the noise."""
+NOTHING_HIDDEN = {"motor_propeller": (3004, 3009), "none": (3001, 3003, 3004, 3010)}
+NEVER_WRONG = {"1dof_displacement": (3013,)}
+"""Too weak to be named for certain: a sine of which the records show hardly more than the cubic term."""
+
+
+def each(table):
+    return [pytest.param(kind, seed, id=f"{kind}-{seed}") for kind, seeds in table.items() for seed in seeds]
+
+
+def diagnosed(kind, seed):
+    """(the line of the confusion benchmark, the case)."""
+    case = hidden_case(kind, seed)
+    fit, held_out = hidden_products.records_of(case)
+    options = hidden_products.options_of(case, diagnose)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = diagnose(hidden_products.model_of(case), fit, held_out, **options)
+    return hidden_scoring.outcome(case, found, seconds=0.0), case
+
+
+def most_left(case):
+    """Five deviations of a mean square of as many noise values as the held-out record has."""
+    return 1 + 5 * np.sqrt(2 / case.held_out[0].outputs.size)
+
+
+def test_there_are_sixty():
+    assert sum(len(each(table)) for table in (NAMED, NOTHING_HIDDEN, NEVER_WRONG)) == 60
+    every = {kind for table in (NAMED, NOTHING_HIDDEN) for kind in table}
+    assert every == set(KINDS)
+
+
+@pytest.mark.parametrize(("kind", "seed"), each(NAMED))
+def test_what_is_hidden_is_named(kind, seed):
+    line, case = diagnosed(kind, seed)
+    assert line["named_right"], (line["hidden"], line["found"])
+    assert line["place_right"], (line["hidden"], line["found"])
+    assert line["status"] == "named"
+    assert line["surplus"] == 0
+    assert 2 - most_left(case) < line["held_out_to_floor"] < most_left(case)
+    for score in line["parameters"]:
+        assert score["relative_error"] < score["tolerance"], score
+
+
+@pytest.mark.parametrize(("kind", "seed"), each(NOTHING_HIDDEN))
+def test_nothing_is_named_where_nothing_is_hidden(kind, seed):
+    line, case = diagnosed(kind, seed)
+    assert (line["status"], line["found"]) == ("none", [])
+    assert 2 - most_left(case) < line["held_out_to_floor"] < most_left(case)
+
+
+@pytest.mark.parametrize(("kind", "seed"), each(NEVER_WRONG))
+def test_no_firm_name_is_wrong(kind, seed):
+    line, _ = diagnosed(kind, seed)
+    assert not line["firm"] or (line["named_right"] and line["place_right"]), (line["hidden"], line["found"])
