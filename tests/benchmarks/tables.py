@@ -4,11 +4,12 @@ import re
 
 import numpy as np
 from goals import cost_goals, pooled, random_goals, record_goals
+from stamps import END, begin, commit_now
 
 TITLE = "# Leaderboard"
 ERRORS = ("frequency", "damping_ratio")
 ABOUT = (
-    "Written by the command below, not by hand; bold marks the best of a column, whoever it is. CPU times are of one "
+    "Written by a command, not by hand; bold marks the best of a column, whoever it is. CPU times are of one "
     "BLAS thread; ratios decide, seconds are a guide."
 )
 ABOUT_RANDOM = (
@@ -43,12 +44,11 @@ def document(sections, *, command):
         "",
         ABOUT,
         "",
-        *(part for section in sections for part in (section, "")),
-        "Command:",
+        begin("okid era modal tests/benchmarks tests/reference", [command]),
+        f"Measured at {commit_now()} by `{command}`; every contender in an environment of its own.",
         "",
-        "```",
-        command,
-        "```",
+        *(part for section in sections for part in (section, "")),
+        END,
     ]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 

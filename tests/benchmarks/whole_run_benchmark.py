@@ -41,7 +41,18 @@ STAGES = {
     "recording": ("modal.recording", "save_recording"),
 }
 """Stage: the start of the name of the module that defines its functions, and their names."""
-SHOWN = ("start", "read", "quality", "preparation", "search", "refinement", "verdict", "pictures", "report", "recording")
+SHOWN = (
+    "start",
+    "read",
+    "quality",
+    "preparation",
+    "search",
+    "refinement",
+    "verdict",
+    "pictures",
+    "report",
+    "recording",
+)
 ROOMS = ("modal.report", "modal.recording", "modal.plots", "modal.pipeline", "modal.quality", "modal.identification")
 """Imported before the functions are wrapped, where a checkout has them; a command imports them as it goes."""
 
