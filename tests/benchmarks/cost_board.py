@@ -184,4 +184,6 @@ def costs(only, work, rounds):
 
 
 if __name__ == "__main__":
+    if "--help" in sys.argv[1:]:
+        sys.exit(print(__doc__))
     time_one(*sys.argv[1:])

@@ -1,6 +1,6 @@
-"""Stamps of the figures in README and modal/docs: which command made them, at which commit, and whether they are stale.
+"""Stamps of the figures in README and modal/docs: the command that made them, the commit, and whether they are stale.
 
-    python tests/benchmarks/stamps.py --list              every block of figures: fresh or stale, and by how many commits
+    python tests/benchmarks/stamps.py --list              every block of figures, fresh or stale
     python tests/benchmarks/stamps.py --list --strict     exit status 1 where one is stale
     python tests/benchmarks/stamps.py --renew README.md   figures that were measured anew and put in by hand: of HEAD
 
@@ -14,7 +14,7 @@ A block begins and ends with a comment, and its first sentence says commit and c
 "by the command of each line" stands for the command where every line of the tables names its own. The hash is that of
 the Python files in `of` and of the command's script. Where it is another one today the figures are stale: they were
 true at that commit, and nobody has looked since. That breaks nothing; a stamp that is missing, or names what is not
-there, does (tests/contracts/test_figures.py). A table that holds no measured number says `<!-- no figures -->` above it.
+there, does (tests/contracts/test_figures.py). A table without measured numbers has `<!-- no figures -->` above it.
 """
 
 import argparse

@@ -32,8 +32,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "reference"), str(ROOT / "tests" / "benchmarks")]
 
 import numpy as np  # noqa: E402  threads and path are set above
-from structures import random_record  # noqa: E402  threads and path are set above
 from stamps import write_figures  # noqa: E402  threads and path are set above
+from structures import random_record  # noqa: E402  threads and path are set above
 from verdict_report import report  # noqa: E402
 
 FREQUENCY_TOLERANCE = 0.005

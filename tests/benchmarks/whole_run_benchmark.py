@@ -72,14 +72,14 @@ def made_record(size):
 def write_record(size, path):
     """The record as a CSV file with names and time."""
     import numpy as np
-    import pyarrow
-    import pyarrow.csv
+    from pyarrow import csv
+    from pyarrow import table as arrow_table
 
     inputs, outputs = made_record(size)
     columns = {"time": DT * np.arange(len(inputs))}
     columns |= {f"force_{i}": column for i, column in enumerate(inputs.T)}
     columns |= {f"place_{i}": column for i, column in enumerate(outputs.T)}
-    pyarrow.csv.write_csv(pyarrow.table(columns), path)
+    csv.write_csv(arrow_table(columns), path)
     return [name for name in columns if name.startswith("force")]
 
 
