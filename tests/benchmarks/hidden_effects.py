@@ -149,7 +149,7 @@ def main():
     tables = report(lines)
     print(tables)
     if options.write_docs:
-        write_figures(DOCUMENT, command_of(options), tables)
+        write_figures(DOCUMENT, command_of(options), tables, key="--write-docs")
 
 
 def command_of(options):

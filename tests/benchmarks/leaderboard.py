@@ -24,7 +24,16 @@ sys.path[:0] = [str(HERE.parent / "reference"), str(HERE.parents[1])]
 import random_board  # noqa: E402 - after the path is set
 from cost_board import costs  # noqa: E402
 from environments import CONTENDERS, contender, versions  # noqa: E402
-from tables import cost_table, document, random_table, records_table, settings_list, sweep_table  # noqa: E402
+from tables import (  # noqa: E402
+    WHO,
+    cost_table,
+    document,
+    random_table,
+    records_table,
+    settings_list,
+    sweep_table,
+    write_document,
+)
 
 PARTS = ("sweep", "random", "records", "cost")
 FIRST_SEED = 5000
@@ -131,35 +140,45 @@ def main():
         forget(name, options.work)
     only = [name for name in CONTENDERS if name in options.only.split(",")]
     parts = options.parts.split(",")
-    sections = [settings_list({name: (contender(name), versions(name, options.work)) for name in only})]
-    if "sweep" in parts and any(name != "ours" for name in only):
-        sections.append(sweep_part(options, only))
-    if "random" in parts:
-        sections.append(random_part(options, only))
-    if "records" in parts and options.records:
-        sections.append(records_part(options, only))
-    if "cost" in parts:
-        sections.append(cost_table(costs(only, options.work, options.rounds)))
+    sections, commands = {WHO: ""}, {}
+    for part, (title, make) in MADE.items():
+        if part in parts and (part != "records" or options.records):
+            sections[title] = make(options, only)
+            commands[title] = part, shown(options, part)
     # the environments are made on the way, so the versions are known only now
-    sections[0] = settings_list({name: (contender(name), versions(name, options.work)) for name in only})
-    given = [f"--{key} {value}" for key, value in shown(options).items()]
-    text = document(sections, command=" ".join(["python tests/benchmarks/leaderboard.py --work DIR", *given]))
-    print(text)
+    known = {name: (contender(name), versions(name, options.work)) for name in CONTENDERS}
+    sections[WHO] = settings_list(known)
+    print(document(sections))
     if options.write_table:
-        options.write_table.write_text(text)
+        write_document(options.write_table.resolve(), sections, commands)
 
 
-def shown(options):
-    """The arguments that decide the figures, for the line under the table."""
-    return {
-        "systems": options.systems,
-        **({"peer-systems": options.peer_systems} if options.peer_systems is not None else {}),
-        "realisations": options.realisations,
-        "first-seed": options.first_seed,
-        **({"records": "FOLDER"} if options.records else {}),
-        **({"only": options.only} if options.only != ",".join(CONTENDERS) else {}),
-        **({"parts": options.parts} if options.parts != ",".join(PARTS) else {}),
+def cost_part(options, only):
+    return cost_table(costs(only, options.work, options.rounds))
+
+
+def shown(options, part):
+    """The command of a part, with the arguments that decide its figures."""
+    systems = f"--systems {options.systems}"
+    if options.peer_systems is not None:
+        systems += f" --peer-systems {options.peer_systems}"
+    given = {
+        "sweep": f"--sweep-systems {options.sweep_systems} --sweep-realisations {options.sweep_realisations}",
+        "random": f"{systems} --realisations {options.realisations} --first-seed {options.first_seed}",
+        "records": "--records FOLDER",
+        "cost": f"--rounds {options.rounds}",
     }
+    only = f" --only {options.only}" if options.only != ",".join(CONTENDERS) else ""
+    return f"python tests/benchmarks/leaderboard.py --work DIR --parts {part} {given[part]}{only}"
+
+
+MADE = {
+    "sweep": ("Settings of the peers", sweep_part),
+    "random": ("Random problems", random_part),
+    "records": ("Measured records", records_part),
+    "cost": ("Cost", cost_part),
+}
+"""Part: title of its section, and what makes it."""
 
 
 if __name__ == "__main__":

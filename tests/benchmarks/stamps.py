@@ -93,8 +93,11 @@ def blocks(page):
 
 def scripts(commands):
     """The files that commands name: a script, a test file, the file of `python -m`."""
-    words = [word for command in commands for word in command.split()]
-    return tuple(dict.fromkeys(word for word in words if re.fullmatch(r"[\w./-]+\.py", word)))
+    named = []
+    for command in commands:
+        named += re.findall(r"(?<= )[\w./-]+\.py(?= |$|::)", command)
+        named += [f"{module.replace('.', '/')}.py" for module in re.findall(r"python -m ([\w.]+)", command)]
+    return tuple(dict.fromkeys(named))
 
 
 def hash_of(files, root=ROOT):
@@ -135,13 +138,18 @@ def begin(of, commands):
     return f'<!-- figures: of="{of}" hash={hash_of((*of.split(), *scripts(commands)))} -->'
 
 
-def write_figures(page, command, text):
-    """Put the text into the block of a page whose command runs the same script; ValueError where there is none."""
+def write_figures(page, command, text, *, key=""):
+    """Put the text into the block of a page whose command runs the same script, with the key in it where one is given.
+
+    Raises:
+        ValueError: the page has no such block, or several.
+    """
     page = page.resolve()
     script = scripts([command])
     own = [block for block in blocks(page) if scripts([block.own_command]) == script]
+    own = [block for block in own if key in block.own_command]
     if len(own) != 1:
-        raise ValueError(f"{page.name} has {len(own)} blocks of figures by {' '.join(script)}; it needs one")
+        raise ValueError(f"{page.name} has {len(own)} blocks of figures by {' '.join([*script, key])}; it needs one")
     (block,) = own
     lines = page.read_text(encoding="utf-8").splitlines()
     sentence = next(line for line in block.text.splitlines() if MEASURED.search(line))

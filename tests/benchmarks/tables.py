@@ -4,9 +4,10 @@ import re
 
 import numpy as np
 from goals import cost_goals, pooled, random_goals, record_goals
-from stamps import END, begin, commit_now
+from stamps import write_figures
 
 TITLE = "# Leaderboard"
+WHO = "Contenders"
 ERRORS = ("frequency", "damping_ratio")
 ABOUT = (
     "Written by a command, not by hand; bold marks the best of a column, whoever it is. CPU times are of one "
@@ -38,23 +39,24 @@ ABOUT_COST = (
 )
 
 
-def document(sections, *, command):
-    lines = [
-        TITLE,
-        "",
-        ABOUT,
-        "",
-        begin("okid era modal tests/benchmarks tests/reference", [command]),
-        f"Measured at {commit_now()} by `{command}`; every contender in an environment of its own.",
-        "",
-        *(part for section in sections for part in (section, "")),
-        END,
-    ]
-    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
+def document(sections):
+    """All of it for the terminal: {title of a section: its text}."""
+    parts = [TITLE, ABOUT, *(f"## {title}\n\n{text}" for title, text in sections.items())]
+    return re.sub(r"\n{3,}", "\n\n", "\n\n".join(parts)) + "\n"
+
+
+def write_document(page, sections, commands):
+    """Each section into the place of the last one of its kind; what did not run stays as it is."""
+    text = page.read_text(encoding="utf-8")
+    contenders = f"## {WHO}\n\n{sections[WHO]}\n\n"
+    text = re.sub(rf"## {WHO}\n.*?(?=## )", lambda _: contenders, text, flags=re.DOTALL)
+    page.write_text(text, encoding="utf-8")
+    for title, (part, command) in commands.items():
+        write_figures(page, command, re.sub(r"\n{3,}", "\n\n", sections[title]), key=f"--parts {part} ")
 
 
 def settings_list(contenders):
-    lines = ["## Contenders", ""]
+    lines = []
     for name, (module, version) in contenders.items():
         first = module.__doc__.strip().splitlines()[0]
         lines.append(f"- **{name}**{f' ({version})' if version else ''}: {first}")
@@ -84,8 +86,6 @@ def random_table(rows, *, first_seed, realisations):
         "CPU s": _column(rows, lambda f: f["cpu"], "{:.3g}"),
     }
     lines = [
-        "## Random problems",
-        "",
         f"{n_systems} systems ({seeds}), {realisations} noise realisations each. {ABOUT_RANDOM}",
         "",
         _markdown(columns),
@@ -152,7 +152,7 @@ def sweep_table(rows, *, n_systems, first_seed, realisations):
         "CPU s": ["-" if f["cpu"] is None else f"{f['cpu']:.3g}" for *_, f in rows],
     }
     about = f"{n_systems} systems of building ({seeds}), {realisations} noise realisations each. {ABOUT_SWEEP}"
-    return "\n".join(["## Settings of the peers", "", about, "", _markdown(columns)])
+    return "\n".join([about, "", _markdown(columns)])
 
 
 # --- measured records ------------------------------------------------------------------------------------------------
@@ -175,8 +175,6 @@ def records_table(rows, left_out):
         "CPU s": [_own(row, "cpu", "{:.1f}") for row in rows],
     }
     lines = [
-        "## Measured records",
-        "",
         ABOUT_RECORDS,
         "",
         _markdown(columns),
@@ -228,8 +226,8 @@ def cost_table(lines):
     heads = ("what", "contender", "CPU s", "times ours", "rounds")
     columns = dict(zip(heads, map(list, zip(*rows, strict=True)), strict=False))
     if not rows:
-        return "## Cost\n\nnot run"
-    return "\n".join(["## Cost", "", ABOUT_COST, "", _markdown(columns), "", *_goals(cost_goals(lines))])
+        return "not run"
+    return "\n".join([ABOUT_COST, "", _markdown(columns), "", *_goals(cost_goals(lines))])
 
 
 # --- Markdown --------------------------------------------------------------------------------------------------------
