@@ -63,10 +63,27 @@ def test_the_names_in_the_code_of_the_readme_exist(readme):
                 assert hasattr(roots[node.value.id], node.attr), f"{node.value.id}.{node.attr}"
 
 
-def test_files_that_the_readme_links_to_exist(readme, repository):
-    links = re.findall(r"\]\(([^)#\s]+)", readme) + re.findall(r"src=\"([^\"]+)\"", readme)
-    missing = [link for link in links if not link.startswith(("http:", "https:")) and not (repository / link).exists()]
-    assert not missing
+def test_what_the_pages_link_to_exists(repository):
+    pages = [repository / "README.md", *sorted((repository / "modal" / "docs").glob("*.md"))]
+    assert len(pages) > 10
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        for link, heading in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", text):
+            if link.startswith(("http:", "https:")):
+                continue
+            target = page.parent / link if link else page
+            assert target.exists(), f"{page.name}: {link}"
+            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.MULTILINE) if heading else []
+            anchors = {re.sub(r"[^\w-]", "", title.lower().replace(" ", "-")) for title in titles}
+            assert not heading or heading in anchors, f"{page.name}: {link}#{heading}"
+
+
+def test_every_page_is_linked_to(repository):
+    folder = repository / "modal" / "docs"
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    for page in folder.glob("*.md"):
+        others = [other.read_text(encoding="utf-8") for other in folder.glob("*.md") if other != page]
+        assert f"](modal/docs/{page.name}" in readme or any(f"]({page.name}" in text for text in others), page.name
 
 
 def test_the_struck_mass_runs_as_its_docstring_says(repository, tmp_path):
