@@ -14,6 +14,7 @@ Stages are timed by wrapping functions of the packages wherever they are called 
 """
 
 import argparse
+import contextlib
 import importlib
 import json
 import os
@@ -111,8 +112,17 @@ class Clock:
         return run
 
 
-def wrap(clock):
+def wrapped(clock):
     """Put the timed functions in the place of the plain ones, in every module that has them; stages without one."""
+    import modal
+    import okid
+
+    for package in (okid, modal):
+        for name in package.__all__:  # loaded when they are asked for
+            getattr(package, name)
+    for room in ROOMS:
+        with contextlib.suppress(ModuleNotFoundError):
+            importlib.import_module(room)
     missing = []
     for stage, (room, *names) in STAGES.items():
         there = False
@@ -129,19 +139,11 @@ def wrap(clock):
 
 def child(path, inputs, folder):
     """One run, its seconds by stage on the last line."""
-    clock = Clock()
     import modal
     import okid
 
-    for name in dir(modal):  # lazily loaded names, so that each has a module to be wrapped in
-        getattr(modal, name)
-    _ = okid.read_records
-    for room in ROOMS:
-        try:
-            importlib.import_module(room)
-        except ModuleNotFoundError:
-            continue
-    missing = wrap(clock)
+    clock = Clock()
+    missing = wrapped(clock)
     clock.switch()
     clock.open[-1] = "rest"
     records = okid.read_records([path], inputs=inputs)

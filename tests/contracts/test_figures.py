@@ -154,8 +154,15 @@ def test_half_a_block_is_an_error(stamps, tmp_path, text):
         stamps.blocks(page)
 
 
+def test_each_stage_of_a_whole_run_has_its_functions(repository):
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import whole_run_benchmark as w; print(w.wrapped(w.Clock()))"
+    folder = str(repository / "tests" / "benchmarks")
+    done = subprocess.run([sys.executable, "-c", code, folder], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+@pytest.mark.benchmark
 def test_a_whole_run_is_measured_by_stage(repository):
-    """A small one: each stage that the table shows has its function."""
     script = repository / "tests" / "benchmarks" / "whole_run_benchmark.py"
     done = subprocess.run(
         [sys.executable, str(script), "--sizes", "1200x2"], capture_output=True, text=True, check=False
