@@ -23,8 +23,8 @@ def to_suit(order, *, least=40, most=60):
 
 
 def stated(setting):
-    """The number in a setting such as "100 block rows"."""
-    return int(re.search(r"\d+", setting).group())
+    """The number in a setting such as "N4SID, 100 block rows"."""
+    return int(re.search(r"(\d+)(?: block rows| lags|-sample windows)$", setting).group(1))
 
 
 def only_one(records, who):

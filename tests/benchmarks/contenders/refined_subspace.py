@@ -6,7 +6,7 @@ at the start, D. The residuals of each output are weighted by what the start lea
 
 REQUIREMENTS = ("ctrlsys", "numpy", "scipy")
 SETTINGS = {
-    "100 block rows": "MOESP as slicot's, order told, block rows swept; then least_squares (trf) until it stands still"
+    "60 block rows": "MOESP as slicot's, order told, block rows swept; then least_squares (trf) until it stands still"
 }
 SWEEP = {"{} block rows": (40, 60, 100)}
 LARGEST_RADIUS = 0.9999

@@ -3,7 +3,8 @@
 REQUIREMENTS = ("ctrlsys", "numpy")
 SETTINGS = {
     "defaults": "15 block rows and order by the largest gap, as the example of IB01AD; MOESP, B and D by IB01BD",
-    "100 block rows": "MOESP, order told, block rows swept; B and D by IB01CD (from the longest record)",
+    "60 block rows": "MOESP, order told, block rows swept; B and D by IB01CD (from the longest record)",
+    "100 block rows": "the same, nearer to the bound, with more weak modes missed",
 }
 SWEEP = {"{} block rows": (20, 40, 60, 100, 150, 200)}
 
