@@ -79,6 +79,9 @@ def work_through(identify, setting, tasks_path, results):
 
 
 def main():
+    if "--help" in sys.argv[1:]:
+        print(__doc__)
+        raise SystemExit
     name, setting, *files = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     signal.signal(signal.SIGPROF, over_time)

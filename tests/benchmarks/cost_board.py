@@ -38,8 +38,13 @@ SLICE = 1.0
 
 
 def make_record(size, path):
+    """The record of a size in a file."""
+    inputs, outputs = simulated(size, np.random.default_rng(SEED))
+    np.savez(path, u=inputs, y=outputs)
+
+
+def simulated(size, rng):
     """Coloured inputs, unknown initial state, 3 % noise; a filter a mode: a loop over 1e5 rows would take long."""
-    rng = np.random.default_rng(SEED)
     n_samples, n_inputs, n_outputs, n_modes = (size[k] for k in ("n_samples", "n_inputs", "n_outputs", "n_modes"))
     from scipy.signal import lfilter
 
@@ -52,7 +57,7 @@ def make_record(size, path):
     states = [lfilter([0, 1.0], [1.0, -p], inputs @ b) for p, b in zip(poles, B, strict=True)]
     outputs = 2 * (np.array(states).T @ C.T).real + inputs @ rng.standard_normal((n_inputs, n_outputs))
     outputs += 0.03 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
-    np.savez(path, u=inputs[before:], y=outputs[before:])
+    return inputs[before:], outputs[before:]
 
 
 # --- what is timed: each gives the call -----------------------------------------------------------------------------
@@ -179,4 +184,6 @@ def costs(only, work, rounds):
 
 
 if __name__ == "__main__":
+    if "--help" in sys.argv[1:]:
+        sys.exit(print(__doc__))
     time_one(*sys.argv[1:])

@@ -13,6 +13,7 @@ REPOSITORY = HERE.parents[1]
 CONTENDERS = {
     "ours": "okid_modal",
     "slicot": "slicot_subspace",
+    "refined": "refined_subspace",
     "sippy": "sippy_subspace",
     "nfoursid": "nfoursid_subspace",
     "mdof": "mdof_okid",

@@ -33,7 +33,12 @@ def random_goals(rows):
 
 
 def _ratio(words, ratio, limit):
-    return f"RMSE / bound, {words}", f"<= {limit}", f"{ratio['median']:.2f}", ratio["median"] <= limit
+    return f"RMSE / bound, pooled, {words}", f"<= {limit}", pooled(ratio), ratio["rms"] <= limit
+
+
+def pooled(ratio):
+    """The pooled rms of error / bound, with its standard error by systems where there are several."""
+    return f"{ratio['rms']:.2f}" + (f" ± {ratio['std']:.2f}" if ratio["std"] is not None else "")
 
 
 def record_goals(rows, peers):

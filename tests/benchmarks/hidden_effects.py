@@ -34,9 +34,9 @@ from hidden_kinds import KINDS  # noqa: E402
 from hidden_products import model_of, options_of, records_of  # noqa: E402
 from hidden_scoring import describe, outcome  # noqa: E402
 from hidden_tables import report  # noqa: E402
+from stamps import write_figures  # noqa: E402
 
 DOCUMENT = ROOT / "modal" / "docs" / "discrepancy_confusion.md"
-MARK = "<!-- figures: written by tests/benchmarks/hidden_effects.py --write-docs -->"
 
 
 def stopped(signum, frame):
@@ -149,8 +149,21 @@ def main():
     tables = report(lines)
     print(tables)
     if options.write_docs:
-        head, _, _ = DOCUMENT.read_text().partition(MARK)
-        DOCUMENT.write_text(head + MARK + "\n\n" + tables)
+        write_figures(DOCUMENT, command_of(options), tables, key="--write-docs")
+
+
+def command_of(options):
+    """What makes the same lines again."""
+    words = ["python tests/benchmarks/hidden_effects.py", f"--seeds {spans(options.seeds)}"]
+    words += [f"--none-seeds {spans(options.none_seeds)}"] if options.none_seeds != options.seeds else []
+    return " ".join([*words, f"--most-seconds {options.most_seconds:g}", "--work DIR --write-docs"])
+
+
+def spans(seeds):
+    """ "2130-2149" for what `seeds_from` gave."""
+    ends = [i for i in range(1, len(seeds)) if seeds[i] != seeds[i - 1] + 1]
+    parts = [seeds[a:b] for a, b in zip([0, *ends], [*ends, len(seeds)], strict=True)]
+    return ",".join(f"{part[0]}-{part[-1]}" for part in parts)
 
 
 if __name__ == "__main__":

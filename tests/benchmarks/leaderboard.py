@@ -1,13 +1,15 @@
 """The leaderboard: accuracy and cost of this repository and of its peers on the same problems, one command, one table.
 
     python tests/benchmarks/leaderboard.py --work DIR [--systems 30] [--realisations 12] [--records FOLDER]
-        [--only ours,slicot] [--parts random,records,cost] [--again ours] [--write-table modal/docs/leaderboard.md]
+        [--only ours,slicot] [--parts sweep,random,records,cost] [--again ours]
+        [--write-table modal/docs/leaderboard.md]
 
 Every contender runs in a virtual environment of its own below DIR, made by pip at the first call; one that cannot be
 installed, or that fails on a problem, is a row that says so. Every model is kept in DIR as JSON, so a run that was
 interrupted goes on where it was; `--again ours` forgets what was kept of a contender. Run it with the Python in which
-this repository is installed. What is measured: `random_board.py` (random problems), `records_board.py` (measured
-records), `cost_board.py` (time); what each contender does: `contenders/`.
+this repository is installed. What is measured: the peers' settings on seeds of building (sweep), `random_board.py`
+(random problems), `records_board.py` (measured records), `cost_board.py` (time); what each contender does:
+`contenders/`.
 """
 
 import argparse
@@ -22,10 +24,20 @@ sys.path[:0] = [str(HERE.parent / "reference"), str(HERE.parents[1])]
 import random_board  # noqa: E402 - after the path is set
 from cost_board import costs  # noqa: E402
 from environments import CONTENDERS, contender, versions  # noqa: E402
-from tables import cost_table, document, random_table, records_table, settings_list  # noqa: E402
+from tables import (  # noqa: E402
+    WHO,
+    cost_table,
+    document,
+    random_table,
+    records_table,
+    settings_list,
+    sweep_table,
+    write_document,
+)
 
-PARTS = ("random", "records", "cost")
+PARTS = ("sweep", "random", "records", "cost")
 FIRST_SEED = 5000
+BUILDING_SEED = 1000
 
 
 def arguments():
@@ -35,6 +47,8 @@ def arguments():
     parser.add_argument("--peer-systems", type=int, help="the peers on the first so many systems only: some are slow")
     parser.add_argument("--realisations", type=int, default=12, help="of the noise, for each system")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--sweep-systems", type=int, default=4, help="systems of building for the peers' settings")
+    parser.add_argument("--sweep-realisations", type=int, default=3)
     parser.add_argument("--rounds", type=int, default=3, help="of each timing")
     parser.add_argument("--records", type=Path, help="folder of measured records, each with its about.json")
     parser.add_argument("--only", default=",".join(CONTENDERS), help="contenders, with commas between")
@@ -81,6 +95,26 @@ def random_part(options, only):
     return random_table(rows, first_seed=options.first_seed, realisations=options.realisations)
 
 
+def sweep_part(options, only):
+    """Every swept setting of each peer on systems of building; a word where SETTINGS holds another than the best."""
+    n_systems, n_realisations = options.sweep_systems, options.sweep_realisations
+    seeds = range(BUILDING_SEED, BUILDING_SEED + n_systems)
+    cases = [random_board.prepare(seed, n_realisations, options.work) for seed in seeds]
+    rows = []
+    for name in only:
+        for form, values in getattr(contender(name), "SWEEP", {}).items():
+            own = []
+            for setting in map(form.format, values):
+                scores = random_board.contend(cases, name, setting, options.work)
+                figures = random_board.figures(cases, scores)
+                own.append((name, form, setting, {**figures, "score": random_board.sweep_score(cases, scores)}))
+            best = min(own, key=lambda row: row[3]["score"])[2]
+            tell(f"{name}: best is {best}" + ("" if best in contender(name).SETTINGS else ", which SETTINGS lacks"))
+            rows += own
+    (options.work / "sweep.json").write_text(json.dumps(rows, indent=1))
+    return sweep_table(rows, n_systems=n_systems, first_seed=BUILDING_SEED, realisations=n_realisations)
+
+
 def records_part(options, only):
     from measured_records import measured_problems
     from records_board import SETTINGS, contend
@@ -106,33 +140,45 @@ def main():
         forget(name, options.work)
     only = [name for name in CONTENDERS if name in options.only.split(",")]
     parts = options.parts.split(",")
-    sections = [settings_list({name: (contender(name), versions(name, options.work)) for name in only})]
-    if "random" in parts:
-        sections.append(random_part(options, only))
-    if "records" in parts and options.records:
-        sections.append(records_part(options, only))
-    if "cost" in parts:
-        sections.append(cost_table(costs(only, options.work, options.rounds)))
+    sections, commands = {WHO: ""}, {}
+    for part, (title, make) in MADE.items():
+        if part in parts and (part != "records" or options.records):
+            sections[title] = make(options, only)
+            commands[title] = part, shown(options, part)
     # the environments are made on the way, so the versions are known only now
-    sections[0] = settings_list({name: (contender(name), versions(name, options.work)) for name in only})
-    given = [f"--{key} {value}" for key, value in shown(options).items()]
-    text = document(sections, command=" ".join(["python tests/benchmarks/leaderboard.py --work DIR", *given]))
-    print(text)
+    known = {name: (contender(name), versions(name, options.work)) for name in CONTENDERS}
+    sections[WHO] = settings_list(known)
+    print(document(sections))
     if options.write_table:
-        options.write_table.write_text(text)
+        write_document(options.write_table.resolve(), sections, commands)
 
 
-def shown(options):
-    """The arguments that decide the figures, for the line under the table."""
-    return {
-        "systems": options.systems,
-        **({"peer-systems": options.peer_systems} if options.peer_systems is not None else {}),
-        "realisations": options.realisations,
-        "first-seed": options.first_seed,
-        **({"records": "FOLDER"} if options.records else {}),
-        **({"only": options.only} if options.only != ",".join(CONTENDERS) else {}),
-        **({"parts": options.parts} if options.parts != ",".join(PARTS) else {}),
+def cost_part(options, only):
+    return cost_table(costs(only, options.work, options.rounds))
+
+
+def shown(options, part):
+    """The command of a part, with the arguments that decide its figures."""
+    systems = f"--systems {options.systems}"
+    if options.peer_systems is not None:
+        systems += f" --peer-systems {options.peer_systems}"
+    given = {
+        "sweep": f"--sweep-systems {options.sweep_systems} --sweep-realisations {options.sweep_realisations}",
+        "random": f"{systems} --realisations {options.realisations} --first-seed {options.first_seed}",
+        "records": "--records FOLDER",
+        "cost": f"--rounds {options.rounds}",
     }
+    only = f" --only {options.only}" if options.only != ",".join(CONTENDERS) else ""
+    return f"python tests/benchmarks/leaderboard.py --work DIR --parts {part} {given[part]}{only}"
+
+
+MADE = {
+    "sweep": ("Settings of the peers", sweep_part),
+    "random": ("Random problems", random_part),
+    "records": ("Measured records", records_part),
+    "cost": ("Cost", cost_part),
+}
+"""Part: title of its section, and what makes it."""
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from crb import cramer_rao_bound
-from environments import contender, run_tasks
+from environments import run_tasks
 from random_problems import random_problem
 from scoring import (
     claimed_modes,
@@ -21,6 +21,8 @@ from scoring import (
 WITHIN_REACH = 3.0
 """A mode is within reach where the tolerance is at least so many bounds of its frequency: no unbiased estimate finds
 the others reliably."""
+MOST_BOUNDS = 9.0
+"""An error of more bounds counts as missed: another mode, or noise, was taken for this one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -163,22 +165,48 @@ def within_reach(case):
 
 
 def ratio_over_bound(cases, scores, key):
-    """RMSE over the bound, a mode at a time over the realisations in which it was found.
+    """Errors over their bounds, of all modes, systems and realisations.
 
-    Returns the median over systems of the system's median over modes, and the ninth decile over all modes.
+    Returns:
+        "rms": root of the mean of (error / bound)^2; "std": its standard error by systems, whose errors are not
+        independent of each other; "beyond": errors of more than 9 bounds, which count as missed; "median": of the
+        systems' own rms, biased low where a system has few realisations; "n": errors that count.
     """
-    medians, every = [], []
+    squares, counts, beyond = [], [], 0
     for case, own in zip(cases, scores, strict=True):
         bounds = getattr(case.bound, f"{key}_std")
-        ratios = []
-        for i, bound in enumerate(bounds):
-            errors = [one["found"][i][key] for one in own if "failure" not in one and one["found"][i] is not None]
-            if errors:
-                ratios.append(float(np.sqrt(np.mean(np.square(errors))) / bound))
-        if ratios:
-            medians.append(float(np.median(ratios)))
-            every += ratios
-    return {"median": float(np.median(medians)), "decile": float(np.quantile(every, 0.9))} if medians else None
+        found = [(i, mode) for one in own if "failure" not in one for i, mode in enumerate(one["found"]) if mode]
+        ratios = np.array([mode[key] / bounds[i] for i, mode in found])
+        counted = np.abs(ratios) <= MOST_BOUNDS
+        beyond += int((~counted).sum())
+        squares.append(float(np.sum(ratios[counted] ** 2)))
+        counts.append(int(counted.sum()))
+    squares, counts = np.array(squares), np.array(counts)
+    if not counts.any():
+        return None
+    mean = squares.sum() / counts.sum()
+    n_systems = int((counts > 0).sum())
+    scatter = np.sum((squares - mean * counts) ** 2) * n_systems / max(n_systems - 1, 1)
+    return {
+        "rms": float(np.sqrt(mean)),
+        "std": float(np.sqrt(scatter / mean) / (2 * counts.sum())) if n_systems > 1 else None,
+        "median": float(np.median(np.sqrt(squares[counts > 0] / counts[counts > 0]))),
+        "beyond": beyond,
+        "n": int(counts.sum()),
+    }
+
+
+def sweep_score(cases, scores):
+    """One figure for a setting: rms of error / bound, frequency and damping together; 9 where missed or beyond."""
+    ratios = []
+    for case, own in zip(cases, scores, strict=True):
+        bounds = np.array([case.bound.frequency_std, case.bound.damping_ratio_std]).T
+        for one in own:
+            modes = [None] * len(bounds) if "failure" in one else one["found"]
+            for bound, mode in zip(bounds, modes, strict=True):
+                errors = np.inf if mode is None else np.array([mode["frequency"], mode["damping_ratio"]])
+                ratios.append(np.minimum(np.abs(errors) / bound, MOST_BOUNDS))
+    return float(np.sqrt(np.mean(np.square(ratios))))
 
 
 def mean_gap(own):
@@ -200,7 +228,3 @@ def coverage(hits, key):
     there = np.isfinite(errors[:, 1])
     inside = np.abs(errors[there, 0]) <= 1.96 * errors[there, 1]
     return {"share": float(inside.mean()) if there.any() else None, "n": int(there.sum()), "none": int((~there).sum())}
-
-
-def settings(only):
-    return [(name, setting) for name in only for setting in contender(name).SETTINGS]

@@ -16,7 +16,7 @@ from environments import run_tasks
 from scoring import continued_fit, matrix, spectral_radius
 
 ORDERS = (2, 4, 6, 8, 10, 12, 16, 20, 26, 32)
-SETTINGS = {"ours": "defaults", "slicot": "fair", "sippy": "fair"}
+SETTINGS = {"ours": "defaults", "slicot": "to suit", "sippy": "to suit"}
 CPU_LIMIT = 60
 STATE_SHARE = 0.1
 TAKE_SEVERAL = {"ours", "slicot"}

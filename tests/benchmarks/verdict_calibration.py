@@ -32,8 +32,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "reference"), str(ROOT / "tests" / "benchmarks")]
 
 import numpy as np  # noqa: E402  threads and path are set above
+from stamps import write_figures  # noqa: E402  threads and path are set above
 from structures import random_record  # noqa: E402  threads and path are set above
-from verdict_report import report, write_docs  # noqa: E402  threads and path are set above
+from verdict_report import report  # noqa: E402
 
 FREQUENCY_TOLERANCE = 0.005
 GREY = 0.05
@@ -232,7 +233,9 @@ def main():
     tables = report(chosen)
     print(tables)
     if options.write_docs:
-        write_docs(ROOT / "modal" / "docs" / "verdict.md", tables)
+        seeds = f"{min(wanted)}-{max(wanted)}"
+        command = f"python tests/benchmarks/verdict_calibration.py --seeds {seeds} --results FILE --write-docs"
+        write_figures(ROOT / "modal" / "docs" / "verdict.md", command, tables)
 
 
 if __name__ == "__main__":

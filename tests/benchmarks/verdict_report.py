@@ -1,4 +1,4 @@
-"""The calibration's figures as Markdown, from the lines of `verdict_calibration.py`; the same text for the docs."""
+"""The calibration's figures as Markdown, from the lines of `verdict_calibration.py`."""
 
 import itertools
 import re
@@ -7,7 +7,6 @@ from collections import Counter
 import numpy as np
 from verdict_statistics import fit_logistic, reliability, separation
 
-BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 ACCEPTED_FROM = 0.8
 REFUSED_BELOW = 0.1
 CHANCE_BELOW = 0.1
@@ -33,13 +32,6 @@ def report(lines):
     poles = [{**pole, "run": line["run"]} for line in lines for pole in line.get("poles", ())]
     sections = [head(lines, poles), acceptance(lines, poles), bins(poles), fit(poles), missed(lines), damping(lines)]
     return "\n\n".join((*sections, classical(poles)))
-
-
-def write_docs(path, text):
-    """Put the text between the two marks of the page."""
-    page = path.read_text(encoding="utf-8")
-    before, after = page.partition(BEGIN)[0], page.partition(END)[2]
-    path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 # --- sections --------------------------------------------------------------------------------------------------------

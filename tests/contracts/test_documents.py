@@ -2,6 +2,7 @@
 
 import ast
 import doctest
+import importlib
 import re
 import subprocess
 import sys
@@ -17,6 +18,10 @@ def readme(repository):
 def blocks(readme, *languages):
     found = re.findall(r"^```(\w*)\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)
     return [text for language, text in found if language in languages]
+
+
+def pages_of(repository):
+    return [repository / "README.md", *sorted((repository / "modal" / "docs").glob("*.md"))]
 
 
 def modal_report(*arguments, cwd):
@@ -63,10 +68,55 @@ def test_the_names_in_the_code_of_the_readme_exist(readme):
                 assert hasattr(roots[node.value.id], node.attr), f"{node.value.id}.{node.attr}"
 
 
-def test_files_that_the_readme_links_to_exist(readme, repository):
-    links = re.findall(r"\]\(([^)#\s]+)", readme) + re.findall(r"src=\"([^\"]+)\"", readme)
-    missing = [link for link in links if not link.startswith(("http:", "https:")) and not (repository / link).exists()]
-    assert not missing
+def test_the_effect_of_the_page_passes_its_own_check(repository):
+    page = (repository / "modal" / "docs" / "discrepancy.md").read_text(encoding="utf-8")
+    (text,) = (text for text in blocks(page, "python") if "register(" in text)
+    names = {}
+    exec(text.partition("found =")[0], names)  # noqa: S102 - the page is ours
+    assert "cubic_drag" in names["mine"]
+
+
+def test_public_names_that_the_pages_speak_of_exist(repository):
+    """A dotted name in backticks is public: it can be reached from its package without importing anything else."""
+    n_names = 0
+    for page in pages_of(repository):
+        for name in re.findall(r"`((?:okid|era|modal)\.[\w.]+)[`(]", page.read_text(encoding="utf-8")):
+            package, *parts = name.split(".")
+            thing = importlib.import_module(package)
+            for part in parts:
+                assert part in getattr(thing, "__all__", dir(thing)), f"{page.name}: {name}"
+                thing = getattr(thing, part)
+            n_names += 1
+    assert n_names > 10
+
+
+@pytest.mark.xfail(reason="the folders of the plan are not there yet", strict=True)
+def test_folders_that_the_pages_speak_of_exist(repository):
+    for page in pages_of(repository):
+        for name in re.findall(r"`((?:okid|era|modal|tests)/[\w/]*)`", page.read_text(encoding="utf-8")):
+            assert (repository / name).exists(), f"{page.name}: {name}"
+
+
+def test_what_the_pages_link_to_exists(repository):
+    assert len(pages_of(repository)) > 10
+    for page in pages_of(repository):
+        text = page.read_text(encoding="utf-8")
+        for link, heading in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", text):
+            if link.startswith(("http:", "https:")):
+                continue
+            target = page.parent / link if link else page
+            assert target.exists(), f"{page.name}: {link}"
+            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.MULTILINE) if heading else []
+            anchors = {re.sub(r"[^\w-]", "", title.lower().replace(" ", "-")) for title in titles}
+            assert not heading or heading in anchors, f"{page.name}: {link}#{heading}"
+
+
+def test_every_page_is_linked_to(repository):
+    folder = repository / "modal" / "docs"
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    for page in folder.glob("*.md"):
+        others = [other.read_text(encoding="utf-8") for other in folder.glob("*.md") if other != page]
+        assert f"](modal/docs/{page.name}" in readme or any(f"]({page.name}" in text for text in others), page.name
 
 
 def test_the_struck_mass_runs_as_its_docstring_says(repository, tmp_path):

@@ -3,8 +3,9 @@
 REQUIREMENTS = ("nfoursid",)
 SETTINGS = {
     "defaults": "2 block rows and every state that they give, as its constructor and method default",
-    "fair": "order told, block rows to suit",
+    "60 block rows": "order told, block rows swept",
 }
+SWEEP = {"{} block rows": (20, 40, 60, 100)}
 
 
 def identify(records, dt, *, setting, order):
@@ -20,7 +21,7 @@ def identify(records, dt, *, setting, order):
         method.subspace_identification()
         model, _ = method.system_identification()
     else:
-        rows = block_rows(order, len(inputs), len(into) + len(out))
+        rows = block_rows(setting, order, len(inputs), len(into) + len(out))
         method = NFourSID(frame, output_columns=out, input_columns=into, num_block_rows=rows)
         method.subspace_identification()
         model, _ = method.system_identification(rank=order)

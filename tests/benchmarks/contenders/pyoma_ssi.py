@@ -3,8 +3,9 @@
 REQUIREMENTS = ("pyOMA-2",)
 SETTINGS = {
     "defaults": "SSI of the outputs alone (cov, 20 block rows, as its parameters default), the model of the true order",
-    "fair": "SSI with the inputs (IOcov), block rows to suit, the model of the true order",
+    "60 block rows": "SSI with the inputs (IOcov), block rows swept, the model of the true order",
 }
+SWEEP = {"{} block rows": (20, 40, 60, 100, 150)}
 
 
 def identify(records, dt, *, setting, order):
@@ -14,7 +15,7 @@ def identify(records, dt, *, setting, order):
     if setting == "defaults":
         result = diagram(inputs, outputs, dt, method="cov", n_rows=20, highest=order, step=order)
     else:
-        n_rows = block_rows(order, len(inputs), inputs.shape[1] + outputs.shape[1])
+        n_rows = block_rows(setting, order, len(inputs), inputs.shape[1] + outputs.shape[1])
         result = diagram(inputs, outputs, dt, method="IOcov", n_rows=n_rows, highest=order, step=order)
     return {"A": result.A[-1], "C": result.C[-1], "dt": dt}
 

@@ -3,18 +3,19 @@
 REQUIREMENTS = ("pyyeti",)
 SETTINGS = {
     "defaults": "ERA(auto=True): its own choice of modes by its indicators; H1 with 1024-sample Hann windows",
-    "fair": "number of modes told, 2048-sample windows, 100 block rows",
+    "2048-sample windows": "number of modes told, windows swept, 100 block rows",
 }
+SWEEP = {"{}-sample windows": (512, 1024, 2048)}
 BLOCKS = 100
 
 
 def identify(records, dt, *, setting, order):
     import numpy as np
-    from block_rows import only_one
+    from block_rows import only_one, stated
     from pyyeti.era import ERA
 
     inputs, outputs = only_one(records, "pyYeti")
-    pulses = pulse_responses(inputs, outputs, 1024 if setting == "defaults" else 2048)
+    pulses = pulse_responses(inputs, outputs, 1024 if setting == "defaults" else stated(setting))
     if setting == "defaults":
         fit = ERA(pulses[:, 1:201], 1 / dt, auto=True, verbose=False, show_plot=False)
     else:

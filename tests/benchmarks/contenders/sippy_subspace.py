@@ -3,9 +3,10 @@
 REQUIREMENTS = ("sippy-unipi",)
 SETTINGS = {
     "defaults": "N4SID, horizon 20, order by its singular value threshold 0.1, D not estimated",
-    "fair": "N4SID, order told, horizon to suit, D estimated",
-    "fair, PARSIM-K": "PARSIM-K, order told, horizons 20 (it is slow), D estimated",
+    "N4SID, 60 block rows": "N4SID, order told, horizon swept, D estimated",
+    "PARSIM-K, 20 block rows": "PARSIM-K, order told, horizons swept as far as its time allows, D estimated",
 }
+SWEEP = {"N4SID, {} block rows": (20, 40, 60, 100, 150), "PARSIM-K, {} block rows": (10, 20, 30)}
 
 
 def identify(records, dt, *, setting, order):
@@ -15,12 +16,13 @@ def identify(records, dt, *, setting, order):
 
     inputs, outputs = only_one(records, "SIPPY")
     u, y = np.array(inputs.T), np.array(outputs.T)
-    horizon = block_rows(order, len(inputs), len(u) + len(y))
     if setting == "defaults":
         model = system_identification(y, u, "N4SID", tsample=dt)
-    elif setting == "fair, PARSIM-K":
+        return {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "dt": dt}
+    horizon = block_rows(setting, order, len(inputs), len(u) + len(y))
+    if setting.startswith("PARSIM-K"):
         model = system_identification(
-            y, u, "PARSIM-K", tsample=dt, SS_f=20, SS_p=20, SS_fixed_order=order, SS_D_required=True
+            y, u, "PARSIM-K", tsample=dt, SS_f=horizon, SS_p=horizon, SS_fixed_order=order, SS_D_required=True
         )
     else:
         model = system_identification(y, u, "N4SID", tsample=dt, SS_f=horizon, SS_fixed_order=order, SS_D_required=True)

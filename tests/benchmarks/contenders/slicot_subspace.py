@@ -3,9 +3,10 @@
 REQUIREMENTS = ("ctrlsys", "numpy")
 SETTINGS = {
     "defaults": "15 block rows and order by the largest gap, as the example of IB01AD; MOESP, B and D by IB01BD",
-    "fair": "MOESP, order told, block rows to suit; B and D by IB01CD (from the longest record)",
-    "fair, long": "the same with 100 block rows: nearer to the bound, more weak modes missed",
+    "60 block rows": "MOESP, order told, block rows swept; B and D by IB01CD (from the longest record)",
+    "100 block rows": "the same, nearer to the bound, with more weak modes missed",
 }
+SWEEP = {"{} block rows": (20, 40, 60, 100, 150, 200)}
 
 
 def identify(records, dt, *, setting, order):
@@ -17,8 +18,7 @@ def identify(records, dt, *, setting, order):
     data = [(np.array(u, order="F"), np.array(y, order="F")) for u, y in records]
     n_inputs, n_outputs = data[0][0].shape[1], data[0][1].shape[1]
     n_samples = sum(len(u) for u, _ in data)
-    limits = {"least": 100, "most": 100} if setting == "fair, long" else {}
-    n_rows = 15 if setting == "defaults" else block_rows(order, n_samples, n_inputs + n_outputs, **limits)
+    n_rows = 15 if setting == "defaults" else block_rows(setting, order, n_samples, n_inputs + n_outputs)
     R = triangular_factor(data, n_rows)
     R, singular_values, *_, info = ctrlsys.ib01nd("M", "N", n_rows, n_inputs, n_outputs, R, 0.0)
     check("IB01ND", info)
