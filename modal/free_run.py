@@ -1,8 +1,8 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
 The run from rest is one pass of block products (`modal.modal_recursion`). The initial state and a constant level of
-each output come from the training rows of the same run by least squares (`modal.initial_fit`); an initial state fitted
-on the scored rows would favour models that are too large.
+each output come from the training samples of the same run by least squares (`modal.initial_fit`); an initial state
+fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.initial_fit import fit_initial_state
+from modal.initial_fit import TrainingPattern, fit_initial_state
 from modal.modal_recursion import ModalRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -23,8 +23,10 @@ __all__ = [
     "driven_by_outputs",
     "filled",
     "free_run",
+    "free_runs",
     "modal_form",
     "one_step_predictor",
+    "run_from_rest",
 ]
 
 LARGEST_EIGENVECTOR_CONDITION = 1e10
@@ -91,13 +93,14 @@ def modal_form(realisation: Realisation) -> ModalForm | None:
     )
 
 
-def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> FreeRun:
-    """Run the model through the whole record, its initial state and the outputs' level fitted to `training_rows`.
+def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
+    """Run the model through the whole record, its initial state and the outputs' level fitted to what trains.
 
     Args:
         model: from `modal_form`.
-        record: without NaN (see `filled`).
-        training_rows: (n_samples,) True where the initial state may look: never a row that was filled.
+        record: no input missing (see `filled`).
+        training: (n_samples,) rows or (n_samples, n_outputs) samples, True where the initial state may look: never
+            at a sample that is missing or was filled.
 
     Example:
         >>> model = modal_form(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
@@ -109,20 +112,49 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
     shapes = model.weights * model.shapes
     recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D)
     outputs = recursion.from_rest(record.inputs)
-    trained = training_rows.astype(np.float64)
+    left = record.outputs - outputs
+    left[~training] = 0.0
     n_alive = recursion.n_alive(record.n_samples)
-    start = slice(0, n_alive)
     state, level = fit_initial_state(
         model.poles,
         shapes,
-        recursion.products((record.outputs[start] - outputs[start]) * trained[start, np.newaxis]),
-        trained @ record.outputs - trained @ outputs,
-        runs=runs_of(training_rows),
+        recursion.products(left[:n_alive]),
+        left.sum(axis=0),
+        patterns=_patterns(training, record.n_outputs),
         n_samples=record.n_samples,
     )
-    outputs[start] += recursion.free_response(state, n_alive)
+    outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
     return FreeRun(outputs=outputs, level=level)
+
+
+def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
+    """(n_samples, n_outputs) run through each record, its start and level fitted to every sample that was measured.
+
+    Example:
+        >>> model = modal_form(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+        >>> (run,) = free_runs(model, [Record([0.0, 0.0, 1.0, 0.0], [11.0, 10.5, np.nan, 11.125], 0.1)])
+        >>> run.ravel().round(6).tolist()
+        [11.0, 10.5, 10.25, 11.125]
+    """
+    return [free_run(model, record, ~np.isnan(record.outputs)).outputs for record in records]
+
+
+def run_from_rest(model: ModalForm, inputs: FloatArray) -> FloatArray:
+    """(n_samples, n_outputs) response to (n_samples, n_inputs) inputs, none missing."""
+    shapes = model.weights * model.shapes
+    return ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D).from_rest(inputs)
+
+
+def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:
+    """Outputs that train on the same rows, and the runs of these rows."""
+    if training.ndim == 1 or training.all():
+        rows = training if training.ndim == 1 else training[:, 0]
+        return [(np.arange(n_outputs), runs_of(rows))]
+    together: dict[bytes, list[int]] = {}
+    for i, samples in enumerate(training.T):
+        together.setdefault(np.packbits(samples).tobytes(), []).append(i)
+    return [(np.array(outputs), runs_of(training[:, outputs[0]])) for outputs in together.values()]
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:

@@ -9,10 +9,10 @@ import numpy as np
 from era.realisation import Realisation
 from modal.band import coherent_band
 from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
-from modal.drift import choose_drift, given_drift, integrator_drift, without_drift
+from modal.drift import FreedTrials, choose_drift, given_drift, integrator_drift, summed_inputs, without_drift
 from modal.filling import Filling, fill_where_needed
 from modal.identification import Choice
-from modal.integrators import choose_integrators, given_integrators, summed_inputs, with_integrators
+from modal.integrators import choose_integrators, given_integrators, with_integrators
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
@@ -98,7 +98,8 @@ def prepare(
     _check_words(missing, input_delay)
     centred, gaps = _centred_parts(records)
     filling = _filling(centred, missing)
-    integrating = choose_integrators(filling.records) if given is None else given
+    trials = FreedTrials.of(filling.records)
+    integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
     banded, factor, band = _to_band(filling.records, decimation, number)
     if isinstance(input_delay, str):
@@ -111,7 +112,8 @@ def prepare(
     elif number:
         drifting = integrator_drift(number, banded[0])
     else:
-        drifting = choose_drift(late_inputs(summed, delay.samples))
+        same = factor == 1 and not any(delay.samples)
+        drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
     freed = tuple(without_drift(record, drifting.n_functions) for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     longest = max(delay.samples, default=0)
