@@ -42,14 +42,14 @@ class ModalForm:
         weights: (n_poles,) 2 for a pair, 1 for a real pole: y = Re(shapes @ (weights * state)) + D u.
         shapes: (n_outputs, n_poles).
         participations: (n_poles, n_inputs), so that state(k+1) = poles * state(k) + participations @ u(k).
-        realisation: the same model as it was given.
+        feedthrough: (n_outputs, n_inputs) D.
     """
 
     poles: ComplexArray
     weights: FloatArray
     shapes: ComplexArray
     participations: ComplexArray
-    realisation: Realisation
+    feedthrough: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,10 +59,12 @@ class FreeRun:
     Attributes:
         outputs: (n_samples, n_outputs) simulated, the constant level included.
         level: (n_outputs,) constant that was added to each output.
+        state: (n_poles,) modal state at the first sample.
     """
 
     outputs: FloatArray
     level: FloatArray
+    state: ComplexArray
 
 
 def modal_form(realisation: Realisation) -> ModalForm | None:
@@ -89,7 +91,7 @@ def modal_form(realisation: Realisation) -> ModalForm | None:
         weights=np.where(upper[one_of_each], 2.0, 1.0),
         shapes=(realisation.C @ vectors[:, one_of_each]).astype(np.complex128),
         participations=participations[one_of_each],
-        realisation=realisation,
+        feedthrough=realisation.D,
     )
 
 
@@ -110,7 +112,7 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
     shapes = model.weights * model.shapes
-    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D)
+    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough)
     outputs = recursion.from_rest(record.inputs)
     left = record.outputs - outputs
     left[~training] = 0.0
@@ -125,7 +127,7 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
     )
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
-    return FreeRun(outputs=outputs, level=level)
+    return FreeRun(outputs=outputs, level=level, state=state)
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
@@ -143,7 +145,7 @@ def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
 def run_from_rest(model: ModalForm, inputs: FloatArray) -> FloatArray:
     """(n_samples, n_outputs) response to (n_samples, n_inputs) inputs, none missing."""
     shapes = model.weights * model.shapes
-    return ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D).from_rest(inputs)
+    return ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough).from_rest(inputs)
 
 
 def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:

@@ -43,17 +43,18 @@ def fit_initial_state(
         (n_poles,) initial state and (n_outputs,) level.
     """
     n_poles, n_outputs = poles.size, totals.size
-    ones = np.ones(1, dtype=np.complex128)
     plain, conjugate = np.zeros((2, n_poles, n_poles), dtype=np.complex128)
     to_level = np.empty((n_poles, n_outputs), dtype=np.complex128)
     n_rows = np.empty(n_outputs)
+    same, crossed = np.outer(poles, poles), np.outer(poles.conj(), poles)
     for outputs, runs in patterns:
         edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
-        own = shapes[outputs]
-        plain += _sums(poles, poles, edges) * (own.T @ own)
-        conjugate += _sums(poles.conj(), poles, edges) * (own.conj().T @ own)
-        to_level[:, outputs] = _sums(poles, ones, edges) * own.T
-        n_rows[outputs] = max(1.0, float((edges[:, 1] - edges[:, 0]).sum()))
+        own, n_trained = shapes[outputs], float((edges[:, 1] - edges[:, 0]).sum())
+        first, last = poles[:, np.newaxis] ** edges[:, 0], poles[:, np.newaxis] ** edges[:, 1]
+        plain += _series(first @ first.T - last @ last.T, same, n_trained) * (own.T @ own)
+        conjugate += _series(first.conj() @ first.T - last.conj() @ last.T, crossed, n_trained) * (own.conj().T @ own)
+        to_level[:, outputs] = _series((first - last).sum(axis=1), poles, n_trained)[:, np.newaxis] * own.T
+        n_rows[outputs] = max(1.0, n_trained)
 
     size = 2 * n_poles + n_outputs
     matrix = np.zeros((size, size))
@@ -84,15 +85,11 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return result
 
 
-def _sums(left: ComplexArray, right: ComplexArray, edges: npt.NDArray[np.int64]) -> ComplexArray:
-    """(n_left, n_right) sum over the runs' rows k of left_i^k right_j^k, by the geometric series of each run."""
-    ratio = np.outer(left, right)
-    first, last = edges[:, 0], edges[:, 1]
-    starts = (left[:, np.newaxis] ** first) @ (right[:, np.newaxis] ** first).T
-    ends = starts - (left[:, np.newaxis] ** last) @ (right[:, np.newaxis] ** last).T
+def _series(ends: ComplexArray, ratio: ComplexArray, n_rows: float) -> ComplexArray:
+    """Sum of ratio^k over the runs' rows, from the sum of ratio^first - ratio^last over the runs."""
     # a ratio of 1 (an integrator): every term of the series is 1
     one = np.abs(1.0 - ratio) < 1e-12
-    return np.where(one, float((last - first).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
+    return np.where(one, n_rows, ends / np.where(one, 1.0, 1.0 - ratio))
 
 
 def _energies(poles: ComplexArray, n_samples: int) -> FloatArray:

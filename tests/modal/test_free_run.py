@@ -117,7 +117,7 @@ def test_a_pole_at_the_edge_of_stability():
         weights=np.ones(1),
         shapes=np.ones((1, 1), complex),
         participations=np.ones((1, 1), complex),
-        realisation=Realisation([[1.0]], [[1.0]], [[1.0]], [[0.5]], 0.1),
+        feedthrough=np.array([[0.5]]),
     )
     check_equal(free_run(exactly_one, record, rows).outputs[:, 0], outputs)
 
