@@ -83,7 +83,8 @@ def test_initial_states_are_ridge_least_squares_on_what_the_inputs_leave(monkeyp
         J = np.concatenate([columns[trained[r], o] for o in range(2)])
         e = np.concatenate([rest[trained[r], o] for o in range(2)])
         levels = np.kron(np.eye(2), np.ones((trained[r].size, 1)))
-        project = np.eye(e.size) - levels @ np.linalg.pinv(levels)
+        # the level has the same ridge, relative to its own energy on the rows that count
+        project = np.eye(e.size) - levels @ levels.T / ((1.0 + ridge) * trained[r].size)
         matrix = J.T @ project @ J + ridge * np.diag(energy)
         x = np.linalg.lstsq(matrix, J.T @ project @ e, rcond=1e-14)[0]
         expected = x[:n] + 1j * x[n:]
