@@ -19,7 +19,7 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scalars import whole_number
 
-__all__ = ["Preparation", "prepare", "split_at_input_gaps"]
+__all__ = ["Preparation", "checked_parts", "prepare", "split_at_input_gaps"]
 
 FEWEST_SAMPLES = 40
 """One block that always trains and one for each of three folds."""
@@ -128,11 +128,21 @@ def prepare(
     )
 
 
-def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
-    """Records cut where an input is missing, means off."""
+def checked_parts(records: Sequence[Record]) -> tuple[Record, ...]:
+    """The stretches of all records in which no input is missing.
+
+    Raises:
+        InsufficientDataError: an output that never moves in some record, an input that moves in none, or records that
+            are too short.
+    """
     _check_long_enough(records)
     _check_channels_move(records)
-    parts = tuple(part for record in records for part in split_at_input_gaps(record))
+    return tuple(part for record in records for part in split_at_input_gaps(record))
+
+
+def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+    """Records cut where an input is missing, means off."""
+    parts = checked_parts(records)
     centred = tuple(record.detrended() for record in parts)
     if len(parts) == len(records):
         return centred, ()

@@ -42,7 +42,7 @@ def trial(observer_order=8, ridge=1e-3, model_order=4, error=0.1):
 
 def found_of(*trials, chosen=0, orders=ORDERS, ridges=RIDGES, model_orders=MODEL_ORDERS):
     limits = SearchLimits(observer_orders=orders, ridges=ridges, model_orders=model_orders)
-    return Search(trials=trials, chosen=trials[chosen], power=np.ones((3, 2)), limits=limits)
+    return Search(trials=trials, chosen=trials[chosen], power=np.ones((3, 2)), limits=limits, ground=None)
 
 
 def fit_of(*cross_validated, folds=(0.9, 0.9, 0.9)):
