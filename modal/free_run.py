@@ -25,6 +25,7 @@ __all__ = [
     "free_run",
     "free_runs",
     "modal_form",
+    "modal_form_of",
     "one_step_predictor",
     "run_from_rest",
 ]
@@ -69,7 +70,12 @@ class FreeRun:
 
 def modal_form(realisation: Realisation) -> ModalForm | None:
     """The model in modal form, or None when it is unstable or its eigenvectors are too close to dependent."""
-    poles, vectors = np.linalg.eig(realisation.A)
+    return modal_form_of(realisation.A, realisation.B, realisation.C, realisation.D)
+
+
+def modal_form_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> ModalForm | None:
+    """As `modal_form`, from the matrices: a search has hundreds of candidates, and checks none of their numbers."""
+    poles, vectors = np.linalg.eig(A)
     if np.abs(poles).max(initial=0.0) >= 1.0:
         return None
     # Real coordinates, 2 Re v and -2 Im v for a pair: the two states of a pair cannot differ by rounding.
@@ -83,15 +89,15 @@ def modal_form(realisation: Realisation) -> ModalForm | None:
         condition = np.linalg.norm(coordinates) * np.linalg.norm(inverse)
     if not condition <= LARGEST_EIGENVECTOR_CONDITION:
         return None
-    participations = (inverse @ realisation.B).astype(np.complex128)
+    participations = (inverse @ B).astype(np.complex128)
     participations[upper] += 1j * participations[lower]  # LAPACK keeps pairs together, in the same order
     one_of_each = ~lower
     return ModalForm(
         poles=poles[one_of_each].astype(np.complex128),
         weights=np.where(upper[one_of_each], 2.0, 1.0),
-        shapes=(realisation.C @ vectors[:, one_of_each]).astype(np.complex128),
+        shapes=(C @ vectors[:, one_of_each]).astype(np.complex128),
         participations=participations[one_of_each],
-        feedthrough=realisation.D,
+        feedthrough=D,
     )
 
 
