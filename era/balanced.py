@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from era.decomposition import HankelDecomposition, Method, RealiseOn, decompose
-from era.order import OrderChoice, choose_order
+from era.order import GapChoice, choose_order
 from era.realisation import HankelFactors, Realisation
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
@@ -91,7 +91,7 @@ def realise_from(decomposition: HankelDecomposition, order: int) -> Realisation:
     )
 
 
-def order_choice(decomposition: HankelDecomposition) -> OrderChoice:
+def order_choice(decomposition: HankelDecomposition) -> GapChoice:
     """The order at the largest gap of the singular values, conjugate pairs kept whole, with its evidence.
 
     Markov parameters of an observer of order p are a sum of p n_outputs exponentials whatever the data were: their
@@ -111,7 +111,7 @@ def order_choice(decomposition: HankelDecomposition) -> OrderChoice:
     )
 
 
-def gap_choice(singular_values: FloatArray, *, rank: int, energy: float | None, A: FloatArray, end: int) -> OrderChoice:
+def gap_choice(singular_values: FloatArray, *, rank: int, energy: float | None, A: FloatArray, end: int) -> GapChoice:
     """The rule of `order_choice` for any singular values.
 
     Args:

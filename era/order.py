@@ -11,14 +11,14 @@ import numpy as np
 
 from okid.arrays import FloatArray
 
-__all__ = ["OrderChoice", "choose_order"]
+__all__ = ["GapChoice", "choose_order"]
 
 CLEAR_GAP = 3.0
 """Ratio of neighbouring singular values above which a gap cannot lie inside a conjugate pair."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OrderChoice:
+class GapChoice:
     """An order and what speaks for it.
 
     Attributes:
@@ -45,7 +45,7 @@ def choose_order(
     energy: float | None = None,
     A: FloatArray | None = None,
     max_order: int | None = None,
-) -> OrderChoice:
+) -> GapChoice:
     """The order before the largest ratio s[i] / s[i + 1]; noise-free data: the numerical rank.
 
     Where the gap is weak (a ratio below 3) and would cut a conjugate pair in two, so that the model of one order more
@@ -85,7 +85,7 @@ def choose_order(
     return _choice(values, order, rank, energy, why)
 
 
-def _choice(values: FloatArray, order: int, rank: int, energy: float | None, why: str) -> OrderChoice:
+def _choice(values: FloatArray, order: int, rank: int, energy: float | None, why: str) -> GapChoice:
     squares = float(np.square(values).sum()) if energy is None else energy
     total = float(values.sum())
     sum_share = float(values[:order].sum()) / total if total > 0 else 1.0
@@ -95,9 +95,7 @@ def _choice(values: FloatArray, order: int, rank: int, energy: float | None, why
         f"order {order}: {why} (s{order}/s{order + 1} = {ratio:.3g}; {100 * sum_share:.1f} % of their sum, "
         f"{100 * energy_share:.2f} % of their energy)."
     )
-    return OrderChoice(
-        order=order, ratio=ratio, sum_share=sum_share, energy_share=energy_share, rank=rank, reason=reason
-    )
+    return GapChoice(order=order, ratio=ratio, sum_share=sum_share, energy_share=energy_share, rank=rank, reason=reason)
 
 
 def _ratio(values: FloatArray, order: int) -> float:

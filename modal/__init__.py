@@ -23,6 +23,7 @@ from modal.pipeline import identify
 from modal.quality import check_quality
 from modal.recording import log_diagnosis, log_identification, save_recording
 from modal.report import write_report
+from modal.search import OrderChoice, choose_orders
 from modal.simulation import simulate
 from modal.specification import read_specification
 from modal.storage import load
@@ -37,6 +38,7 @@ __all__ = [
     "Identification",
     "ModalModel",
     "Mode",
+    "OrderChoice",
     "OrderEvidence",
     "PlantModel",
     "Sensor",
@@ -45,6 +47,7 @@ __all__ = [
     "Uncertainty",
     "check_limits",
     "check_quality",
+    "choose_orders",
     "compare_results",
     "discrepancy",
     "extract_modes",

@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.final_model import FinalModel
 from modal.mode import ModalModel
-from modal.propagation import Residuals, propagated
+from modal.propagation import propagated
 from modal.refinement_covariance import output_error_uncertainty
 from modal.uncertainty import Uncertainty
 from okid.errors import InsufficientDataError
@@ -41,20 +41,12 @@ def with_deviations(model: ModalModel, final: FinalModel, records: Sequence[Reco
 
 
 def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:
-    choices: tuple[Residuals, ...] = ("blocks", "white")
-    for residuals in choices:
-        try:
-            return propagated(
-                records,
-                observer=final.observer,
-                markov=final.markov,
-                realisation=final.cut,
-                modes=model.modes,
-                residuals=residuals,
-            )
-        except InsufficientDataError:  # too short for blocks: then white residuals are taken for granted
-            continue
-    return _unknown(model, final)
+    try:
+        return propagated(
+            records, observer=final.observer, markov=final.markov, realisation=final.cut, modes=model.modes
+        )
+    except InsufficientDataError:  # too short for two blocks
+        return _unknown(model, final)
 
 
 def _unknown(model: ModalModel, final: FinalModel) -> Uncertainty:

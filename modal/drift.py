@@ -11,28 +11,28 @@ functions were not fitted to, there is a drift; if the first is as near, its own
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from era.initial_state import estimate_initial_state
-from era.realisation import Realisation
-from era.simulation import simulate_array
+from modal.free_run import ModalForm, free_run, free_runs, run_from_rest
 from modal.identification import Choice
-from modal.quick_model import free_runs, quick_model
+from modal.quick_model import QuickModel, quick_model
 from okid.arrays import FloatArray
 from okid.record import Record
 
 __all__ = [
     "CANDIDATES",
     "Drift",
+    "FreedTrials",
     "choose_drift",
     "given_drift",
     "held_out_squares",
     "integrator_drift",
     "is_significant",
+    "lasting_share",
     "slow_functions",
-    "unit_outputs",
+    "summed_inputs",
     "without_drift",
 ]
 
@@ -82,11 +82,53 @@ class Drift:
     warning: str = ""
 
 
-def choose_drift(records: Sequence[Record]) -> Drift:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FreedTrials:
+    """Quick models of the same records, their inputs summed and slow functions taken off; each is made once.
+
+    Attributes:
+        records: outputs divided by their size over all records, so that each counts alike.
+        models: made so far, by the number of sums and of slow functions.
+    """
+
+    records: tuple[Record, ...]
+    models: dict[tuple[int, int], QuickModel | None] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, records: Sequence[Record]) -> "FreedTrials":
+        """No model made yet."""
+        squares = sum(np.nansum(np.square(r.outputs - np.nanmean(r.outputs, axis=0)), axis=0) for r in records)
+        size = np.sqrt(squares / sum(record.n_samples for record in records))
+        size = np.where(size > 0.0, size, 1.0)
+        return cls(records=tuple(replace(record, outputs=record.outputs / size) for record in records))
+
+    def freed(self, number: int, n_functions: int) -> tuple[Record, ...]:
+        """The records with their inputs summed so often, then freed of slow functions (as many as sums, at least)."""
+        n_functions = max(number, n_functions)
+        return tuple(without_drift(summed_inputs(record, number), n_functions) for record in self.records)
+
+    def model(self, number: int, n_functions: int) -> QuickModel | None:
+        """The quick model of these records; None where none is stable."""
+        key = number, max(number, n_functions)
+        if key not in self.models:
+            self.models[key] = quick_model(self.freed(*key))
+        return self.models[key]
+
+    def left(self, number: int, n_functions: int) -> list[FloatArray] | None:
+        """(n_samples, n_outputs) a record: what the free run of this model leaves of its records."""
+        model = self.model(number, n_functions)
+        if model is None:
+            return None
+        freed = self.freed(number, n_functions)
+        return [record.outputs - run for record, run in zip(freed, free_runs(model.form, freed), strict=True)]
+
+
+def choose_drift(records: Sequence[Record], *, trials: FreedTrials | None = None) -> Drift:
     """The fewest slow functions that are needed beside a model's free run on held-out rows.
 
     Args:
         records: of one system, no input missing.
+        trials: of the same records, for a caller who has made some of these models.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -108,14 +150,15 @@ def choose_drift(records: Sequence[Record]) -> Drift:
             f"the inputs move as slowly themselves ({share:.3g} times as much as white noise does), so slow motion of "
             "the outputs may be their doing",
         )
-    unit = unit_outputs(records)
-    plain = tuple(without_drift(record, 0) for record in unit)
-    freed = tuple(without_drift(record, candidates[-1]) for record in unit)
-    own, _ = quick_model(plain)
-    slow_free, _ = quick_model(freed)
+    trials = FreedTrials.of(records) if trials is None else trials
+    explains_nothing = _explained(0, first, "slow functions of time explain nothing that a model does not explain")
+    own = trials.left(0, 0)
+    if own is not None and lasting_share(own) <= LEAST_GAIN:
+        return explains_nothing
+    slow_free = trials.model(0, candidates[-1])
     if slow_free is None or candidates[-1] == 0:
         return _explained(0, first, "no model to tell a drift by")
-    left = [_remainder(slow_free, record, candidates[-1]) for record in plain]
+    left = [_remainder(slow_free.form, record, candidates[-1]) for record in trials.freed(0, 0)]
     errors = {n: held_out_squares(left, n) for n in candidates}
     best = min(candidates, key=lambda n: float(errors[n].sum()))
     worth = LEAST_SHARE * float((errors[0] - errors[best]).sum())
@@ -126,14 +169,14 @@ def choose_drift(records: Sequence[Record]) -> Drift:
     )
     without = errors[0]
     if own is not None:
-        runs = free_runs(own, plain)
-        explained = held_out_squares([record.outputs - run for record, run in zip(plain, runs, strict=True)], 0)
+        explained = held_out_squares(own, 0)
         without = explained if explained.sum() < without.sum() else without
     gain = without - errors[chosen]
-    if chosen == 0 or not is_significant(gain, SIGNIFICANT) or gain.sum() < LEAST_GAIN * without.sum():
-        return _explained(0, first, "slow functions of time explain nothing that a model does not explain")
-    if not _confirmed(unit, chosen, without):
-        return _explained(0, first, "slow functions of time explain nothing that a model does not explain")
+    worth_it = chosen > 0 and is_significant(gain, SIGNIFICANT) and gain.sum() >= LEAST_GAIN * without.sum()
+    confirmed = trials.left(0, chosen) if worth_it else None
+    # a model of the records without these functions must leave clearly less slow motion than one with them
+    if confirmed is None or held_out_squares(confirmed, chosen).sum() >= 0.5 * without.sum():
+        return explains_nothing
     share = float(gain.sum() / without.sum())
     return _explained(
         chosen,
@@ -155,16 +198,6 @@ def _slow_share(records: Sequence[Record], n_functions: int) -> float:
         white += functions.shape[1] - 1
     n_samples = sum(record.n_samples for record in records)
     return float((slow / np.maximum(whole, np.finfo(float).tiny)).max() * n_samples / max(white, 1.0))
-
-
-def _confirmed(records: Sequence[Record], n_functions: int, without: FloatArray) -> bool:
-    """Whether a model of the records without these functions leaves clearly less slow motion than one with them."""
-    freed = tuple(without_drift(record, n_functions) for record in records)
-    model, _ = quick_model(freed)
-    if model is None:
-        return False
-    left = [record.outputs - run for record, run in zip(freed, free_runs(model, freed), strict=True)]
-    return bool(held_out_squares(left, n_functions).sum() < 0.5 * without.sum())
 
 
 def given_drift(n_functions: int, record: Record) -> Drift:
@@ -219,30 +252,32 @@ def _coefficients(values: FloatArray, functions: FloatArray) -> FloatArray:
     return found
 
 
-def unit_outputs(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Outputs divided by their size over all records, so that each counts alike."""
-    squares = sum(np.nansum(np.square(r.outputs - np.nanmean(r.outputs, axis=0)), axis=0) for r in records)
-    size = np.sqrt(squares / sum(record.n_samples for record in records))
-    size = np.where(size > 0.0, size, 1.0)
-    return tuple(replace(record, outputs=record.outputs / size) for record in records)
-
-
-def _remainder(model: Realisation, record: Record, n_functions: int) -> FloatArray:
+def _remainder(model: ModalForm, record: Record, n_functions: int) -> FloatArray:
     """What the free run with the record's own inputs leaves, the initial state fitted beside all slow functions."""
-    matrices = (model.A, model.B, model.C, model.D)
-    at_rest = np.array(simulate_array(*matrices, record.inputs))
+    there = ~np.isnan(record.outputs)
     functions = slow_functions(record.n_samples, min(n_functions, record.n_samples // SAMPLES_PER_FUNCTION))
-    slow = functions @ _coefficients(record.outputs - at_rest, functions)
-    state = estimate_initial_state(model, replace(record, outputs=record.outputs - slow))
-    left: FloatArray = record.outputs - simulate_array(*matrices, record.inputs, initial_state=state)
+    slow = functions @ _coefficients(record.outputs - run_from_rest(model, record.inputs), functions)
+    run = free_run(model, replace(record, outputs=record.outputs - slow), there)
+    left: FloatArray = record.outputs - run.outputs + run.level
     return left
+
+
+def summed_inputs(record: Record, number: int) -> Record:
+    """The record with each input summed so many times: s(k) = u(0) + ... + u(k), u about its mean.
+
+    Example:
+        >>> summed_inputs(Record([2.0, 0.0, 1.0], [0.0, 0.0, 0.0], 0.1), 1).inputs.ravel().tolist()
+        [1.0, 0.0, 0.0]
+    """
+    inputs = record.inputs
+    for _ in range(number):
+        inputs = np.cumsum(inputs - inputs.mean(axis=0), axis=0)
+    return replace(record, inputs=inputs) if number else record
 
 
 def held_out_squares(left: Sequence[FloatArray], n_functions: int) -> FloatArray:
     """Squared errors of groups of held-out block means, predicted by slow functions fitted to the other blocks."""
-    lengths = [len(one) for one in left]
-    # of many short records the longest still has to hold two groups
-    n_rows = max(1, min(sum(lengths) // SLOW_SAMPLES, max(lengths) // (2 * HELD_OUT)))
+    n_rows = _block_rows(left)
     groups = []
     for one in left:
         blocks = _block_means(one, n_rows)
@@ -257,6 +292,32 @@ def held_out_squares(left: Sequence[FloatArray], n_functions: int) -> FloatArray
         if len(blocks):
             groups.append(np.bincount(group, weights=squares.sum(axis=1)))
     return np.concatenate(groups)
+
+
+def lasting_share(left: Sequence[FloatArray]) -> float:
+    """Part of the mean square of the block means of `held_out_squares` that lasts from one block to the next.
+
+    Half the mean square of the differences of neighbours is what does not last: all of white noise, next to nothing of
+    slow motion (von Neumann, Annals of Mathematical Statistics 12(4), 1941, doi 10.1214/aoms/1177731677). What slow
+    functions or sums of the inputs explain lasts, so they explain no larger part.
+
+    Example:
+        >>> alternating, rising = np.array([[1.0], [-1.0]] * 4), np.arange(-9.0, 10.0)[:, np.newaxis]
+        >>> round(lasting_share([alternating]), 3), round(lasting_share([rising]), 3)
+        (-0.75, 0.984)
+    """
+    n_rows = _block_rows(left)
+    whole, passing = 0.0, 0.0
+    for blocks in (_block_means(one, n_rows) for one in left):
+        whole += float(np.nansum(np.square(blocks)))
+        passing += 0.5 * float(np.nansum(np.square(np.diff(blocks, axis=0))))
+    return 1.0 - passing / whole if whole > 0.0 else 0.0
+
+
+def _block_rows(left: Sequence[FloatArray]) -> int:
+    """Rows of a block; of many short records the longest still has to hold two groups."""
+    lengths = [len(one) for one in left]
+    return max(1, min(sum(lengths) // SLOW_SAMPLES, max(lengths) // (2 * HELD_OUT)))
 
 
 def _block_means(values: FloatArray, n_rows: int) -> FloatArray:

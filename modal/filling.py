@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from era.realisation import Realisation
+from modal.free_run import free_runs
 from modal.ground import scaled_record
 from modal.identification import Choice
-from modal.quick_model import best_model, free_runs, observer_markov
+from modal.quick_model import best_model, observer_markov
 from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
@@ -111,22 +111,19 @@ def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:
 
 def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
     """Scaled records with their gaps filled, and how in words."""
-    model: Realisation | None = None
-    first = _first_markov(records) if records[0].n_inputs else None
-    if first is not None:
-        model, error = best_model(first, records)
+    markov = _first_markov(records) if records[0].n_inputs else None
+    model = None if markov is None else best_model(markov, records)
     if model is None:
         zeros = tuple(np.zeros_like(record.outputs) for record in records)
         return _bridged(records, zeros), "interpolated by the correlation of each output"
-    runs, rounds = free_runs(model, records), 1
-    filled = _bridged(records, runs)
+    filled, rounds = _bridged(records, free_runs(model.form, records)), 1
     while rounds < ROUNDS:
         markov = observer_markov(filled)
-        candidate, new = (None, np.inf) if markov is None else best_model(markov, records)
-        if candidate is None or new >= error:
+        candidate = None if markov is None else best_model(markov, records)
+        if candidate is None or candidate.error >= model.error:
             break
-        filled, rounds = _bridged(records, free_runs(candidate, records)), rounds + 1
-        small, error = new > GAIN * error, new
+        filled, rounds = _bridged(records, free_runs(candidate.form, records)), rounds + 1
+        small, model = candidate.error > GAIN * model.error, candidate
         if small:
             break
     words = f"filled by the free run of a model of the measured samples and what it left beside them, {rounds} rounds"

@@ -120,7 +120,7 @@ def _predictor(realisation: Realisation) -> ModalForm | None:
 
 def _run(model: ModalForm, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Outputs and level of a run."""
-    if model.realisation.n_inputs != record.n_inputs:
+    if model.feedthrough.shape[1] != record.n_inputs:
         record = driven_by_outputs(record)
     run = free_run(model, record, rows)
     return run.outputs, run.level

@@ -1,8 +1,8 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
 The run from rest is one pass of block products (`modal.modal_recursion`). The initial state and a constant level of
-each output come from the training rows of the same run by least squares (`modal.initial_fit`); an initial state fitted
-on the scored rows would favour models that are too large.
+each output come from the training samples of the same run by least squares (`modal.initial_fit`); an initial state
+fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.initial_fit import fit_initial_state
+from modal.initial_fit import TrainingPattern, fit_initial_state
 from modal.modal_recursion import ModalRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -23,8 +23,11 @@ __all__ = [
     "driven_by_outputs",
     "filled",
     "free_run",
+    "free_runs",
     "modal_form",
+    "modal_form_of",
     "one_step_predictor",
+    "run_from_rest",
 ]
 
 LARGEST_EIGENVECTOR_CONDITION = 1e10
@@ -40,14 +43,14 @@ class ModalForm:
         weights: (n_poles,) 2 for a pair, 1 for a real pole: y = Re(shapes @ (weights * state)) + D u.
         shapes: (n_outputs, n_poles).
         participations: (n_poles, n_inputs), so that state(k+1) = poles * state(k) + participations @ u(k).
-        realisation: the same model as it was given.
+        feedthrough: (n_outputs, n_inputs) D.
     """
 
     poles: ComplexArray
     weights: FloatArray
     shapes: ComplexArray
     participations: ComplexArray
-    realisation: Realisation
+    feedthrough: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,15 +60,22 @@ class FreeRun:
     Attributes:
         outputs: (n_samples, n_outputs) simulated, the constant level included.
         level: (n_outputs,) constant that was added to each output.
+        state: (n_poles,) modal state at the first sample.
     """
 
     outputs: FloatArray
     level: FloatArray
+    state: ComplexArray
 
 
 def modal_form(realisation: Realisation) -> ModalForm | None:
     """The model in modal form, or None when it is unstable or its eigenvectors are too close to dependent."""
-    poles, vectors = np.linalg.eig(realisation.A)
+    return modal_form_of(realisation.A, realisation.B, realisation.C, realisation.D)
+
+
+def modal_form_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> ModalForm | None:
+    """As `modal_form`, from the matrices: a search has hundreds of candidates, and checks none of their numbers."""
+    poles, vectors = np.linalg.eig(A)
     if np.abs(poles).max(initial=0.0) >= 1.0:
         return None
     # Real coordinates, 2 Re v and -2 Im v for a pair: the two states of a pair cannot differ by rounding.
@@ -79,25 +89,26 @@ def modal_form(realisation: Realisation) -> ModalForm | None:
         condition = np.linalg.norm(coordinates) * np.linalg.norm(inverse)
     if not condition <= LARGEST_EIGENVECTOR_CONDITION:
         return None
-    participations = (inverse @ realisation.B).astype(np.complex128)
+    participations = (inverse @ B).astype(np.complex128)
     participations[upper] += 1j * participations[lower]  # LAPACK keeps pairs together, in the same order
     one_of_each = ~lower
     return ModalForm(
         poles=poles[one_of_each].astype(np.complex128),
         weights=np.where(upper[one_of_each], 2.0, 1.0),
-        shapes=(realisation.C @ vectors[:, one_of_each]).astype(np.complex128),
+        shapes=(C @ vectors[:, one_of_each]).astype(np.complex128),
         participations=participations[one_of_each],
-        realisation=realisation,
+        feedthrough=D,
     )
 
 
-def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> FreeRun:
-    """Run the model through the whole record, its initial state and the outputs' level fitted to `training_rows`.
+def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
+    """Run the model through the whole record, its initial state and the outputs' level fitted to what trains.
 
     Args:
         model: from `modal_form`.
-        record: without NaN (see `filled`).
-        training_rows: (n_samples,) True where the initial state may look: never a row that was filled.
+        record: no input missing (see `filled`).
+        training: (n_samples,) rows or (n_samples, n_outputs) samples, True where the initial state may look: never
+            at a sample that is missing or was filled.
 
     Example:
         >>> model = modal_form(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
@@ -107,22 +118,51 @@ def free_run(model: ModalForm, record: Record, training_rows: BoolArray) -> Free
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
     shapes = model.weights * model.shapes
-    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.realisation.D)
+    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough)
     outputs = recursion.from_rest(record.inputs)
-    trained = training_rows.astype(np.float64)
+    left = record.outputs - outputs
+    left[~training] = 0.0
     n_alive = recursion.n_alive(record.n_samples)
-    start = slice(0, n_alive)
     state, level = fit_initial_state(
         model.poles,
         shapes,
-        recursion.products((record.outputs[start] - outputs[start]) * trained[start, np.newaxis]),
-        trained @ record.outputs - trained @ outputs,
-        runs=runs_of(training_rows),
+        recursion.products(left[:n_alive]),
+        left.sum(axis=0),
+        patterns=_patterns(training, record.n_outputs),
         n_samples=record.n_samples,
     )
-    outputs[start] += recursion.free_response(state, n_alive)
+    outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
-    return FreeRun(outputs=outputs, level=level)
+    return FreeRun(outputs=outputs, level=level, state=state)
+
+
+def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
+    """(n_samples, n_outputs) run through each record, its start and level fitted to every sample that was measured.
+
+    Example:
+        >>> model = modal_form(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+        >>> (run,) = free_runs(model, [Record([0.0, 0.0, 1.0, 0.0], [11.0, 10.5, np.nan, 11.125], 0.1)])
+        >>> run.ravel().round(6).tolist()
+        [11.0, 10.5, 10.25, 11.125]
+    """
+    return [free_run(model, record, ~np.isnan(record.outputs)).outputs for record in records]
+
+
+def run_from_rest(model: ModalForm, inputs: FloatArray) -> FloatArray:
+    """(n_samples, n_outputs) response to (n_samples, n_inputs) inputs, none missing."""
+    shapes = model.weights * model.shapes
+    return ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough).from_rest(inputs)
+
+
+def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:
+    """Outputs that train on the same rows, and the runs of these rows."""
+    if training.ndim == 1 or training.all():
+        rows = training if training.ndim == 1 else training[:, 0]
+        return [(np.arange(n_outputs), runs_of(rows))]
+    together: dict[bytes, list[int]] = {}
+    for i, samples in enumerate(training.T):
+        together.setdefault(np.packbits(samples).tobytes(), []).append(i)
+    return [(np.array(outputs), runs_of(training[:, outputs[0]])) for outputs in together.values()]
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:

@@ -1,4 +1,4 @@
-"""Initial state and level of each output, by least squares on the training rows of a free run.
+"""Initial state and level of each output, by least squares on the training samples of a free run.
 
 With x = a + j b per pole the free response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
 sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows, and these have a closed form.
@@ -12,8 +12,10 @@ import scipy
 
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = ["fit_initial_state"]
+__all__ = ["TrainingPattern", "fit_initial_state"]
 
+TrainingPattern = tuple[npt.NDArray[np.int64], Sequence[tuple[int, int]]]
+"""Outputs, and the runs (first, one past last) of the rows on which these outputs train."""
 STATE_REGULARISATION = 1e-9
 """Of each free response's energy over the whole record: keeps a response that no training row shows from growing."""
 
@@ -24,7 +26,7 @@ def fit_initial_state(
     products: ComplexArray,
     totals: FloatArray,
     *,
-    runs: Sequence[tuple[int, int]],
+    patterns: Sequence[TrainingPattern],
     n_samples: int,
 ) -> tuple[ComplexArray, FloatArray]:
     """Least squares of what the inputs do not explain on the free responses and a constant.
@@ -32,21 +34,27 @@ def fit_initial_state(
     Args:
         poles: (n_poles,) one of each conjugate pair.
         shapes: (n_outputs, n_poles) w c, with the weights.
-        products: (n_poles,) sum over training rows and outputs of what is to be explained times w c lambda^k.
-        totals: (n_outputs,) sum over training rows of what is to be explained.
-        runs: (first, one past last) row of each run of training rows.
+        products: (n_poles,) sum over training samples of what is to be explained times w c lambda^k.
+        totals: (n_outputs,) sum over training samples of what is to be explained.
+        patterns: every output in one of them.
         n_samples: of the record.
 
     Returns:
         (n_poles,) initial state and (n_outputs,) level.
     """
     n_poles, n_outputs = poles.size, totals.size
-    edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
-    ones = np.ones(1, dtype=np.complex128)
-    plain = _sums(poles, poles, edges) * (shapes.T @ shapes)
-    conjugate = _sums(poles.conj(), poles, edges) * (shapes.conj().T @ shapes)
-    to_level = _sums(poles, ones, edges) * shapes.T  # (n_poles, n_outputs)
-    level_rows = max(1.0, float((edges[:, 1] - edges[:, 0]).sum()))
+    plain, conjugate = np.zeros((2, n_poles, n_poles), dtype=np.complex128)
+    to_level = np.empty((n_poles, n_outputs), dtype=np.complex128)
+    n_rows = np.empty(n_outputs)
+    same, crossed = np.outer(poles, poles), np.outer(poles.conj(), poles)
+    for outputs, runs in patterns:
+        edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
+        own, n_trained = shapes[outputs], float((edges[:, 1] - edges[:, 0]).sum())
+        first, last = poles[:, np.newaxis] ** edges[:, 0], poles[:, np.newaxis] ** edges[:, 1]
+        plain += _series(first @ first.T - last @ last.T, same, n_trained) * (own.T @ own)
+        conjugate += _series(first.conj() @ first.T - last.conj() @ last.T, crossed, n_trained) * (own.conj().T @ own)
+        to_level[:, outputs] = _series((first - last).sum(axis=1), poles, n_trained)[:, np.newaxis] * own.T
+        n_rows[outputs] = max(1.0, n_trained)
 
     size = 2 * n_poles + n_outputs
     matrix = np.zeros((size, size))
@@ -57,11 +65,11 @@ def fit_initial_state(
     matrix[b, a] = matrix[a, b].T
     matrix[a, c], matrix[b, c] = to_level.real, -to_level.imag
     matrix[c, a], matrix[c, b] = to_level.real.T, -to_level.imag.T
-    matrix[c, c] = level_rows * np.eye(n_outputs)
+    matrix[c, c] = np.diag(n_rows)
     vector = np.concatenate([products.real, -products.imag, totals])
 
     energy = 0.5 * _energies(poles, n_samples) * np.square(np.abs(shapes)).sum(axis=0)
-    scale = np.concatenate([energy, energy, np.full(n_outputs, level_rows)])
+    scale = np.concatenate([energy, energy, n_rows])
     scale = np.sqrt(np.where(scale > 0.0, scale, 1.0))
     scaled = matrix / np.outer(scale, scale)
     scaled[np.diag_indices(size)] += STATE_REGULARISATION
@@ -77,15 +85,11 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return result
 
 
-def _sums(left: ComplexArray, right: ComplexArray, edges: npt.NDArray[np.int64]) -> ComplexArray:
-    """(n_left, n_right) sum over the runs' rows k of left_i^k right_j^k, by the geometric series of each run."""
-    ratio = np.outer(left, right)
-    first, last = edges[:, 0], edges[:, 1]
-    starts = (left[:, np.newaxis] ** first) @ (right[:, np.newaxis] ** first).T
-    ends = starts - (left[:, np.newaxis] ** last) @ (right[:, np.newaxis] ** last).T
+def _series(ends: ComplexArray, ratio: ComplexArray, n_rows: float) -> ComplexArray:
+    """Sum of ratio^k over the runs' rows, from the sum of ratio^first - ratio^last over the runs."""
     # a ratio of 1 (an integrator): every term of the series is 1
     one = np.abs(1.0 - ratio) < 1e-12
-    return np.where(one, float((last - first).sum()), ends / np.where(one, 1.0, 1.0 - ratio))
+    return np.where(one, n_rows, ends / np.where(one, 1.0, 1.0 - ratio))
 
 
 def _energies(poles: ComplexArray, n_samples: int) -> FloatArray:

@@ -8,20 +8,19 @@ parabola); those are taken off the sums and off the outputs, which leaves their 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from era.realisation import Realisation
-from modal.drift import choose_drift, held_out_squares, is_significant, unit_outputs, without_drift
+from modal.drift import FreedTrials, choose_drift, held_out_squares, is_significant, lasting_share
 from modal.identification import Choice
-from modal.quick_model import free_runs, quick_model
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.scalars import whole_number
 
-__all__ = ["Integrators", "choose_integrators", "given_integrators", "summed_inputs", "with_integrators"]
+__all__ = ["Integrators", "choose_integrators", "given_integrators", "with_integrators"]
 
 MOST = 2
 """Force to position is the most that mechanics asks for."""
@@ -46,14 +45,16 @@ class Integrators:
     choice: Choice
 
 
-def choose_integrators(records: Sequence[Record]) -> Integrators:
+def choose_integrators(records: Sequence[Record], *, trials: FreedTrials | None = None) -> Integrators:
     """As many as explain slow motion that neither a stable model nor a drift beside it explains.
 
     A quick model is driven by the inputs, by their sums and by the sums of those, each beside the drift that would
-    otherwise be found; the mean square of what the free run leaves of slow motion on held-out rows decides.
+    otherwise be found; the mean square of what the free run leaves of slow motion on held-out rows decides. Nothing
+    else is asked where the model of the records as they are leaves no motion that lasts, and forgets.
 
     Args:
         records: of one system, no input missing.
+        trials: of the same records, for a caller who goes on with the models that are made here.
 
     Example:
         >>> push = np.random.default_rng(0).standard_normal(2000)
@@ -63,18 +64,20 @@ def choose_integrators(records: Sequence[Record]) -> Integrators:
     """
     if records[0].n_inputs == 0:
         return _explained(0, "without inputs an integrator cannot be told from a drift")
-    unit = unit_outputs(records)
-    drift = choose_drift(records).n_functions
-    beside_drift = _slow_error(unit, 0, drift)
+    trials = FreedTrials.of(records) if trials is None else trials
+    own, left = trials.model(0, 0), trials.left(0, 0)
     chosen, before = 0, 0.0
-    for number in range(1, MOST + 1):
-        with_one = _slow_error(unit, number, number)
-        without = _slow_error(unit, chosen, number)
-        if with_one is None or (without is not None and not _much_better(with_one, without)):
-            continue
-        if drift > number and beside_drift is not None and with_one.sum() > AS_GOOD * beside_drift.sum():
-            continue
-        chosen, before = number, np.inf if without is None else 1.0 - with_one.sum() / without.sum()
+    if own is None or left is None or not own.forgets or lasting_share(left) > LEAST_GAIN:
+        drift = choose_drift(records, trials=trials).n_functions
+        beside_drift = _slow_error(trials, 0, drift)
+        for number in range(1, MOST + 1):
+            with_one = _slow_error(trials, number, number)
+            without = _slow_error(trials, chosen, number)
+            if with_one is None or (without is not None and not _much_better(with_one, without)):
+                continue
+            if drift > number and beside_drift is not None and with_one.sum() > AS_GOOD * beside_drift.sum():
+                continue
+            chosen, before = number, np.inf if without is None else 1.0 - with_one.sum() / without.sum()
     if chosen == 0:
         return _explained(0, "sums of the inputs explain no slow motion that a stable model does not explain")
     how = (
@@ -97,19 +100,6 @@ def given_integrators(number: int) -> Integrators:
             f"at most {MOST} integrators (force to position) can be fitted, but {number} were given."
         )
     return _explained(number, "given as an argument")
-
-
-def summed_inputs(record: Record, number: int) -> Record:
-    """The record with each input summed so many times: s(k) = u(0) + ... + u(k), u about its mean.
-
-    Example:
-        >>> summed_inputs(Record([2.0, 0.0, 1.0], [0.0, 0.0, 0.0], 0.1), 1).inputs.ravel().tolist()
-        [1.0, 0.0, 0.0]
-    """
-    inputs = record.inputs
-    for _ in range(number):
-        inputs = np.cumsum(inputs - inputs.mean(axis=0), axis=0)
-    return replace(record, inputs=inputs) if number else record
 
 
 def with_integrators(realisation: Realisation, number: int) -> Realisation:
@@ -141,15 +131,10 @@ def with_integrators(realisation: Realisation, number: int) -> Realisation:
     return model
 
 
-def _slow_error(records: Sequence[Record], number: int, n_functions: int) -> FloatArray | None:
+def _slow_error(trials: FreedTrials, number: int, n_functions: int) -> FloatArray | None:
     """Squared slow remainder of a quick model beside slow functions, group by group; None where there is no model."""
-    freed = tuple(without_drift(summed_inputs(record, number), max(number, n_functions)) for record in records)
-    model, _ = quick_model(freed)
-    if model is None:
-        return None
-    runs = free_runs(model, freed)
-    left = [record.outputs - run for record, run in zip(freed, runs, strict=True)]
-    return held_out_squares(left, n_functions)
+    left = trials.left(number, n_functions)
+    return None if left is None else held_out_squares(left, n_functions)
 
 
 def _much_better(error: FloatArray, than: FloatArray) -> bool:

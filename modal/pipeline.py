@@ -19,12 +19,11 @@ from modal.extraction import extract_modes
 from modal.final_model import fit_all_rows
 from modal.fits import measure_fit, model_runs
 from modal.gain import driven_gain
-from modal.ground import prepare_ground
 from modal.identification import Identification
 from modal.preparation import Preparation, prepare
 from modal.refined_choice import refined_search
 from modal.repetition import repeat
-from modal.search import search
+from modal.search import choose_orders, given_orders
 from modal.threads import one_blas_thread
 from modal.verdict import judge
 from okid.errors import IdentificationError, InvalidDataError
@@ -32,7 +31,7 @@ from okid.excitation import check_excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records
-from okid.scalars import real_number, whole_number
+from okid.scalars import whole_number
 
 __all__ = ["identify"]
 
@@ -94,15 +93,16 @@ def identify(
         >>> [f"{mode.frequency:.2f} Hz, {mode.verdict}" for mode in result.modes.system]
         ['5.00 Hz, system']
     """
-    if ridge != "auto" and not 0.0 <= real_number(ridge) < float("inf"):
-        raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+    given_orders(observer_order, ridge, order)
     if refinement not in ("auto", "none"):
         raise InvalidDataError(f'refinement must be "auto" or "none", but is {refinement!r}.')
     settings = _Settings(
-        observer_order=_whole_or_auto(observer_order, "observer_order"),
+        observer_order=observer_order,
         ridge=ridge,
-        order=_whole_or_auto(order, "order"),
-        decimation=_whole_or_auto(decimation, "decimation"),
+        order=order,
+        decimation=decimation
+        if decimation == "auto"
+        else whole_number(decimation, name="decimation", least=1, otherwise='or "auto"'),
         refinement=refinement,
     )
     several = as_records(records)
@@ -136,19 +136,15 @@ def _identify(
     tell: Callable[[str, float], None],
 ) -> Identification:
     prepared = preparation.records
-    ground = prepare_ground(prepared)
-    found = search(
+    found = choose_orders(
         prepared,
-        observer_order=None if settings.observer_order == "auto" else settings.observer_order,
-        ridge=None if settings.ridge == "auto" else float(settings.ridge),
-        model_order=None if settings.order == "auto" else settings.order,
-        ground=ground,
+        observer_order=settings.observer_order,
+        ridge=settings.ridge,
+        order=settings.order,
         progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * share),
-    )
+    ).evidence
     if settings.refinement == "auto" and prepared[0].n_inputs:
-        found = refined_search(
-            ground, found, progress=lambda share: tell("refining on held-out rows", 0.35 + 0.35 * share)
-        )
+        found = refined_search(found, progress=lambda share: tell("refining on held-out rows", 0.35 + 0.35 * share))
     tell("fitting all rows", 0.7)
     wanted = found.chosen
     found, final = fit_all_rows(prepared, found)
@@ -220,7 +216,3 @@ def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck
         return check_innovations(model, records)
     except IdentificationError:  # no gain, or too few rows for the test
         return None
-
-
-def _whole_or_auto(value: int | Literal["auto"], name: str) -> int | Literal["auto"]:
-    return "auto" if value == "auto" else whole_number(value, name=name, least=1, otherwise='or "auto"')

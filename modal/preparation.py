@@ -9,17 +9,17 @@ import numpy as np
 from era.realisation import Realisation
 from modal.band import coherent_band
 from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
-from modal.drift import choose_drift, given_drift, integrator_drift, without_drift
+from modal.drift import FreedTrials, choose_drift, given_drift, integrator_drift, summed_inputs, without_drift
 from modal.filling import Filling, fill_where_needed
 from modal.identification import Choice
-from modal.integrators import choose_integrators, given_integrators, summed_inputs, with_integrators
+from modal.integrators import choose_integrators, given_integrators, with_integrators
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import runs_of
 from okid.scalars import whole_number
 
-__all__ = ["Preparation", "prepare", "split_at_input_gaps"]
+__all__ = ["Preparation", "checked_parts", "prepare", "split_at_input_gaps"]
 
 FEWEST_SAMPLES = 40
 """One block that always trains and one for each of three folds."""
@@ -98,7 +98,8 @@ def prepare(
     _check_words(missing, input_delay)
     centred, gaps = _centred_parts(records)
     filling = _filling(centred, missing)
-    integrating = choose_integrators(filling.records) if given is None else given
+    trials = FreedTrials.of(filling.records)
+    integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
     banded, factor, band = _to_band(filling.records, decimation, number)
     if isinstance(input_delay, str):
@@ -111,7 +112,8 @@ def prepare(
     elif number:
         drifting = integrator_drift(number, banded[0])
     else:
-        drifting = choose_drift(late_inputs(summed, delay.samples))
+        same = factor == 1 and not any(delay.samples)
+        drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
     freed = tuple(without_drift(record, drifting.n_functions) for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     longest = max(delay.samples, default=0)
@@ -126,11 +128,21 @@ def prepare(
     )
 
 
-def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
-    """Records cut where an input is missing, means off."""
+def checked_parts(records: Sequence[Record]) -> tuple[Record, ...]:
+    """The stretches of all records in which no input is missing.
+
+    Raises:
+        InsufficientDataError: an output that never moves in some record, an input that moves in none, or records that
+            are too short.
+    """
     _check_long_enough(records)
     _check_channels_move(records)
-    parts = tuple(part for record in records for part in split_at_input_gaps(record))
+    return tuple(part for record in records for part in split_at_input_gaps(record))
+
+
+def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+    """Records cut where an input is missing, means off."""
+    parts = checked_parts(records)
     centred = tuple(record.detrended() for record in parts)
     if len(parts) == len(records):
         return centred, ()

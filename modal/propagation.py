@@ -1,43 +1,51 @@
-"""First-order propagation of an observer's uncertainty to modes and Markov parameters.
+"""First-order propagation of an observer's uncertainty to modes and Markov parameters, by a Jacobian through ERA.
 
-A number of a mode is `sum of left[i]' h[1 + i + j] right[j]` (`modal.sensitivity`). Feed the observer with right[b-1],
-..., right[0]: what it answers from the next sample on, weighed with left[0], left[1], ..., is that number. So with the
-regressors v(s) of this experiment and the answer y(s) = Theta' v(s),
+How far each pair of blocks of rows pulls the observer's coefficients (`okid.block_grams`) is a direction dTheta; the
+squares of what all directions do to a number add up to its variance, whatever colour the residuals have. A direction
+goes the way of the data: through the recursion of the Markov parameters,
 
-    dy(s) = dTheta' v(s) + sum_i beta_i dy(s-i),    nu(s) = left[s-b] + sum_i beta_i' nu(s+i),
-    d number = sum_s nu(s)' dTheta' v(s),           gradient = sum_s v(s) nu(s)'
+    dh[k] = dalpha_k + sum_i dbeta_i h[k-i] + sum_i beta_i dh[k-i],
 
-One forward run a mode and one backward run a number give all gradients; the covariance of the Markov parameters, whose
-size is that of (lags x channels)^2, is never formed.
+into the Hankel matrices. With H(0) = O R cut at the model's order (O' O = R R' = S), left and right eigenvectors W, V
+of A (W V = 1), and the direction seen in modal coordinates, G(s) = W S^-1 O' dH(s) R' S^-1 V,
+
+    d lambda_i = G(1)_ii - lambda_i G(0)_ii
+    d c_i = E' dH(0) R' S^-1 v_i + sum over j != i of  c_j (G(1)_ji - lambda_i G(0)_ji) / (lambda_i - lambda_j)
+
+c = C V, E the first block column of the identity. They are exact at Markov parameters of exactly the model's order;
+what the singular vectors that were cut off add is of second order in the noise.
 
 References:
-    Juang, Pappa, Journal of Guidance, Control, and Dynamics 9(3), 1986, 294-303, doi 10.2514/3.20106 (ERA).
-    Ljung, System Identification: Theory for the User, 2nd edition, Prentice Hall 1999, section 9.4 (covariance of a
-    least-squares ARX estimate).
+    Juang, Pappa, "Effects of noise on modal parameters identified by the eigensystem realization algorithm", Journal of
+    Guidance, Control, and Dynamics 9(3), 1986, 294-303, doi 10.2514/3.20106.
+    Longman, Lew, Juang, "Variance and bias confidence criteria for ERA modal parameter identification", AIAA/AAS
+    Astrodynamics Conference, 1988, doi 10.2514/6.1988-4312.
 """
 
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import numpy as np
 
+from era.hankel import BlockHankelOperator
 from era.realisation import Realisation
-from modal.experiments import ModeExperiments, ScaledObserver, mode_experiments, scaled_observer
+from modal.basis import INSEPARABLE, discrete_poles
 from modal.mode import Mode
-from modal.noise_models import BlockNoise, WhiteNoise, block_noise, white_noise
-from modal.sensitivity import mode_sensitivities
 from modal.uncertainty import Uncertainty
 from okid.arguments import require
 from okid.arrays import ComplexArray, FloatArray
+from okid.block_grams import FEWEST_BLOCKS, block_deviations, block_grams, pair_freedom
 from okid.errors import InvalidDataError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
 from okid.record import Record
+from okid.recursion import solve_recursion
 from okid.rows import as_records
+from okid.scaling import channel_scaling
 
-__all__ = ["Residuals", "propagated"]
+__all__ = ["propagated"]
 
-Residuals = Literal["blocks", "white"]
+SAME_POLE = 1e-6
+"""Distance of discrete poles up to which a mode is one of the realisation: the way through ln and exp only rounds."""
 
 
 def propagated(
@@ -47,31 +55,26 @@ def propagated(
     markov: MarkovParameters,
     realisation: Realisation,
     modes: Sequence[Mode],
-    residuals: Residuals = "blocks",
 ) -> Uncertainty:
     """Standard deviations of modes and Markov parameters from the noise that the observer left over.
 
-    What "white" takes for granted (`okid.check_residuals` tells: ratio near 1) seldom holds: the observer of a lightly
-    damped structure needs hundreds of lags to whiten sensor noise, and a ridge leaves part of the signal. Where
-    residuals carry over from sample to sample, "white" is wrong by factors, too large where the observer is too short,
-    too small with a ridge. "blocks" asks only that a twentieth of the record is long against their memory and that of
-    the modes; where it is not, its deviations are too large.
+    Clustered by contiguous blocks of rows: right for residuals of any colour where a twentieth of the record is long
+    against their memory and that of the modes; where it is not, the deviations are too large. They are known to 20 %.
 
-    An interval from either lacks the bias: that of a short observer or of a ridge (both damp too much), of neighbours
-    that the model order merges, and of a mode so weak that first order is not enough.
+    An interval lacks the bias: that of a short observer or of a ridge (both damp too much), of neighbours that the
+    model order merges, and of a mode so weak that first order is not enough.
 
     Args:
         records: that the observer was fitted to.
         observer: fitted to all their rows.
         markov: recovered from it.
-        realisation: cut from them, not refined afterwards.
+        realisation: cut from them (without inputs: from their gain), not refined afterwards.
         modes: of the realisation.
-        residuals: "white" (covariance Sigma_e (x) (V V')^-1 of least squares, ridge included) or "blocks" (clustered by
-            contiguous blocks of rows: right for residuals of any colour, known to 16 %).
 
     Raises:
         InvalidDataError: records that the observer was not fitted to, a realisation without Hankel factors, or modes of
             another one.
+        InsufficientDataError: fewer than two blocks have a row to fit.
 
     Example:
         >>> from okid.observer import fit_observer
@@ -89,68 +92,106 @@ def propagated(
         >>> modes = extract_modes(model).modes
         >>> known = propagated(record, observer=observer, markov=markov, realisation=model, modes=modes)
         >>> half_width = known.interval_factor(0.95) * known.frequency_std[0]
-        >>> print(f"{modes[0].frequency:.2f} Hz +- {half_width:.3f} Hz")
-        9.07 Hz +- 0.018 Hz
+        >>> print(f"{modes[0].frequency:.2f} Hz +- {half_width:.2f} Hz")
+        9.07 Hz +- 0.02 Hz
     """
     require(observer, ObserverFit, where="propagated", made_by="okid.fit_observer")
     require(markov, MarkovParameters, where="propagated", made_by="okid.recover_markov")
     require(realisation, Realisation, where="propagated", made_by="era.realise")
-    if residuals not in get_args(Residuals):
-        raise InvalidDataError(f'residuals must be "blocks" or "white", but is {residuals!r}.')
-    sensitivities = mode_sensitivities(realisation, modes)
-    recursion = scaled_observer(observer)
     several = as_records(records)
-    noise = white_noise(several, observer) if residuals == "white" else block_noise(several, observer)
-    first, second = _mode_products(mode_experiments(sensitivities, recursion), noise)
-    frequency, damping = _pole_deviations(sensitivities.poles, first[:, 0], second[:, 0], realisation.dt)
-    shape = np.sqrt(np.maximum(first[:, 1:], 0.0))
-    for array in (frequency, damping, shape):
-        array[~sensitivities.separable] = np.nan
+    parts = block_grams(several, observer.order, scaling=channel_scaling(several), n_blocks=FEWEST_BLOCKS)
+    have = (parts[0].n_inputs, parts[0].n_outputs, sum(part.n_rows for part in parts))
+    want = (observer.n_inputs, observer.n_outputs, observer.n_rows)
+    if have != want:
+        raise InvalidDataError(
+            f"the records must be those of the observer fit, with (inputs, outputs, rows) {want}, but have {have}."
+        )
+    moved = _moved_markov(observer, markov, block_deviations(parts, observer.ridge))
+    frequency, damping, shape = _mode_deviations(realisation, modes, moved)
     scale = observer.output_scale[:, np.newaxis] / observer.input_scale
     return Uncertainty(
         method="propagation",
         frequency_std=frequency,
         damping_ratio_std=damping,
         shape_std=shape,
-        markov_std=_markov_deviations(recursion, noise, markov.n_lags) * scale,
-        degrees_of_freedom=noise.degrees_of_freedom,
+        markov_std=np.sqrt(np.square(moved[..., : observer.n_inputs]).sum(axis=0)) * scale
+        if observer.n_inputs
+        else np.zeros((markov.n_lags + 1, observer.n_outputs, 0)),
+        degrees_of_freedom=pair_freedom(len(parts)),
     )
 
 
-def _mode_products(experiments: ModeExperiments, noise: WhiteNoise | BlockNoise) -> tuple[FloatArray, ComplexArray]:
-    """E |d number|^2 and E (d number)^2, each (n_modes, n_numbers)."""
-    n_modes, n_numbers = experiments.weights.shape[:2]
-    first = np.empty((n_modes, n_numbers))
-    second = np.empty((n_modes, n_numbers), dtype=np.complex128)
-    for mode in range(n_modes):
-        first[mode], second[mode] = noise.products(experiments.regressors(mode), experiments.weights[mode])
-    return first, second
+def _moved_markov(observer: ObserverFit, markov: MarkovParameters, deviations: FloatArray) -> FloatArray:
+    """(n_directions, n_lags + 1, n_outputs, n_channels) dh of scaled channels; without inputs that of the gain.
+
+    Args:
+        observer: whose coefficients move.
+        markov: recovered from it.
+        deviations: (n_directions, n_unknowns, n_outputs) of the coefficients of scaled channels.
+    """
+    size, into = observer.output_scale, observer.input_scale
+    n_directions, _, q = deviations.shape
+    m, p, n_lags = observer.n_inputs, observer.order, markov.n_lags
+    h = markov.system * into / size[:, np.newaxis] if m or markov.gain is None else markov.gain * size / size[:, None]
+    past = deviations[:, 1 + m :].reshape(n_directions, p, m + q, q)
+    forcing = np.zeros((n_lags + 1, h.shape[2], n_directions, q))
+    if m:
+        forcing[0] = deviations[:, 1 : 1 + m].transpose(1, 0, 2)
+        forcing[1 : p + 1] = past[:, :n_lags, :m].transpose(1, 2, 0, 3)
+    for i in range(1, min(p, n_lags) + 1):
+        forcing[i:] += np.tensordot(h[: n_lags + 1 - i], past[:, i - 1, m:], axes=(1, 1))
+    columns = np.ascontiguousarray(forcing.transpose(0, 3, 2, 1)).reshape(n_lags + 1, q, -1)
+    moved = solve_recursion(observer.output_coefficients * size / size[:, np.newaxis], columns)
+    return moved.reshape(n_lags + 1, q, n_directions, -1).transpose(2, 0, 1, 3)
 
 
-def _pole_deviations(
-    poles: ComplexArray, first: FloatArray, second: ComplexArray, dt: float
-) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of frequency [Hz] and damping ratio: both are Re(weight dlambda)."""
-    s = np.log(poles) / dt
-    size = np.abs(s)
-    slope = 1.0 / (poles * dt)
-    # |s| moves by Re(conj(s) ds) / |s|, -Re(s)/|s| by -Re(ds) / |s| + Re(s) d|s| / |s|^2
-    growth = np.conj(s) * slope / size
-    frequency = growth / (2 * np.pi)
-    damping = (-slope + s.real * growth / size) / size
-    deviations = [
-        np.sqrt(np.maximum(0.5 * (np.abs(weight) ** 2 * first + (weight**2 * second).real), 0.0))
-        for weight in (frequency, damping)
-    ]
-    return deviations[0], deviations[1]
+def _mode_deviations(
+    realisation: Realisation, modes: Sequence[Mode], moved: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Standard deviations of frequency [Hz], damping ratio and (n_modes, n_outputs) shape; nan where poles coincide."""
+    factors = realisation.factors
+    if factors is None:
+        raise InvalidDataError(
+            "derivatives of modes need the Hankel factors that the realisation was cut from, but there are none; "
+            "take the realisation of era.realise."
+        )
+    poles, right = (array.astype(np.complex128) for array in np.linalg.eig(realisation.A))
+    left = np.linalg.pinv(right) if np.linalg.cond(right) > 1e14 else np.linalg.inv(right)
+    which = _matched(tuple(modes), poles, realisation.dt)
+    values = np.square(factors.observability).sum(axis=0)
+    to_left, to_right = left @ (factors.observability / values).T, factors.controllability.T / values
+    shapes, q = realisation.C @ right, realisation.n_outputs
+    apart = poles - poles[:, np.newaxis]
+    share = np.divide(1.0, apart, out=np.zeros_like(apart), where=apart != 0)
+    place = np.abs(shapes).argmax(axis=0), np.arange(poles.size)
+    relative = shapes / shapes[place]
+    s = np.log(poles) / realisation.dt
+    squares = np.zeros((2 + q, poles.size))
+    for dh in moved:
+        operator = BlockHankelOperator.of(dh, factors.n_block_rows + 1, factors.n_block_columns)
+        answer = operator.times(to_right) @ right
+        change = to_left @ answer[q:] - poles * (to_left @ answer[:-q])
+        ds = change.diagonal() / (poles * realisation.dt)
+        dc = shapes @ (change * share) + factors.output_scale[:, np.newaxis] * answer[:q]
+        dc = (dc - relative * dc[place]) / shapes[place]
+        dc[place] = 0.0
+        growth = (s.conj() * ds).real / np.abs(s)
+        damping = (s.real * growth / np.abs(s) - ds.real) / np.abs(s)
+        squares += np.vstack([(growth / (2 * np.pi)) ** 2, damping**2, np.abs(dc) ** 2])
+    deviations = np.sqrt(squares)
+    deviations[:, np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) >= INSEPARABLE] = np.nan
+    return deviations[0, which], deviations[1, which], deviations[2:, which].T
 
 
-def _markov_deviations(recursion: ScaledObserver, noise: WhiteNoise | BlockNoise, n_lags: int) -> FloatArray:
-    """(n_lags + 1, n_outputs, n_inputs) standard deviations in scaled channels."""
-    n_outputs, n_inputs = recursion.feedthrough.shape
-    variance = np.zeros((n_lags + 1, n_outputs, n_inputs))
-    system = recursion.pulse_response(n_lags)
-    for channel in range(n_inputs):
-        regressors = recursion.pulse_regressors(system, channel)
-        variance[:, :, channel] = noise.response_variance(regressors, recursion.outputs)
-    return np.sqrt(variance)
+def _matched(modes: tuple[Mode, ...], poles: ComplexArray, dt: float) -> np.ndarray:
+    """Index of each mode's pole."""
+    if not modes:
+        return np.empty(0, dtype=np.intp)
+    wanted, _ = discrete_poles(modes, dt)
+    distance = np.abs(wanted[:, np.newaxis] - poles)
+    if poles.size == 0 or distance.min(axis=1).max() > SAME_POLE:
+        raise InvalidDataError(
+            f"all {len(modes)} modes must be poles of the realisation of order {poles.size}, but at least one is none "
+            "of them; take those of modal.extract_modes."
+        )
+    return distance.argmin(axis=1)

@@ -1,19 +1,19 @@
 """A first model, good enough to judge the data by: one observer, one ridge, the order whose free run is nearest.
 
 What is done to records before the search (filling gaps, taking off drift) is decided by what a model leaves of them.
-This one costs a few hundredths of a second for each ten thousand samples; it is never the answer.
+This one costs a few hundredths of a second for each ten thousand samples, and no more orders than a search would are
+run freely through no more rows; it is never the answer.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from era.balanced import decompose, realise_from
-from era.initial_state import estimate_initial_state
-from era.realisation import Realisation
-from era.simulation import simulate_array
+from modal.free_run import ModalForm, free_runs, modal_form
 from modal.ground import LARGEST_PULSE, hankel_limits, markov_lags
-from okid.arrays import FloatArray
+from modal.stretches import stretches_of
 from okid.gram import lag_gram
 from okid.markov import MarkovParameters
 from okid.record import Record
@@ -21,7 +21,7 @@ from okid.recovery import recover_system
 from okid.regression import solve
 from okid.scaling import channel_scaling
 
-__all__ = ["best_model", "free_runs", "observer_markov", "quick_model"]
+__all__ = ["QuickModel", "best_model", "observer_markov", "quick_model"]
 
 LONGEST_OBSERVER = 128
 MOST_UNKNOWNS = 600
@@ -33,20 +33,35 @@ WITHIN = 1.02
 """A smaller model stands in for one whose error is at most this much smaller."""
 
 
-def quick_model(records: Sequence[Record]) -> tuple[Realisation | None, float]:
-    """The model, None where none is stable, and the root mean square of what its free run leaves.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class QuickModel:
+    """A stable model and how near its free run comes.
+
+    Attributes:
+        form: the model.
+        error: root mean square of what its free run leaves of the measured samples that were looked at.
+        forgets: whether every pole of every order tried dies out to 1 / e within the longest record; that of an
+            integrator does not.
+    """
+
+    form: ModalForm
+    error: float
+    forgets: bool
+
+
+def quick_model(records: Sequence[Record]) -> QuickModel | None:
+    """The model of records without missing samples and with channels of like size; None where none is stable.
 
     Args:
-        records: of one system with inputs, none of them missing; channels of like size.
+        records: of one system with inputs.
 
     Example:
         >>> force = np.random.default_rng(0).standard_normal(600)
-        >>> model, error = quick_model([Record(force, np.convolve(force, [0.0, 1.0, 0.5])[:600], 0.01)])
-        >>> error < 0.01
+        >>> quick_model([Record(force, np.convolve(force, [0.0, 1.0, 0.5])[:600], 0.01)]).error < 0.01
         True
     """
     markov = observer_markov(records)
-    return (None, np.inf) if markov is None else best_model(markov, records)
+    return None if markov is None else best_model(markov, records)
 
 
 def observer_markov(records: Sequence[Record]) -> MarkovParameters | None:
@@ -72,43 +87,27 @@ def observer_markov(records: Sequence[Record]) -> MarkovParameters | None:
     return MarkovParameters(system=pulse * size, dt=records[0].dt)
 
 
-def best_model(markov: MarkovParameters, records: Sequence[Record]) -> tuple[Realisation | None, float]:
-    """The smallest stable model whose free run is within 2 % of the nearest to the measured samples; and its error.
+def best_model(markov: MarkovParameters, records: Sequence[Record]) -> QuickModel | None:
+    """The smallest stable model whose free run is within 2 % of the nearest to the measured samples.
 
     Args:
         markov: without gain.
-        records: whose outputs are compared with the free run.
+        records: whose outputs are compared with the free run; of long ones the stretches that a search would score.
     """
     decomposition = decompose(markov, max_order=min(max(MODEL_ORDERS), *hankel_limits(markov)))
-    tried: list[tuple[float, Realisation]] = []
-    for order in MODEL_ORDERS:
-        if order > min(decomposition.rank, decomposition.max_order):
-            break
-        model = realise_from(decomposition, order)
-        if np.abs(np.linalg.eigvals(model.A)).max() < 1.0:
-            tried.append((_distance(records, free_runs(model, records)), model))
-    if not tried:
-        return None, np.inf
-    least = min(error for error, _ in tried)
-    error, model = next((error, model) for error, model in tried if error <= WITHIN * least)
-    return model, error
-
-
-def free_runs(model: Realisation, records: Sequence[Record]) -> tuple[FloatArray, ...]:
-    """(n_samples, n_outputs) a record: the inputs' response from the best initial state, at the best level."""
-    runs = []
-    for record in records:
-        state = estimate_initial_state(model, record)
-        run = np.array(simulate_array(model.A, model.B, model.C, model.D, record.inputs, initial_state=state))
-        left = record.outputs - run
-        there = ~np.isnan(left)
-        level = np.where(there, left, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
-        runs.append(run + level)
-    return tuple(runs)
-
-
-def _distance(records: Sequence[Record], runs: Sequence[FloatArray]) -> float:
-    """Root mean square over the measured samples."""
-    squares = [np.square(record.outputs - run) for record, run in zip(records, runs, strict=True)]
-    measured = sum(int(np.isfinite(one).sum()) for one in squares)
-    return float(np.sqrt(sum(float(np.nansum(one)) for one in squares) / max(1, measured)))
+    compared = [records[one.record].samples(one.first, one.last) for one in stretches_of(records)]
+    n_measured = max(1, sum(int(np.isfinite(record.outputs).sum()) for record in compared))
+    longest = max(record.n_samples for record in records)
+    largest = min(decomposition.rank, decomposition.max_order)
+    models = [realise_from(decomposition, order) for order in MODEL_ORDERS if order <= largest]
+    radius = max((float(np.abs(np.linalg.eigvals(model.A)).max()) for model in models), default=0.0)
+    tried = []
+    for model in models:
+        form = modal_form(model)
+        if form is not None:
+            runs = zip(compared, free_runs(form, compared), strict=True)
+            squares = sum(float(np.nansum(np.square(record.outputs - run))) for record, run in runs)
+            error = float(np.sqrt(squares / n_measured))
+            tried.append(QuickModel(form=form, error=error, forgets=longest * (1.0 - radius) > 1.0))
+    least = min((model.error for model in tried), default=np.inf)
+    return next((model for model in tried if model.error <= WITHIN * least), None)

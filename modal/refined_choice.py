@@ -64,17 +64,16 @@ def output_error_data(ground: Ground) -> OutputError:
     return OutputError(records=ground.scaled, rows=rows, blocks=blocks_of(ground.scaled, ground.blocks))
 
 
-def refined_search(ground: Ground, found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
+def refined_search(found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
     """The search with its best candidates refined; the refined trials stand beside those without refinement.
 
     Args:
-        ground: of the search.
         found: observers and model orders by their free runs without refinement.
         progress: called with the share done.
     """
     first, *others = _observers(found)
     orders = _orders(found)
-    shop = _Workshop(ground=ground, data=output_error_data(ground), largest_order=max(orders) + 2)
+    shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     best, without_gain = found.trials[0].error, 0
     for i, n in enumerate(orders):

@@ -12,21 +12,37 @@ better (so a grid that ends too early extends). Model orders are coarse until tw
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from modal.ground import Ground, hankel_shape, prepare_ground
+from modal.preparation import checked_parts
 from modal.search_grid import SearchLimits, search_limits, untried_neighbours
 from modal.trials import Trial, make_trials
 from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError
+from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
+from okid.rows import as_records
+from okid.scalars import real_number, whole_number
 
-__all__ = ["Search", "SearchLimits", "as_good", "search", "search_limits", "significantly_worse"]
+__all__ = [
+    "OrderChoice",
+    "Search",
+    "SearchLimits",
+    "as_good",
+    "choose_orders",
+    "given_orders",
+    "search",
+    "search_limits",
+    "significantly_worse",
+]
 
 RIDGE_RATIOS = (10.0, 3.0, 3.0, 3.0)
 """Between the ridges of neighbours, in each round of the search."""
 COARSE_MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 40)
+PATIENCE = 2
+"""Leave an observer's larger models out after so many coarse orders without gain, until two observers are left."""
 SEMIFINALISTS = 9
 """Observers that a scout sends to a second fold."""
 FINALISTS = 4
@@ -51,12 +67,107 @@ class Search:
         chosen: the trial taken.
         power: (n_folds, n_outputs) squares of the held-out outputs about their mean, scaled channels.
         limits: what was allowed.
+        ground: what the trials were fitted to and scored on, for a caller who goes on with what is computed there.
     """
 
     trials: tuple[Trial, ...]
     chosen: Trial
     power: FloatArray
     limits: SearchLimits
+    ground: Ground
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OrderChoice:
+    """The orders by which records are fitted, and on which evidence.
+
+    Attributes:
+        observer_order: for `okid.fit_observer`.
+        ridge: for `okid.fit_observer`.
+        n_lags: for `okid.recover_markov`: as many as the candidates were realised from.
+        order: number of states, for `era.realise`.
+        evidence: every trial that was scored on all folds.
+    """
+
+    observer_order: int
+    ridge: float
+    n_lags: int
+    order: int
+    evidence: Search
+
+    def __repr__(self) -> str:
+        return (
+            f"OrderChoice(observer_order={self.observer_order}, ridge={self.ridge:.3g}, n_lags={self.n_lags}, "
+            f"order={self.order}, best of {len(self.evidence.trials)} models)"
+        )
+
+
+def choose_orders(
+    records: Record | Sequence[Record],
+    *,
+    observer_order: int | Literal["auto"] = "auto",
+    ridge: float | Literal["auto"] = "auto",
+    order: int | Literal["auto"] = "auto",
+    progress: Callable[[float], None] = lambda _: None,
+) -> OrderChoice:
+    """Choose observer order, ridge and model order together, by the error of a free run on held-out rows.
+
+    This is the choice that `modal.identify` makes of the records as it has prepared them, before it refines.
+
+    Args:
+        records: one `Record` or several of one system; where an input is missing, what follows starts a record.
+        observer_order: number of past samples that the observer uses, or "auto".
+        ridge: relative to the unit diagonal of the Gram matrix of the scaled channels, or "auto".
+        order: number of states, or "auto".
+        progress: called with the share done.
+
+    Raises:
+        InvalidDataError: records that do not belong together, or an argument outside its range.
+        InsufficientDataError: a channel that never moves, records that are too short, or no stable candidate.
+
+    Example:
+        >>> import numpy as np, era, okid
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal(1000)
+        >>> tip = np.convolve(force, 0.9 ** np.arange(100))[:1000]
+        >>> record = Record(force, tip + 0.01 * rng.standard_normal(1000), 0.01)
+        >>> choice = choose_orders(record)
+        >>> observer = okid.fit_observer(record, order=choice.observer_order, ridge=choice.ridge)
+        >>> model = era.realise(okid.recover_markov(observer, n_lags=choice.n_lags), order=choice.order)
+        >>> model.A.round(3).ravel().tolist()
+        [0.9]
+    """
+    given = given_orders(observer_order, ridge, order)
+    parts = checked_parts(as_records(records))
+    found = search(parts, observer_order=given[0], ridge=given[1], model_order=given[2], progress=progress)
+    return OrderChoice(
+        observer_order=found.chosen.observer_order,
+        ridge=found.chosen.ridge,
+        n_lags=found.ground.n_lags,
+        order=found.chosen.model_order,
+        evidence=found,
+    )
+
+
+def given_orders(
+    observer_order: int | Literal["auto"], ridge: float | Literal["auto"], order: int | Literal["auto"]
+) -> tuple[int | None, float | None, int | None]:
+    """The three as numbers, None for "auto".
+
+    Raises:
+        InvalidDataError: one outside its range.
+    """
+    if ridge != "auto" and not 0.0 <= real_number(ridge) < float("inf"):
+        raise InvalidDataError(f'ridge must be "auto" or a number of at least 0, but is {ridge!r}.')
+    return (
+        _whole_or_none(observer_order, "observer_order"),
+        None if ridge == "auto" else float(ridge),
+        _whole_or_none(order, "order"),
+    )
+
+
+def _whole_or_none(value: int | Literal["auto"], name: str) -> int | None:
+    return None if value == "auto" else whole_number(value, name=name, least=1, otherwise='or "auto"')
 
 
 def search(
@@ -65,17 +176,15 @@ def search(
     observer_order: int | None = None,
     ridge: float | None = None,
     model_order: int | None = None,
-    ground: Ground | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Search:
     """Choose observer order, ridge and model order together; a given one is kept.
 
     Args:
-        records: of one system, means removed.
+        records: of one system, no input missing.
         observer_order: the caller's choice, None to choose.
         ridge: likewise.
         model_order: likewise.
-        ground: of the same records, from `prepare_ground`, for a caller who wants to go on with what is computed here.
         progress: called with the share done.
 
     Raises:
@@ -83,7 +192,7 @@ def search(
             stable model.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
-    ground = prepare_ground(records) if ground is None else ground
+    ground = prepare_ground(records)
     if model_order is not None:
         _check_model_order(model_order, ground)
     every_fold = tuple(range(len(ground.folds)))
@@ -92,10 +201,10 @@ def search(
     coarse = tuple(n for n in limits.model_orders if n in COARSE_MODEL_ORDERS) or limits.model_orders
     scout: list[Trial] = []
     for i, candidate in enumerate(limits.ridges):
-        scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted)
+        scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted, patience=PATIENCE)
         progress(0.5 * (i + 1) / len(limits.ridges))
     if len(scouted) < len(every_fold):
-        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2])
+        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2], patience=PATIENCE)
     tried = _finals(ground, scout, coarse, every_fold)
     seen = {(p, ridge) for p in limits.observer_orders for ridge in limits.ridges}
     for i, ratio in enumerate(RIDGE_RATIOS):
@@ -113,7 +222,7 @@ def search(
         tried = [trial for trial in tried if (trial.observer_order, trial.ridge) != observer] + own
     progress(1.0)
     tried.sort(key=_by_error)
-    return Search(trials=tuple(tried), chosen=_chosen(tried), power=ground.power, limits=limits)
+    return Search(trials=tuple(tried), chosen=_chosen(tried), power=ground.power, limits=limits, ground=ground)
 
 
 def _by_error(trial: Trial) -> tuple[float, int]:
@@ -135,8 +244,14 @@ def _trials(
     observers: Sequence[tuple[int, float]],
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
+    *,
+    patience: int | None = None,
 ) -> list[Trial]:
-    return [trial for p, ridge in observers for trial in make_trials(ground, [p], ridge, model_orders, fold_indices)]
+    return [
+        trial
+        for p, ridge in observers
+        for trial in make_trials(ground, [p], ridge, model_orders, fold_indices, patience=patience)
+    ]
 
 
 def _finals(
@@ -167,7 +282,7 @@ def _first_stable(
     """Trials of the first so many observers that are stable on every fold."""
     found: list[Trial] = []
     for observer in ranked:
-        own = _trials(ground, [observer], model_orders, every_fold)
+        own = _trials(ground, [observer], model_orders, every_fold, patience=PATIENCE)
         found += own
         count -= bool(own)
         if count == 0:

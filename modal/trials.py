@@ -10,11 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.balanced import HankelDecomposition
-from modal.free_run import free_run, modal_form, one_step_predictor
+from modal.free_run import ModalForm, free_run, modal_form, modal_form_of, one_step_predictor
 from modal.ground import Ground, corner, training_decomposition
 from okid.arrays import FloatArray
 
 __all__ = ["Trial", "make_trials", "trial_of"]
+
+GAIN = 0.99
+"""Leave larger models of an observer out after some in a row that do not bring the error below this share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -49,16 +52,33 @@ def make_trials(
     ridge: float,
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
+    *,
+    patience: int | None = None,
 ) -> list[Trial]:
-    """Fit every observer order with one ridge and score all model orders; what was done before is not done again."""
+    """Fit every observer order with one ridge and score its models; what was done before is not done again.
+
+    Args:
+        ground: of all trials.
+        observer_orders: to fit.
+        ridge: of the fits.
+        model_orders: rising.
+        fold_indices: folds to score on.
+        patience: model orders in a row that do not bring an observer's error below `GAIN` of its best, after which its
+            larger ones are left out; None scores all.
+    """
     trials = []
     power = ground.power[list(fold_indices)]
     for p in observer_orders:
+        best, without_gain = np.inf, 0
         for n in model_orders:
             blocks = [_scored(ground, (p, ridge, n, i), max(model_orders)) for i in fold_indices]
             whole = [errors for errors in blocks if errors is not None]
             if len(whole) == len(blocks):
                 trials.append(trial_of(p, ridge, n, whole, power))
+                without_gain = 0 if trials[-1].error < GAIN * best else without_gain + 1
+                best = min(best, trials[-1].error)
+            if without_gain == patience:
+                break
     return trials
 
 
@@ -98,10 +118,7 @@ def trial_of(
 
 def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_order: int, fold: int) -> FloatArray | None:
     """(n_blocks, n_outputs) squared error of the free run on the fold's blocks; None when the model cannot run."""
-    model = corner(decomposition, model_order)
-    if model is None:
-        return None
-    form = modal_form(model if model.n_inputs else one_step_predictor(model))
+    form = _form(decomposition, model_order)
     if form is None:
         return None
     errors = []
@@ -109,11 +126,20 @@ def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_orde
         ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
     ):
         if edges:
-            run = free_run(form, record, trained)
-            for first, last in edges:
-                missed = record.outputs[first:last] - run.outputs[first:last]
-                counts = held_out[first:last]
-                if not counts.all():
-                    missed = missed[counts]
-                errors.append(np.einsum("ko,ko->o", missed, missed))
-    return np.array(errors)
+            missed = record.outputs - free_run(form, record, trained).outputs
+            missed[~held_out] = 0.0
+            np.square(missed, out=missed)
+            # what lies between two blocks is a segment, too, and left out
+            errors.append(np.add.reduceat(missed, np.ravel(edges)[: None if edges[-1][1] < len(missed) else -1])[::2])
+    return np.concatenate(errors)
+
+
+def _form(decomposition: HankelDecomposition, order: int) -> ModalForm | None:
+    """The model that runs: without inputs the one-step predictor; None beyond the rank or where it cannot run."""
+    found = decomposition
+    if found.D.shape[1] == 0:
+        model = corner(found, order)
+        return None if model is None else modal_form(one_step_predictor(model))
+    if order > min(found.rank, found.max_order):
+        return None
+    return modal_form_of(found.A[:order, :order], found.B[:order], found.C[:, :order], found.D)

@@ -1,7 +1,7 @@
 """How far every number of an identification can be trusted: standard deviations, and intervals from them.
 
-Three ways lead to the same type: the curvature of the output error at a refined model, first-order propagation through
-OKID and ERA (`modal.propagation`), and refits with reweighted rows (`modal.bootstrap`).
+Two ways lead to the same type: the curvature of the output error at a refined model, and first-order propagation
+through OKID and ERA (`modal.propagation`).
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from okid.errors import InvalidDataError
 
 __all__ = ["Uncertainty", "UncertaintyMethod"]
 
-UncertaintyMethod = Literal["output error", "propagation", "bootstrap"]
+UncertaintyMethod = Literal["output error", "propagation"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -23,14 +23,13 @@ class Uncertainty:
     """Standard deviations of modes and Markov parameters; nan where one is not known.
 
     Attributes:
-        method: "output error", "propagation" or "bootstrap".
+        method: "output error" or "propagation".
         frequency_std: (n_modes,) [Hz], in the order of the modes that were asked for.
         damping_ratio_std: (n_modes,); 0 for a real pole, whose damping ratio is 1 by definition.
         shape_std: (n_modes, n_outputs) root of the mean square distance of each complex component from its own mean, of
             shapes normalised as `Mode.shape`: the largest component is 1 and has none.
         markov_std: (n_lags + 1, n_outputs, n_inputs) of the system Markov parameters, in their unit.
         degrees_of_freedom: of the residuals that the noise was estimated from; infinite where it is known.
-        found: (n_modes,) share of the replicas of a bootstrap in which the mode was found again; 1 for other methods.
 
     Raises:
         InvalidDataError: arrays that do not fit together, or no positive number of degrees of freedom.
@@ -48,7 +47,6 @@ class Uncertainty:
     shape_std: FloatArray
     markov_std: FloatArray
     degrees_of_freedom: float = np.inf
-    found: FloatArray = None  # type: ignore[assignment]  # ones once constructed
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -61,7 +59,6 @@ class Uncertainty:
         }
         for name, shape in shapes.items():
             set_(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=shape))
-        set_(self, "found", _found(self.found, n_modes))
         if not self.degrees_of_freedom > 0:
             raise InvalidDataError(f"degrees_of_freedom must be positive, but is {self.degrees_of_freedom}.")
 
@@ -80,7 +77,3 @@ class Uncertainty:
         if np.isinf(self.degrees_of_freedom):
             return float(scipy.special.ndtri(tail))
         return float(scipy.special.stdtrit(self.degrees_of_freedom, tail))
-
-
-def _found(values: FloatArray | None, n_modes: int) -> FloatArray:
-    return frozen_with_gaps(np.ones(n_modes) if values is None else values, name="found", shape=(n_modes,))

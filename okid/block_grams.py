@@ -15,13 +15,14 @@ References:
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from okid.arrays import FloatArray
 from okid.coefficient_covariance import coefficient_covariance
 from okid.errors import InsufficientDataError
-from okid.gram import LagGram, lag_gram, weighted_sum
+from okid.gram import LagGram, lag_gram
 from okid.normal_equations import normal_equations
 from okid.record import Record
 from okid.scaling import ChannelScaling
@@ -67,7 +68,7 @@ def block_grams(
                 parts.append(part)
     if len(parts) < 2:
         raise InsufficientDataError(
-            f"a bootstrap needs two blocks of rows that observer order {order} can be fitted to, but there are "
+            f"standard deviations need two blocks of rows that observer order {order} can be fitted to, but there are "
             f"{len(parts)}; use a lower order or a longer record."
         )
     return tuple(parts)
@@ -99,7 +100,9 @@ def block_deviations(parts: Sequence[LagGram], ridge: float) -> FloatArray:
         >>> bool(np.abs(block_deviations(parts, 1e-3).sum(axis=0)).max() < 1e-12)
         True
     """
-    whole = weighted_sum(parts, np.ones(len(parts)))
+    whole = replace(
+        parts[0], matrix=np.sum([part.matrix for part in parts], axis=0), n_rows=sum(part.n_rows for part in parts)
+    )
     equations = normal_equations(whole, ridge)
     covariance = coefficient_covariance(whole, ridge)
     solution = covariance.solve(equations.right)

@@ -1,15 +1,7 @@
-"""How uncertain the coefficients of an observer are, for linear functionals of them: the covariance is never formed.
+"""The matrix behind the variance of an observer's coefficients, factored once: W = V V' + penalty.
 
-With the regressors V of the rows that were fitted, W = V V' + penalty and residuals of covariance Sigma_e, the ridge
-estimate has
-
-    cov(Theta[r, i], Theta[s, j]) = P[r, s] Sigma_e[i, j],   P = W^-1 V V' W^-1 = W^-1 - W^-1 penalty W^-1
-
-(bias by the ridge is no variance and is not in it). With W = L L' the part of two functionals g, h in P is
-
-    g' P h = X_g' X_h - Z_g' Z_h,   X = L^-1 [g h],   Z = sqrt(penalty) L^-T X:
-
-one triangular solve without a ridge, two with one.
+With the regressors V of the rows that were fitted, the ridge estimate moves by W^-1 times what moves its right side,
+and the data and not the ridge decide trace(W^-1 V V') of its unknowns.
 
 References:
     Hoerl, Kennard, "Ridge regression: biased estimation for nonorthogonal problems", Technometrics 12(1), 1970,
@@ -45,28 +37,6 @@ class CoefficientCovariance:
     basis: FloatArray | None
     penalty: FloatArray
 
-    def spread(self, functionals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """X and Z of the module: products of columns of X less those of Z are covariances of the functionals.
-
-        Args:
-            functionals: (n_unknowns, n_functionals) weights of the coefficients.
-
-        Returns:
-            X (n_kept, n_functionals) and Z, which has no rows without a ridge.
-        """
-        if self.factor is not None:
-            plain = triangular_solve(self.factor, functionals, transposed=False)
-            kept = self.penalty > 0.0
-            if not kept.any():
-                return plain, np.empty((0, functionals.shape[1]))
-            pulled = triangular_solve(self.factor, plain, transposed=True)
-        else:
-            assert self.basis is not None
-            plain = self.basis.T @ functionals
-            kept = self.penalty > 0.0
-            pulled = self.basis @ plain
-        return plain, np.sqrt(self.penalty[kept])[:, np.newaxis] * pulled[kept]
-
     @property
     def effective_unknowns(self) -> float:
         """Trace of W^-1 V V', the unknowns that the data and not the ridge decide: their number without a ridge."""
@@ -98,8 +68,7 @@ def coefficient_covariance(gram: LagGram, ridge: float) -> CoefficientCovariance
 
     Example:
         >>> gram = LagGram(matrix=100.0 * np.eye(5), n_rows=100, order=1, n_inputs=1, n_outputs=1)
-        >>> x, z = coefficient_covariance(gram, 0.0).spread(np.eye(4))
-        >>> round(float((x.T @ x - z.T @ z)[1, 1]), 12)  # variance of a mean of 100
+        >>> round(float(coefficient_covariance(gram, 0.0).solve(np.eye(4))[1, 1]), 12)  # variance of a mean of 100
         0.01
     """
     equations = normal_equations(gram, ridge)

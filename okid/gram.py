@@ -21,7 +21,7 @@ from okid.record import Record
 from okid.rows import complete_rows, runs_of, scaled_block, usable_rows
 from okid.scaling import ChannelScaling
 
-__all__ = ["LagGram", "lag_gram", "weighted_sum"]
+__all__ = ["LagGram", "lag_gram"]
 
 _EDGE_VALUES = 1 << 20
 """Edge samples that are kept before they are folded into the matrix."""
@@ -108,38 +108,6 @@ def lag_gram(
     return LagGram(
         matrix=_closed(edges.matrix(lags)), n_rows=edges.n_rows, order=order, n_inputs=n_inputs, n_outputs=n_outputs
     )
-
-
-def weighted_sum(grams: Sequence[LagGram], weights: FloatArray) -> LagGram:
-    """Gram matrix in which each row counts as often as the weight of the part that it stands in, not always whole.
-
-    Args:
-        grams: of disjoint parts of the rows.
-        weights: one a part, none negative, not all 0; only their ratios count, the number of rows stays.
-
-    Raises:
-        InvalidDataError: not one weight a part, or weights that are negative or all 0.
-
-    Example:
-        >>> parts = [LagGram(matrix=np.eye(3), n_rows=n, order=0, n_inputs=1, n_outputs=1) for n in (30, 10)]
-        >>> total = weighted_sum(parts, np.array([1.0, 1.0]))
-        >>> total.n_rows, total.matrix[0, 0]
-        (40, np.float64(2.0))
-    """
-    factors = np.asarray(weights, dtype=np.float64)
-    counts = np.array([gram.n_rows for gram in grams], dtype=np.float64)
-    if factors.shape != counts.shape or not (factors >= 0).all() or not factors @ counts > 0:
-        raise InvalidDataError(
-            f"weights must be one for each of the {counts.size} Gram matrices, none negative and not all 0, but are "
-            f"{factors}."
-        )
-    factors = factors * (counts.sum() / (factors @ counts))
-    for gram in grams[1:]:
-        _check_alike(grams[0], gram)
-    matrix = factors[0] * grams[0].matrix
-    for factor, gram in zip(factors[1:], grams[1:], strict=True):
-        matrix += factor * gram.matrix
-    return replace(grams[0], matrix=_closed(matrix), n_rows=int(counts.sum()))
 
 
 class _Edges:

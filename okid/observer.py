@@ -16,9 +16,8 @@ import numpy as np
 
 from okid.arrays import FloatArray
 from okid.coefficients import ObserverCoefficients
-from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.errors import IdentificationWarning, InsufficientDataError
 from okid.gram import LagGram, lag_gram
-from okid.order_choice import ORDERS, RIDGES, choose_observer
 from okid.record import Record
 from okid.regression import RegressionRows, solve
 from okid.rows import as_records, check_enough_rows, check_rows_left
@@ -99,8 +98,8 @@ class ObserverFit:
 def fit_observer(
     records: Record | Sequence[Record],
     *,
-    order: int | Literal["auto"] = "auto",
-    ridge: float | Literal["auto"] | None = None,
+    order: int,
+    ridge: float = 0.0,
 ) -> ObserverFit:
     """Fit the observer equation to one record or to several of one system.
 
@@ -109,10 +108,9 @@ def fit_observer(
 
     Args:
         records: with the same channels, units and time step.
-        order: number of past samples, at least (number of states) / n_outputs; "auto" chooses it by the error of the
-            free run on held-out rows.
-        ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag); "auto" chooses it like the
-            order. None is "auto" where the order is chosen, and 0 where it is given.
+        order: number of past samples, at least (number of states) / n_outputs; `modal.choose_orders` chooses it, and
+            the ridge with it, by the error of a free run on held-out rows.
+        ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag).
 
     Raises:
         InvalidDataError: an order or ridge that is none, or records that do not belong together.
@@ -135,27 +133,14 @@ def fit_observer(
         ([1.0], 399)
     """
     several = as_records(records)
-    if isinstance(order, str) and order != "auto":
-        raise InvalidDataError(f'order must be a whole number or "auto", but is {order!r}.')
-    if isinstance(ridge, str) and ridge != "auto":
-        raise InvalidDataError(f'ridge must be a number of at least 0 or "auto", but is {ridge!r}.')
-    if not isinstance(order, str):
-        check_enough_rows(several, order)
-        order = int(order)
+    check_enough_rows(several, order)
+    order = int(order)
     scaling = channel_scaling(several)
     check_channels_move(several, scaling)
-    if isinstance(order, str) or isinstance(ridge, str):
-        choice = choose_observer(
-            several,
-            scaling,
-            orders=ORDERS if isinstance(order, str) else (order,),
-            ridges=RIDGES if ridge is None or isinstance(ridge, str) else (ridge,),
-        )
-        order, ridge = choice.order, choice.ridge
     gram = lag_gram(several, order, scaling=scaling)
     check_rows_left(several, order, gram.n_rows)
     source = RegressionRows(records=several, scaling=scaling)
-    coefficients = solve(gram, 0.0 if ridge is None else ridge, source=source)
+    coefficients = solve(gram, ridge, source=source)
     _warn_where_poor(coefficients, gram, several[0])
     return observer_fit(coefficients, scaling, several[0].dt)
 

@@ -16,7 +16,7 @@ _BLOCK_UNKNOWNS = 64
 
 
 def solve_recursion(
-    output_coefficients: FloatArray, forcing: FloatArray, history: FloatArray | None = None, *, limit: float = np.inf
+    output_coefficients: FloatArray, forcing: FloatArray, history: FloatArray | None = None
 ) -> FloatArray:
     """Run the recursion forward for several columns at once.
 
@@ -24,7 +24,6 @@ def solve_recursion(
         output_coefficients: (order, n_outputs, n_outputs) beta_1 ... beta_order.
         forcing: (n_steps, n_outputs, n_columns) x(0), x(1), ...
         history: (order, n_outputs, n_columns) y(-order) ... y(-1); None for zeros.
-        limit: stop where the size of y exceeds it; the rest is infinite.
 
     Returns:
         (n_steps, n_outputs, n_columns).
@@ -51,9 +50,6 @@ def solve_recursion(
                 1.0, triangle[:size, :size].T, right.T, side=1, lower=0, diag=1, overwrite_b=1
             ).T
         flat[start + past : start + past + size] = right
-        if limit < np.inf and not np.abs(right).max(initial=0.0) <= limit:
-            flat[start + past :] = np.inf
-            break
     return values[order:]
 
 

@@ -3,8 +3,7 @@
     Theta = argmin sum_k |y(k) - Theta' v(k)|^2 + n_rows ridge sum_lag (1 + lag) |Theta_lag|^2,
     v(k) = [1; u(k); u(k-1); y(k-1); ...; u(k-p); y(k-p)]
 
-The ridge is relative to the unit diagonal of scaled channels and grows with the lag; the constant has none. One
-Cholesky factor of the largest order serves all lower ones: their factors are its leading triangles.
+The ridge is relative to the unit diagonal of scaled channels and grows with the lag; the constant has none.
 
 The normal equations square the condition number. `solve` therefore compares what rounding does to the coefficients with
 what the noise does to them, and where rounding is not far below, goes to the rows themselves (orthogonal
@@ -28,7 +27,7 @@ from okid.row_factor import factor_rows, residual_products, solve_factor
 from okid.scalars import real_number
 from okid.scaling import ChannelScaling
 
-__all__ = ["RegressionRows", "solve", "solve_nested"]
+__all__ = ["RegressionRows", "solve"]
 
 _EPS = float(np.finfo(np.float64).eps)
 _QR_OPERATIONS = 4e11
@@ -52,50 +51,6 @@ class RegressionRows:
     records: Sequence[Record]
     scaling: ChannelScaling
     rows: Sequence[BoolArray] | None = None
-
-
-def solve_nested(gram: LagGram, orders: Sequence[int], ridge: float) -> tuple[ObserverCoefficients, ...]:
-    """Observers of several orders from one factorisation; all are fitted to the rows of the largest.
-
-    Args:
-        gram: of at least the largest order.
-        orders: each between 1 and `gram.order`.
-        ridge: relative to the unit diagonal, at lag 0; 0 is allowed.
-
-    Returns:
-        One observer an order. Where the Cholesky factorisation fails (ridge 0 on noise-free or dependent channels),
-        each order is solved by a truncated eigendecomposition.
-
-    Raises:
-        InvalidDataError: an order outside the Gram matrix, or a ridge that is not a number of at least 0.
-
-    Example:
-        >>> from okid.gram import lag_gram
-        >>> from okid.scaling import channel_scaling
-        >>> rng = np.random.default_rng(1)
-        >>> record = Record(rng.standard_normal(200), rng.standard_normal(200), 0.1)
-        >>> gram = lag_gram([record], 8, scaling=channel_scaling([record]))
-        >>> [observer.order for observer in solve_nested(gram, [2, 8], 1e-3)]
-        [2, 8]
-    """
-    _check_ridge(ridge)
-    if not orders or min(orders) < 1 or max(orders) > gram.order:
-        raise InvalidDataError(
-            f"observer orders must lie between 1 and the Gram's {gram.order}, but are {list(orders)}."
-        )
-    system = normal_equations(gram.truncated(max(orders)), ridge)
-    factor = cholesky(system.matrix.copy(order="F"))
-    if factor is None:
-        return tuple(_solve_eigh(normal_equations(gram.truncated(order), ridge))[1] for order in orders)
-    half = triangular_solve(factor, system.right, transposed=False)
-    condition = _diagonal_condition(factor)
-    solutions = []
-    for order in orders:
-        size = 1 + gram.n_inputs + order * (gram.n_inputs + gram.n_outputs)
-        solution = triangular_solve(factor[:size, :size], half[:size], transposed=True)
-        squares = _residual_squares(system, solution)
-        solutions.append(_observer(system, solution, squares, method="cholesky", condition=condition, rank=size))
-    return tuple(solutions)
 
 
 def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) -> ObserverCoefficients:
@@ -131,11 +86,6 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
     if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:
         return _solve_rows(system, source)
     return _solve_refined(normal_equations(gram, ridge), source)
-
-
-def _diagonal_condition(factor: FloatArray) -> float:
-    pivots = factor.diagonal()
-    return float(pivots.max() / pivots.min())
 
 
 def _residual_squares(system: NormalEquations, solution: FloatArray) -> FloatArray:

@@ -12,8 +12,9 @@ from era.balanced import decompose, realise_from
 from era.realisation import Realisation
 from modal.discrepancy.free_decay import decay_markov
 from modal.filling import fill_where_needed
+from modal.free_run import free_runs, modal_form
 from modal.ground import hankel_limits
-from modal.quick_model import free_runs, observer_markov
+from modal.quick_model import observer_markov
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import RefinedModel, refined_model
 from okid.arrays import FloatArray
@@ -69,7 +70,7 @@ def _candidates(markov: MarkovParameters, orders: Sequence[int]) -> list[Realisa
     decomposition = decompose(markov, max_order=min(max(orders), *hankel_limits(markov)))
     largest = min(decomposition.rank, decomposition.max_order)
     models = [realise_from(decomposition, order) for order in orders if order <= largest]
-    return [model for model in models if np.abs(np.linalg.eigvals(model.A)).max() < 1.0]
+    return [model for model in models if modal_form(model) is not None]
 
 
 def _smallest(tried: Sequence[tuple[float, Realisation]], within: float) -> Start:
@@ -93,13 +94,16 @@ def refined(records: Sequence[Record], start: Realisation) -> RefinedModel | Non
 
 
 def left_over(model: Realisation, records: Sequence[Record]) -> FloatArray:
-    """(n_outputs,) mean square of the free run's error over the variance of the outputs.
+    """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows.
 
     Args:
         model: whose initial states are fitted.
         records: means removed.
     """
-    runs = free_runs(model, records)
+    form = modal_form(model)
+    if form is None:
+        return np.full(model.n_outputs, np.inf)
+    runs = free_runs(form, records)
     errors = np.concatenate([record.outputs - run for record, run in zip(records, runs, strict=True)])
     outputs = np.concatenate([record.outputs for record in records])
     variance = np.nanmean(np.square(outputs), axis=0)

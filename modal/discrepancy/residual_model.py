@@ -16,6 +16,7 @@ from era.decomposition import decompose
 from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
+from modal.search import choose_orders
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.observer import fit_observer
@@ -137,7 +138,9 @@ def _candidates(fit: Sequence[Record]) -> list[Realisation]:
         # a residual may be narrow or near zero in a channel; the held-out run is the judge
         warnings.simplefilter("ignore")
         try:
-            found = decompose(recover_markov(fit_observer(fit, order="auto")))
+            choice = choose_orders(fit)
+            observer = fit_observer(fit, order=choice.observer_order, ridge=choice.ridge)
+            found = decompose(recover_markov(observer, n_lags=choice.n_lags))
         except IdentificationError:
             return []
     highest = min(found.rank, found.max_order, MOST_STATES)

@@ -76,7 +76,7 @@ def _modes() -> dict[str, Any]:
 def _uncertainty() -> dict[str, Any]:
     return _object(
         {
-            "method": {"enum": ["output error", "propagation", "bootstrap"]},
+            "method": {"enum": ["output error", "propagation"]},
             "degrees_of_freedom": {"description": "of the residuals; null where infinite", **NUMBER},
         }
     )

@@ -27,7 +27,6 @@ _RESTS_ON = {
         "They rest on the noise that the observer leaves, carried to first order through the observer, the Markov "
         "parameters and the realisation to the modes."
     ),
-    "bootstrap": "They rest on how far the modes scatter when the model is fitted again to rows of random weight.",
 }
 
 

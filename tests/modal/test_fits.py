@@ -141,7 +141,7 @@ def test_measure_fit_takes_the_held_out_errors_of_the_chosen_trial():
     )
     limits = search_limits(records, observer_order=4, ridge=0.0, model_order=4)
     runs = model_runs(model_of(system), records)
-    fit = measure_fit(Search(trials=(chosen,), chosen=chosen, power=power, limits=limits), runs)
+    fit = measure_fit(Search(trials=(chosen,), chosen=chosen, power=power, limits=limits, ground=None), runs)
     np.testing.assert_allclose(fit.cross_validated, [1 - np.sqrt(5 / 125), 1 - np.sqrt(5 / 500), 1 - np.sqrt(9 / 25)])
     np.testing.assert_allclose(fit.folds, [(0.9 + 0.8 + 0.0) / 3, (0.6 + 0.95 + 1.0) / 3])
     np.testing.assert_allclose(fit.whole, 1.0, atol=1e-5)

@@ -91,6 +91,38 @@ def test_the_state_is_the_least_squares_one_on_noisy_rows():
     check_equal(run.outputs, forced + columns @ solution, 1e-5)
 
 
+@pytest.mark.parametrize("pattern", ["by turns", "scattered", "one output silent for long"])
+def test_outputs_missing_sample_by_sample_give_the_least_squares_run_of_the_others(pattern):
+    """The textbook twin: one equation for each sample that was measured, the ridge of the engine beside them."""
+    rng, model, record = a_case(6, n_samples=200)
+    n, q, n_samples = model.order, 3, 200
+    there = np.ones((n_samples, q), dtype=bool)
+    if pattern == "by turns":
+        there = np.arange(n_samples)[:, np.newaxis] % q == np.arange(q)
+    elif pattern == "scattered":
+        there = rng.random((n_samples, q)) > 0.3
+    else:
+        there[20:150, 1] = False
+    noisy = record.outputs + 0.3 * record.outputs.std(axis=0) * rng.standard_normal(record.outputs.shape)
+    form = modal_form(model)
+    forced = np.zeros((n_samples, q))
+    state = np.zeros(n)
+    for k in range(n_samples):
+        forced[k] = model.C @ state + model.D @ record.inputs[k]
+        state = model.A @ state + model.B @ record.inputs[k]
+    free = (form.weights * form.shapes) * form.poles ** np.arange(n_samples)[:, np.newaxis, np.newaxis]
+    levels = np.broadcast_to(np.eye(q), (n_samples, q, q))
+    columns = np.concatenate([free.real, -free.imag, levels], axis=2)
+    energy = 0.5 * np.square(np.abs(free)).sum(axis=(0, 1))
+    ridge = np.diag(1e-9 * np.concatenate([energy, energy, there.sum(axis=0)]))
+    left = np.where(there, noisy - forced, 0.0)
+    seen = columns[there]
+    solution = np.linalg.solve(seen.T @ seen + ridge, seen.T @ left[there])
+    run = free_run(form, replace(record, outputs=np.where(there, noisy, np.nan)), there)
+    check_equal(run.outputs, forced + columns @ solution, 1e-10)
+    np.testing.assert_allclose(run.level, solution[-q:], rtol=1e-8)
+
+
 @pytest.mark.parametrize(("first", "largest"), [(20, 5e3), (40, 1.0)])
 def test_a_state_that_no_training_row_shows_stays_small(first, largest):
     """|pole|^20 = 1e-6: without regularisation the noise of the training rows would give a state of 1e6."""
@@ -117,7 +149,7 @@ def test_a_pole_at_the_edge_of_stability():
         weights=np.ones(1),
         shapes=np.ones((1, 1), complex),
         participations=np.ones((1, 1), complex),
-        realisation=Realisation([[1.0]], [[1.0]], [[1.0]], [[0.5]], 0.1),
+        feedthrough=np.array([[0.5]]),
     )
     check_equal(free_run(exactly_one, record, rows).outputs[:, 0], outputs)
 

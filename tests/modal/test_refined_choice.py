@@ -47,9 +47,8 @@ def centred(u, y, dt):
 
 
 def both_searches(record, **given):
-    ground = prepare_ground([record])
-    found = search([record], ground=ground, **given)
-    return ground, found, refined_search(ground, found)
+    found = search([record], **given)
+    return found.ground, found, refined_search(found)
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +155,9 @@ def test_trials_of_both_kinds_stand_best_first(linear):
 
 def test_a_given_order_is_kept_and_progress_is_told():
     record = linear_record(4, n_samples=600)
-    ground = prepare_ground([record])
-    found = search([record], ground=ground, observer_order=15, ridge=1e-4, model_order=6)
+    found = search([record], observer_order=15, ridge=1e-4, model_order=6)
     shares = []
-    refined = refined_search(ground, found, progress=shares.append)
+    refined = refined_search(found, progress=shares.append)
     assert {trial.model_order for trial in refined.trials} == {6}
     assert shares == sorted(shares)
     assert shares[-1] == 1.0

@@ -8,7 +8,7 @@ from systems import initial_state, random_system, simulate
 from textbook_output_error import loop_run, loop_sensitivities, random_loop_model
 
 from era.realisation import Realisation
-from modal import starting
+from modal import initial_fit
 from modal.modal_states import blocks_of
 from modal.refinement import OutputError
 from modal.starting import starting_parameters
@@ -63,7 +63,7 @@ def test_poles_at_zero_only_cannot_start():
 def test_initial_states_are_ridge_least_squares_on_what_the_inputs_leave(monkeypatch, n_real, ridge):
     """Shapes and feedthrough held; the ridge relative to each free response's energy over the whole record."""
     if ridge != REGULARISATION:  # large enough to be seen
-        monkeypatch.setattr(starting, "STATE_REGULARISATION", ridge)
+        monkeypatch.setattr(initial_fit, "STATE_REGULARISATION", ridge)
     rng = np.random.default_rng(7 + n_real)
     model = random_loop_model(rng, n_pairs=2, n_real=n_real, n_inputs=1, n_outputs=2, n_records=2)
     inputs = [rng.standard_normal((n, 1)) for n in (60, 40)]
@@ -83,7 +83,8 @@ def test_initial_states_are_ridge_least_squares_on_what_the_inputs_leave(monkeyp
         J = np.concatenate([columns[trained[r], o] for o in range(2)])
         e = np.concatenate([rest[trained[r], o] for o in range(2)])
         levels = np.kron(np.eye(2), np.ones((trained[r].size, 1)))
-        project = np.eye(e.size) - levels @ np.linalg.pinv(levels)
+        # the level has the same ridge, relative to its own energy on the rows that count
+        project = np.eye(e.size) - levels @ levels.T / ((1.0 + ridge) * trained[r].size)
         matrix = J.T @ project @ J + ridge * np.diag(energy)
         x = np.linalg.lstsq(matrix, J.T @ project @ e, rcond=1e-14)[0]
         expected = x[:n] + 1j * x[n:]

@@ -18,10 +18,9 @@ def make(**changes):
     return Uncertainty(**(fields | changes))
 
 
-def test_arrays_are_frozen_and_every_mode_is_found_unless_told_otherwise():
+def test_arrays_are_frozen():
     known = make()
-    assert known.found.tolist() == [1.0, 1.0]
-    for name in ("frequency_std", "damping_ratio_std", "shape_std", "markov_std", "found"):
+    for name in ("frequency_std", "damping_ratio_std", "shape_std", "markov_std"):
         assert not getattr(known, name).flags.writeable
 
 
@@ -31,7 +30,6 @@ def test_arrays_are_frozen_and_every_mode_is_found_unless_told_otherwise():
         {"damping_ratio_std": np.zeros(3)},
         {"shape_std": np.zeros((1, 3))},
         {"markov_std": np.zeros((5, 3))},
-        {"found": np.ones(1)},
         {"degrees_of_freedom": 0.0},
         {"degrees_of_freedom": np.nan},
     ],

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from okid.errors import InvalidDataError
-from okid.gram import lag_gram, weighted_sum
+from okid.gram import lag_gram
 from okid.record import Record
 from okid.scaling import channel_scaling
 
@@ -152,26 +152,3 @@ def test_a_constant_channel_has_scale_one_and_is_listed():
     assert scaling.constant_inputs == (0,)
     assert scaling.constant_outputs == ()
     assert scaling.input_scale.tolist() == [1.0]
-
-
-def test_weighted_parts_are_the_gram_of_weighted_rows():
-    rng = np.random.default_rng(8)
-    record = Record(rng.standard_normal((90, 1)), rng.standard_normal((90, 2)), 0.1)
-    scaling = channel_scaling([record])
-    first = np.arange(90) < 40
-    parts = [lag_gram([record], 3, scaling=scaling, rows=[rows]) for rows in (first, ~first)]
-    weighted = weighted_sum(parts, np.array([0.6, 1.8]))
-    size = parts[0].n_rows + parts[1].n_rows
-    scale = size / (0.6 * parts[0].n_rows + 1.8 * parts[1].n_rows)
-    truth = scale * (0.6 * parts[0].matrix + 1.8 * parts[1].matrix)
-    assert weighted.n_rows == size == 87
-    assert np.abs(weighted.matrix - truth).max() < 1e-12 * np.abs(truth).max()
-    assert weighted.matrix[0, 0] == pytest.approx(87)
-
-
-@pytest.mark.parametrize("weights", [[1.0], [1.0, -0.1], [0.0, 0.0], [np.nan, 1.0]])
-def test_weights_that_are_none_are_refused(weights):
-    record = Record(np.arange(9.0), np.arange(9.0) ** 2, 0.1)
-    part = lag_gram([record], 1, scaling=channel_scaling([record]))
-    with pytest.raises(InvalidDataError, match="weights"):
-        weighted_sum([part, part], np.array(weights))

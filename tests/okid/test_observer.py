@@ -137,24 +137,6 @@ def test_a_ridge_shrinks_and_is_reported():
     assert np.linalg.norm(ridged.output_coefficients) < np.linalg.norm(plain.output_coefficients)
 
 
-def test_auto_simulates_held_out_rows_and_recovers_the_system():
-    system = random_system(np.random.default_rng(14), n_modes=2, n_inputs=1, n_outputs=2)
-    record = exact_record(system, 15, 3000)
-    noisy = Record(record.inputs, with_noise(np.random.default_rng(16), record.outputs, 0.02), record.dt)
-    fit = fit_observer(noisy)
-    assert fit.order >= 4
-    assert relative_error(recover_markov(fit, n_lags=N_LAGS).system, markov(system, N_LAGS)) < 0.05
-
-
-def test_auto_prefers_a_ridge_where_data_are_few():
-    system = random_system(np.random.default_rng(17), n_modes=2, n_inputs=1, n_outputs=2)
-    record = exact_record(system, 18, 400)
-    noisy = Record(record.inputs, with_noise(np.random.default_rng(19), record.outputs, 0.5), record.dt)
-    fit = fit_observer(noisy, order=30, ridge="auto")
-    assert fit.order == 30
-    assert fit.ridge > 0.0
-
-
 class TestErrors:
     def test_order_too_large_says_what_would_do(self):
         rng = np.random.default_rng(0)

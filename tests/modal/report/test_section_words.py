@@ -45,7 +45,7 @@ def test_without_deviations_no_interval_is_explained(identification):
 
 @pytest.mark.parametrize(
     ("method", "said"),
-    [("output error", "free-run error"), ("propagation", "first order"), ("bootstrap", "random weight")],
+    [("output error", "free-run error"), ("propagation", "first order")],
 )
 def test_the_method_is_named(identification, method, said):
     others = {"free-run error", "first order", "random weight"} - {said}
