@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from era.state_recursion import pole_states
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -24,8 +25,6 @@ IndexArray = npt.NDArray[np.intp]
 
 LONGEST_CHUNK = 8192
 """Rows of signals that are held at a time."""
-DELAY = np.array([0.0, 1.0])
-"""Numerator of the recursion: the input acts on the next sample."""
 DIED_OUT = 1e-100
 """Free responses below this are set to zero: their squares would be too small for a normal number, and so slow."""
 
@@ -224,15 +223,12 @@ def _add_grams(
 
 def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterator[tuple[int, FloatArray]]:
     """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
-    import scipy.signal
-
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
-    recursions = [np.array([1.0, -pole]) for pole in poles]
     powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
     np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
-    driven_memory = np.zeros((n_inputs, n_poles, 1), dtype=np.complex128)
-    slope_memory = np.zeros((n_poles, 1), dtype=np.complex128)
+    driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
+    slope_memory = np.zeros(n_poles, dtype=np.complex128)
     free_memory = np.ones(n_poles, dtype=np.complex128)
     for first in range(0, record.n_samples, LONGEST_CHUNK):
         outputs = record.outputs[first : first + LONGEST_CHUNK]
@@ -240,17 +236,14 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         n_rows = outputs.shape[0]
         # sensitivities to the poles, to the participations, to the initial states
         s = np.empty((1 + n_inputs + 1, n_poles, n_rows), dtype=np.complex128)
-        for j, i in np.ndindex(n_inputs, n_poles):
-            s[1 + j, i], driven_memory[j, i] = scipy.signal.lfilter(
-                DELAY, recursions[i], inputs[j], zi=driven_memory[j, i]
-            )
+        for j in range(n_inputs):
+            s[1 + j], driven_memory[j] = pole_states(poles, inputs[[j]], driven_memory[j])
         s[-1] = (powers[:n_rows] * free_memory).T
         s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
-        for i in range(n_poles):
-            s[0, i], slope_memory[i] = scipy.signal.lfilter(DELAY, recursions[i], state[i], zi=slope_memory[i])
+        s[0], slope_memory = pole_states(poles, state, slope_memory)
         s[0] *= poles[:, np.newaxis]
         free_memory = free_memory * powers[n_rows - 1] * poles
         flat = s.reshape(-1, n_rows)

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 import scipy
+import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
 from modal.discrepancy.assembly import assemble, initial_unknowns, place
@@ -249,6 +250,20 @@ def test_periodic_bins_repeat():
     at = np.linspace(0.0, 0.25, 40)
     np.testing.assert_allclose(bins.hats(at)[0], bins.hats(at + 1.5)[0], atol=1e-9)
     assert bins_of(np.ones(10)) is None
+
+
+@pytest.mark.parametrize("period", [0.0, 0.7])
+def test_the_hats_are_cubic_splines(period):
+    """Of scipy; natural, or periodic; with values and slopes at the knots too."""
+    bins = bins_of(np.random.default_rng(2).standard_normal(500), period=period)
+    knots = np.append(bins.knots, period) if period else bins.knots
+    heights = np.eye(12)[np.arange(len(knots)) % 12]
+    kind = "periodic" if period else "natural"
+    spline = scipy.interpolate.CubicSpline(knots, heights, bc_type=kind)
+    at = np.concatenate([bins.knots, np.linspace(knots[0], knots[-1], 200)[:-1]])
+    hats, slopes = bins.hats(at)
+    np.testing.assert_allclose(hats, spline(at), atol=1e-10)
+    np.testing.assert_allclose(slopes, spline(at, 1), atol=1e-10 * np.abs(slopes).max())
 
 
 def test_the_same_model_gives_the_same_curves_in_little_time():
