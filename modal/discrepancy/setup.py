@@ -14,6 +14,8 @@ from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.gap import measure_gap
 from modal.discrepancy.given import Given, placed_assembly
+from modal.discrepancy.level_modes import LevelModes, level_modes
+from modal.discrepancy.lines import measure_lines
 from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
 from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
@@ -166,14 +168,17 @@ def roots(setup: Setup) -> tuple[Node, Node]:
     return polished(node_of(estimate(start, still, iterations=6), task), task), calibrated_node(start, task)
 
 
-def locate_gap(setup: Setup, root: Node) -> Location:
-    """Where the calibrated linear model and the records disagree."""
-    from modal.discrepancy.level_modes import level_modes
-    from modal.discrepancy.lines import measure_lines
+def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
+    """Where the calibrated linear model and the records disagree.
 
-    setup.task.report("locating the gap", 0.05)
+    Args:
+        setup: Model, records and floor.
+        root: The calibrated model.
+        modes: Of the records to fit at each level; found unless given.
+    """
+    setup.task.report("locating the gap", 0.85)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
-    return locate(gap, modes=level_modes(setup.fit), lines=measure_lines(setup.fit))
+    return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))
 
 
 def simulated_records(records: Sequence[Record], fitted: Estimate) -> list[Record]:
