@@ -11,11 +11,12 @@ these signals, so a record is passed once and only its Gram matrix is kept, one 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from era.state_recursion import pole_states
+from era.state_recursion import PoleRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -88,7 +89,7 @@ def blocks_of(records: Sequence[Record], held_out: Sequence[Sequence[Sequence[tu
     return tuple(blocks)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SignalLayout:
     """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
 
@@ -101,60 +102,65 @@ class SignalLayout:
     n_outputs: int
     n_records: int
 
-    @property
+    @cached_property
     def n_regressors(self) -> int:
         """States (real and imaginary part), inputs, levels."""
         return 2 * self.n_poles + self.n_inputs + self.n_records
 
-    @property
+    @cached_property
     def n_sensitivities(self) -> int:
         """Complex ones."""
         return self.n_poles * (1 + self.n_inputs + self.n_records)
 
-    @property
+    @cached_property
     def regressors(self) -> slice:
         """All regressors of the linear part."""
         return slice(0, self.n_regressors)
 
-    @property
+    @cached_property
     def real(self) -> slice:
         """Real parts of the sensitivities."""
         return slice(self.n_regressors, self.n_regressors + self.n_sensitivities)
 
-    @property
+    @cached_property
     def imaginary(self) -> slice:
         """Imaginary parts of the sensitivities."""
         return slice(self.real.stop, self.real.stop + self.n_sensitivities)
 
-    @property
+    @cached_property
     def outputs(self) -> slice:
         """Measured outputs."""
         return slice(self.imaginary.stop, self.imaginary.stop + self.n_outputs)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of real signals."""
         return self.outputs.stop
 
-    @property
+    @cached_property
     def owners(self) -> IndexArray:
         """(n_sensitivities,) the pole that each sensitivity belongs to."""
         return np.tile(np.arange(self.n_poles), 1 + self.n_inputs + self.n_records)
 
-    @property
+    @cached_property
     def alone(self) -> "SignalLayout":
         """Of the signals that one record has: its own level, its own initial states."""
         return SignalLayout(n_poles=self.n_poles, n_inputs=self.n_inputs, n_outputs=self.n_outputs, n_records=1)
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
-        n, m = self.n_poles, self.n_inputs
-        regressors = [*range(2 * n + m), 2 * n + m + record]
-        start = n * (1 + m)
-        own = [*range(start), *range(start + n * record, start + n * (record + 1))]
-        real = [self.real.start + i for i in own]
-        imaginary = [self.imaginary.start + i for i in own]
-        return np.array([*regressors, *real, *imaginary, *range(self.outputs.start, self.outputs.stop)], dtype=np.intp)
+        return self._places[record]
+
+    @cached_property
+    def _places(self) -> tuple[IndexArray, ...]:
+        n, shared, common = self.n_poles, self.n_poles * (1 + self.n_inputs), 2 * self.n_poles + self.n_inputs
+        found = []
+        for record in range(self.n_records):
+            own = np.r_[:shared, shared + n * record : shared + n * (record + 1)]
+            regressors = np.r_[:common, common + record]
+            outputs = np.arange(self.outputs.start, self.outputs.stop)
+            found.append(np.concatenate([regressors, self.real.start + own, self.imaginary.start + own, outputs]))
+        return tuple(found)
 
 
 def block_grams(
@@ -210,14 +216,14 @@ def _add_grams(
     grams: FloatArray, parameters: ModalParameters, record: Record, rows: BoolArray, blocks: Sequence[Block]
 ) -> None:
     """Add one record's products to the Gram matrices of its blocks."""
+    complete = bool(rows.all())
     for start, signals in _signals(parameters, blocks[0].record, record):
         stop = start + signals.shape[0]
         for i, block in enumerate(blocks):
             first, last = max(start, block.first), min(stop, block.last)
             if first < last:
-                counted = rows[first:last]
                 part = signals[first - start : last - start]
-                chosen = part if counted.all() else part[counted]
+                chosen = part if complete else part[rows[first:last]]
                 grams[i] += chosen.T @ chosen
 
 
@@ -225,6 +231,7 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
     """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
+    recursion = PoleRecursion.of(poles, min(record.n_samples, LONGEST_CHUNK))
     powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
     np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
     driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
@@ -237,13 +244,13 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         # sensitivities to the poles, to the participations, to the initial states
         s = np.empty((1 + n_inputs + 1, n_poles, n_rows), dtype=np.complex128)
         for j in range(n_inputs):
-            s[1 + j], driven_memory[j] = pole_states(poles, inputs[[j]], driven_memory[j])
+            s[1 + j], driven_memory[j] = recursion.run(inputs[[j]], driven_memory[j])
         s[-1] = (powers[:n_rows] * free_memory).T
         s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
-        s[0], slope_memory = pole_states(poles, state, slope_memory)
+        s[0], slope_memory = recursion.run(state, slope_memory)
         s[0] *= poles[:, np.newaxis]
         free_memory = free_memory * powers[n_rows - 1] * poles
         flat = s.reshape(-1, n_rows)

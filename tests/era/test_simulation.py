@@ -10,7 +10,7 @@ from systems import random_system
 
 from era.realisation import Realisation
 from era.simulation import predict, simulate
-from era.state_recursion import CHUNK_SAMPLES, pole_states, simulate_array
+from era.state_recursion import CHUNK_SAMPLES, PoleRecursion, simulate_array
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
@@ -207,7 +207,7 @@ def test_states_of_single_poles_are_those_of_a_loop(n_samples, shared):
     drive = rng.standard_normal((1 if shared else 5, n_samples))
     drive = drive if shared else drive + 1j * rng.standard_normal(drive.shape)
     start = rng.standard_normal(5) + 1j * rng.standard_normal(5)
-    states, after = pole_states(poles, drive, start)
+    states, after = PoleRecursion.of(poles, n_samples).run(drive, start)
     state = start
     for k in range(n_samples):
         np.testing.assert_allclose(states[:, k], state, rtol=0, atol=1e-10)
