@@ -11,7 +11,7 @@ these signals, so a record is passed once and only its Gram matrix is kept, one 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +89,7 @@ def blocks_of(records: Sequence[Record], held_out: Sequence[Sequence[Sequence[tu
     return tuple(blocks)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SignalLayout:
     """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
 
@@ -102,65 +102,67 @@ class SignalLayout:
     n_outputs: int
     n_records: int
 
-    @cached_property
+    @property
     def n_regressors(self) -> int:
         """States (real and imaginary part), inputs, levels."""
         return 2 * self.n_poles + self.n_inputs + self.n_records
 
-    @cached_property
+    @property
     def n_sensitivities(self) -> int:
         """Complex ones."""
         return self.n_poles * (1 + self.n_inputs + self.n_records)
 
-    @cached_property
+    @property
     def regressors(self) -> slice:
         """All regressors of the linear part."""
         return slice(0, self.n_regressors)
 
-    @cached_property
+    @property
     def real(self) -> slice:
         """Real parts of the sensitivities."""
         return slice(self.n_regressors, self.n_regressors + self.n_sensitivities)
 
-    @cached_property
+    @property
     def imaginary(self) -> slice:
         """Imaginary parts of the sensitivities."""
         return slice(self.real.stop, self.real.stop + self.n_sensitivities)
 
-    @cached_property
+    @property
     def outputs(self) -> slice:
         """Measured outputs."""
         return slice(self.imaginary.stop, self.imaginary.stop + self.n_outputs)
 
-    @cached_property
+    @property
     def size(self) -> int:
         """Number of real signals."""
         return self.outputs.stop
 
-    @cached_property
+    @property
     def owners(self) -> IndexArray:
         """(n_sensitivities,) the pole that each sensitivity belongs to."""
         return np.tile(np.arange(self.n_poles), 1 + self.n_inputs + self.n_records)
 
-    @cached_property
+    @property
     def alone(self) -> "SignalLayout":
         """Of the signals that one record has: its own level, its own initial states."""
         return SignalLayout(n_poles=self.n_poles, n_inputs=self.n_inputs, n_outputs=self.n_outputs, n_records=1)
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
-        return self._places[record]
+        return _places(self.n_poles, self.n_inputs, self.n_outputs, self.n_records, record)
 
-    @cached_property
-    def _places(self) -> tuple[IndexArray, ...]:
-        n, shared, common = self.n_poles, self.n_poles * (1 + self.n_inputs), 2 * self.n_poles + self.n_inputs
-        found = []
-        for record in range(self.n_records):
-            own = np.r_[:shared, shared + n * record : shared + n * (record + 1)]
-            regressors = np.r_[:common, common + record]
-            outputs = np.arange(self.outputs.start, self.outputs.stop)
-            found.append(np.concatenate([regressors, self.real.start + own, self.imaginary.start + own, outputs]))
-        return tuple(found)
+
+@lru_cache(maxsize=1024)
+def _places(n_poles: int, n_inputs: int, n_outputs: int, n_records: int, record: int) -> IndexArray:
+    """See `SignalLayout.places`: asked for at every step of a refinement, the same each time."""
+    regressors, shared = 2 * n_poles + n_inputs, n_poles * (1 + n_inputs)
+    n_sensitivities, real = shared + n_poles * n_records, regressors + n_records
+    own = np.r_[:shared, shared + n_poles * record : shared + n_poles * (record + 1)]
+    imaginary = real + n_sensitivities
+    outputs = imaginary + n_sensitivities + np.arange(n_outputs)
+    places = np.concatenate([np.arange(regressors), [regressors + record], real + own, imaginary + own, outputs])
+    places.flags.writeable = False
+    return places
 
 
 def block_grams(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, place
+from modal.discrepancy.assembly import Unknowns, place_effect
 from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
@@ -89,7 +89,7 @@ def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: T
     """
     before = root.coarse.assembly
     effect = CATALOGUE[key]
-    assembly = replace(before, placements=(*before.placements, place(before.plant, effect, where)))
+    assembly = replace(before, placements=(*before.placements, place_effect(before.plant, effect, where)))
     common = np.concatenate([before.plant.nominal, root.coarse.unknowns.common[before.n_linear :], effect.neutral])
     unknowns = Unknowns(common=common, local=root.coarse.unknowns.local)
     start = simulate_at(assembly, unknowns, task.fit, states=root.coarse.trajectory.states)

@@ -9,7 +9,7 @@ from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["check_lengths", "check_plant", "check_records", "fewest_samples"]
+__all__ = ["check_long_enough", "check_plant", "check_records", "fewest_samples"]
 
 SAME_LEVEL = 1.25
 """Records whose inputs differ by less than this factor are of one level."""
@@ -176,7 +176,7 @@ def fewest_samples(plant: Plant) -> int:
     return max(FEWEST_SAMPLES, FEWEST_PER_STATE * plant.n_states)
 
 
-def check_lengths(plant: Plant, records: Sequence[Record]) -> None:
+def check_long_enough(plant: Plant, records: Sequence[Record]) -> None:
     """Whether each record is long enough to prove anything.
 
     Args:

@@ -4,7 +4,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.drive import IndexArray
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of
 from okid.arrays import FloatArray
 
 __all__ = ["covariance", "held_unknowns"]
@@ -15,7 +15,7 @@ def covariance(current: Estimate, problem: Problem) -> FloatArray:
 
     What is held, or sits on a hard bound, has none: the others' is that given the bound.
     """
-    gram, _ = normal_equations(current, problem, sensitivity_of(current, problem))
+    gram, _ = score_equations(current, problem, sensitivity_of(current, problem))
     held = held_unknowns(current)
     gram[held, :] = 0.0
     gram[:, held] = 0.0

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_bands import Band, check_bands, octave_bands
+from modal.discrepancy.gap_bands import GapBand, check_bands, octave_bands
 from modal.discrepancy.gap_tables import BandTable, CellTable, WindowTable, spectral_tables, window_table
 from modal.discrepancy.gap_time import TimeTrend, time_trend
 from modal.discrepancy.gap_trend import LevelTrend, level_trends
@@ -109,7 +109,7 @@ def measure_gap(
     simulated: Record | Sequence[Record],
     floor: npt.ArrayLike,
     *,
-    bands: Sequence[Band] | Literal["octaves"] = "octaves",
+    bands: Sequence[GapBand] | Literal["octaves"] = "octaves",
     n_windows: int = 8,
 ) -> Gap:
     """Compare measured records with their simulations.

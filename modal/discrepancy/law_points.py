@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, weighted_residual, weights_along
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
 from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitivity
 from okid.arrays import FloatArray
 
@@ -211,7 +211,7 @@ def unknowns_but(fitted: Estimate, placements: list[int]) -> IndexArray:
 def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources: list[Source]) -> Told:
     """What the data say of bins whose hats act as these sources: exact where they act linearly (inputs, sensors)."""
     slopes = derivatives(fitted, problem)
-    gram, score = normal_equations(fitted, problem, slopes)
+    gram, score = score_equations(fitted, problem, slopes)
     _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, gain=fitted.gain)
     weights = weights_along(problem, fitted.trajectory)
     columns = outputs * weights

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.effects.effect import ForceEffect, Motion, Values
 from okid.arrays import FloatArray
 
@@ -33,7 +33,7 @@ class Reading:
     scaled: bool = False
 
 
-def still_motion(item: Placement, n: int, *, smoothing: float = 0.0) -> Motion:
+def still_motion(item: EffectPlacement, n: int, *, smoothing: float = 0.0) -> Motion:
     """(n,) samples of no motion at a force's place."""
     port = item.port
     stiffness = None if port is None else port.stiffness
@@ -52,7 +52,7 @@ def still_motion(item: Placement, n: int, *, smoothing: float = 0.0) -> Motion:
     )
 
 
-def reading_of(item: Placement, effect: ForceEffect, values: Values) -> Reading:
+def reading_of(item: EffectPlacement, effect: ForceEffect, values: Values) -> Reading:
     """What a force law is drawn against: time where it depends on it, else displacement, else velocity."""
     n = 7
     d, v = item.displacement_scale, item.velocity_scale
@@ -77,7 +77,7 @@ def reading_of(item: Placement, effect: ForceEffect, values: Values) -> Reading:
 
 
 def force_law(
-    item: Placement, effect: ForceEffect, values: Values, reading: Reading, grid: FloatArray
+    item: EffectPlacement, effect: ForceEffect, values: Values, reading: Reading, grid: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The law (n,) over a grid of what it is drawn against, and its derivative (n, n_parameters)."""
     still = still_motion(item, len(grid))
@@ -92,7 +92,7 @@ def force_law(
 
 
 def loaded_law(
-    item: Placement, effect: ForceEffect, values: Values, grid: FloatArray, dt: float
+    item: EffectPlacement, effect: ForceEffect, values: Values, grid: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """A law with memory as it loads from rest to either side, and its derivative, by central differences."""
     given = np.array([float(np.mean(value)) for value in values])

@@ -18,7 +18,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.assurance import assurance
-from modal.discrepancy.level_starts import NEGLIGIBLE, Start, left_over, refined
+from modal.discrepancy.level_starts import NEGLIGIBLE, Start, refined, unexplained
 from modal.extraction import extract_modes
 from modal.mode import Mode
 from modal.overlap import IndexArray, pair_greatest_first
@@ -89,7 +89,7 @@ def follow_levels(
 def _fitted(records: Sequence[Record], start: Realisation) -> LevelFit | None:
     """The model refined on one level, with the deviations of its modes; None where it cannot be refined."""
     better = refined(records, start)
-    left = left_over(start if better is None else better.realisation, records)
+    left = unexplained(start if better is None else better.realisation, records)
     if better is None:
         # noise-free data leave nothing to refine; anything else does not belong to this level
         if left.mean() > np.square(NEGLIGIBLE):

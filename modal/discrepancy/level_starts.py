@@ -21,7 +21,7 @@ from okid.arrays import FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-__all__ = ["NEGLIGIBLE", "Start", "decay_start", "driven_start", "left_over", "refined"]
+__all__ = ["NEGLIGIBLE", "Start", "decay_start", "driven_start", "refined", "unexplained"]
 
 ORDERS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24)
 WITHIN = 1.25
@@ -80,12 +80,10 @@ def _smallest(tried: Sequence[tuple[float, Realisation]], within: float) -> Star
 
 
 def _error(model: Realisation, records: Sequence[Record]) -> float:
-    return float(np.sqrt(left_over(model, records).mean()))
+    return float(np.sqrt(unexplained(model, records).mean()))
 
 
-def refined(
-    records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN
-) -> RefinedModel | None:
+def refined(records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN) -> RefinedModel | None:
     """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes.
 
     Args:
@@ -101,7 +99,7 @@ def refined(
             return None
 
 
-def left_over(model: Realisation, records: Sequence[Record]) -> FloatArray:
+def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
     """(n_outputs,) mean square of the free run's error over the variance of the outputs.
 
     Args:

@@ -15,7 +15,7 @@ from modal.discrepancy.continuous_time import ContinuousSystem
 from modal.discrepancy.plant import LinearParameter
 from okid.arrays import FloatArray
 
-__all__ = ["ModalForm", "modal_form"]
+__all__ = ["ModalCoordinates", "in_modal_coordinates"]
 
 _DEFECTIVE = 1e8
 """Condition of the shapes from which on they are taken for dependent."""
@@ -28,7 +28,7 @@ _CRITICAL_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModalForm:
+class ModalCoordinates:
     """A state space in real modal form.
 
     Attributes:
@@ -42,7 +42,9 @@ class ModalForm:
     slopes: FloatArray
 
 
-def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_tolerance: float) -> ModalForm:
+def in_modal_coordinates(
+    system: ContinuousSystem, *, frequency_tolerance: float, damping_tolerance: float
+) -> ModalCoordinates:
     """Bring a system to real modal form.
 
     Args:
@@ -55,7 +57,7 @@ def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_
     Example:
         >>> pair = ContinuousSystem(A=np.array([[0.0, 1.0], [-4.0, -0.4]]), B=np.array([[0.0], [1.0]]),
         ...     C=np.array([[1.0, 0.0]]), D=np.zeros((1, 1)))
-        >>> form = modal_form(pair, frequency_tolerance=0.1, damping_tolerance=0.5)
+        >>> form = in_modal_coordinates(pair, frequency_tolerance=0.1, damping_tolerance=0.5)
         >>> form.system.A.round(3), [parameter.name for parameter in form.parameters]
         (array([[-0.2 ,  1.99],
                [-1.99, -0.2 ]]), ['real part of pole pair 1 (0.3183 Hz)', 'imaginary part of pole pair 1 (0.3183 Hz)'])
@@ -77,7 +79,7 @@ def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_
         for parameter, slope in _block_parameters(matrix, block, number, largest, tolerances):
             parameters.append(parameter)
             slopes.append(slope)
-    return ModalForm(
+    return ModalCoordinates(
         system=ContinuousSystem(A=matrix, B=B / scale[:, None], C=C * scale, D=system.D),
         parameters=tuple(parameters),
         slopes=np.array(slopes).reshape(len(slopes), *matrix.shape),

@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Effect, ForceEffect
 from modal.discrepancy.estimation import Estimate, Problem, weights_along
 from modal.discrepancy.placed import possible_places
-from modal.discrepancy.screen_trials import Trial, trials_of
+from modal.discrepancy.screen_trials import TriedShape, trials_of
 from modal.discrepancy.sensitivity import respond, sensitivity
 from okid.arrays import FloatArray
 
@@ -41,7 +41,7 @@ class Candidate:
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """
 
-    placement: Placement
+    placement: EffectPlacement
     common: FloatArray
     local: FloatArray
     fall: float
@@ -148,7 +148,7 @@ class _Nuisance:
         )
 
 
-def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
+def _score(trial: TriedShape, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
     local = bool(trial.placement.local)
     if local:
         spread = np.repeat(np.arange(drive.n_records), np.diff(drive.row_firsts) * drive.outputs.shape[1])
@@ -181,7 +181,7 @@ def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive,
 
 
 def _signed(
-    trial: Trial, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
+    trial: TriedShape, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
 ) -> FloatArray | None:
     """The weights within the sign bounds of the amplitudes: those that would cross are zero; None if none is left."""
     kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
@@ -203,7 +203,7 @@ def _signed(
     return found
 
 
-def _candidate(trial: Trial, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
+def _candidate(trial: TriedShape, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
     item, values = trial.placement, trial.values
     effect = item.effect
     own = np.zeros((drive.n_records, len(item.local)))

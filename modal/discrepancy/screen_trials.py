@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement, Unknowns, initial_unknowns, place
+from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, initial_unknowns, place_effect
 from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
 from modal.discrepancy.estimation import Estimate, Problem
@@ -18,13 +18,13 @@ from modal.discrepancy.port_motion import motion_at
 from modal.discrepancy.sensitivity import Source, force_response
 from okid.arrays import FloatArray
 
-__all__ = ["Trial", "trials_of"]
+__all__ = ["TriedShape", "trials_of"]
 
 N_PEAKS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Trial:
+class TriedShape:
     """An effect at a place, at one shape.
 
     Attributes:
@@ -33,12 +33,12 @@ class Trial:
         sources: What each amplitude does by itself, for each column of the port.
     """
 
-    placement: Placement
+    placement: EffectPlacement
     values: tuple[float, ...]
     sources: tuple[Source, ...]
 
 
-def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[Trial]:
+def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[TriedShape]:
     """An effect at a place, at each shape worth a try.
 
     Args:
@@ -53,7 +53,7 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
     """
     assembly, trajectory = current.assembly, current.trajectory
     drive = trajectory.drive
-    item = place(assembly.plant, effect, where)
+    item = place_effect(assembly.plant, effect, where)
     if any(other.effect.key == effect.key and other.where == where for other in assembly.placements):
         return []
     if isinstance(effect, ForceEffect):
@@ -79,7 +79,7 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
     for values in effect.starts(situation):
         sources = _sources(current, item, values, motion)
         if sources:
-            found.append(Trial(placement=item, values=values, sources=tuple(sources)))
+            found.append(TriedShape(placement=item, values=values, sources=tuple(sources)))
     return found
 
 
@@ -94,7 +94,7 @@ def _signal(values: FloatArray, time: FloatArray) -> Motion:
     )
 
 
-def _sources(current: Estimate, item: Placement, values: tuple[float, ...], motion: Motion) -> list[Source]:
+def _sources(current: Estimate, item: EffectPlacement, values: tuple[float, ...], motion: Motion) -> list[Source]:
     effect, drive, n = item.effect, current.trajectory.drive, current.assembly.plant.n_states
     n_all = current.trajectory.states.shape[1]
     if isinstance(effect, ForceEffect):

@@ -21,7 +21,7 @@ import numpy as np
 from modal.discrepancy.expansion import ENOUGH, expand
 from modal.discrepancy.nodes import Node, Task, counts
 
-__all__ = ["search"]
+__all__ = ["search_effects"]
 
 BEAM = 3
 MOST_EFFECTS = 4
@@ -32,7 +32,7 @@ LARGE_FALL = 0.5
 the held-out record does not show it yet."""
 
 
-def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
+def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
 
     Args:

@@ -19,7 +19,7 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.covariance import held_unknowns
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of, weights_along
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of, weights_along
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import run_without
@@ -40,7 +40,7 @@ def sureness(node: Node, task: Task) -> list[float]:
     """
     current, problem = node.coarse, task.fit
     slopes = sensitivity_of(current, problem)
-    gram, _ = normal_equations(current, problem, slopes)
+    gram, _ = score_equations(current, problem, slopes)
     held = held_unknowns(current)
     found = []
     for i in range(len(current.assembly.placements)):

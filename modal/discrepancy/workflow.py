@@ -21,14 +21,22 @@ from modal.discrepancy.given import given_model, returned_model
 from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
-from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.level_modes import LevelModes
+from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
 from modal.discrepancy.plant import Plant
-from modal.discrepancy.search import search
-from modal.discrepancy.setup import Progress, Setup, locate_gap, prepare_setup, roots, simulated_outputs, uncovered
+from modal.discrepancy.search import search_effects
+from modal.discrepancy.setup import (
+    Progress,
+    Setup,
+    locate_gap,
+    prepare_setup,
+    roots,
+    simulated_outputs,
+    with_uncovered_floor,
+)
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
 from modal.discrepancy.statements import listed, quantity
@@ -82,7 +90,6 @@ def diagnose(
         Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
-
     report = _silent if progress is None else progress
     with one_blas_thread():
         found = _diagnosed(model, fit, held_out, catalogue=catalogue, sensor_kind=sensor_kind, report=report)
@@ -156,9 +163,9 @@ def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) ->
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """
     as_given, root = roots(setup)
-    nodes = search(root, setup.task)
+    nodes = search_effects(root, setup.task)
     location = locate_gap(setup, root, modes)
-    setup, nodes, as_given = uncovered(setup, nodes, as_given)
+    setup, nodes, as_given = with_uncovered_floor(setup, nodes, as_given)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
     setup.task.report("deciding", 0.9)
     decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from brim_tank import levels, staircase
 
-from modal.discrepancy.assembly import assemble, initial_unknowns, place
+from modal.discrepancy.assembly import assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem
@@ -31,7 +31,7 @@ def tank_with(*effects, rate=1.0, noise=0.0, true_rate=np.inf):
         level = levels(inflow, DT, p=P, limit=LIMIT, rate=true_rate)
         records.append(Record(inflow[:, None], (level + noise * rng.standard_normal(600))[:, None], DT))
     drive = drive_of(records)
-    items = [place(plant, CATALOGUE[key], "output_0", displacement_scale=0.7) for key in effects]
+    items = [place_effect(plant, CATALOGUE[key], "output_0", displacement_scale=0.7) for key in effects]
     assembly = assemble(plant, items)
     unknowns = initial_unknowns(assembly, 2)
     common = unknowns.common.copy()

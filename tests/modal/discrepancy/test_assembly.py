@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from engine_plants import VALUES, two_masses, with_effects
 
-from modal.discrepancy.assembly import assemble, initial_unknowns, place
+from modal.discrepancy.assembly import assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 
 KEYS = ["cubic_stiffness", "missing_mode", "periodic_disturbance", "input_delay", "bouc_wen_hysteresis", "sensor_bias"]
@@ -60,11 +60,11 @@ def test_a_place_must_exist():
     plant = two_masses()
     for key, where in (("cubic_stiffness", "nowhere"), ("input_gain", "ground"), ("sensor_gain", "push")):
         with pytest.raises(KeyError):
-            place(plant, CATALOGUE[key], where)
-    item = place(plant, CATALOGUE["sensor_gain"], "acceleration")
+            place_effect(plant, CATALOGUE[key], where)
+    item = place_effect(plant, CATALOGUE["sensor_gain"], "acceleration")
     assert (item.channel, item.port, item.n_directions, item.n_memory) == (2, None, 0, 0)
     assert item.sensor_effect is CATALOGUE["sensor_gain"]
-    effect, port = place(plant, CATALOGUE["cubic_stiffness"], "between").force_and_port
+    effect, port = place_effect(plant, CATALOGUE["cubic_stiffness"], "between").force_and_port
     assert effect is CATALOGUE["cubic_stiffness"]
     assert port is plant.ports[1]
 

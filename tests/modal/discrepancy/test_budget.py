@@ -8,7 +8,7 @@ from modal.discrepancy import search as beam
 from modal.discrepancy import setup as ground
 from modal.discrepancy.banded import band_of, solve_band
 from modal.discrepancy.budget import OVERHEAD, Budget, add_work, work_done
-from modal.discrepancy.search import search
+from modal.discrepancy.search import search_effects
 from modal.discrepancy.workflow import diagnose
 from modal.structure import StructuralModel
 from okid.record import Record
@@ -54,7 +54,7 @@ def test_only_what_bears_on_the_result_counts_as_left_untried(monkeypatch, cut, 
 
     monkeypatch.setattr(beam, "expand", expand)
     task = made_up_task()
-    found = search(made_up(50.0), task)
+    found = search_effects(made_up(50.0), task)
     assert min(node.held_out_level for node in found) == 1.0
     assert task.budget.untried == untried
 
@@ -68,7 +68,7 @@ def test_where_nothing_explains_the_data_any_cut_counts(monkeypatch):
 
     monkeypatch.setattr(beam, "expand", expand)
     task = made_up_task()
-    search(made_up(50.0), task)
+    search_effects(made_up(50.0), task)
     assert task.budget.untried == 1
 
 

@@ -9,13 +9,13 @@ from brim_tank import levels, staircase
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.stiff_step import WALL
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
-from modal.discrepancy.hard_steps import REACH, moved, reach_of, walls
+from modal.discrepancy.hard_steps import REACH, moved_by_reciprocals, reach_of, walls
 from modal.discrepancy.state_space_plant import state_space_plant
 from okid.record import Record
 
@@ -31,13 +31,15 @@ def test_only_the_rate_of_a_brim_has_a_wall():
 @given(size=st.floats(1e-3, 1e3), share=st.floats(-5.0, REACH))
 def test_a_step_is_a_straight_one_in_the_reciprocal(size, share):
     step = share * size
-    (found,) = moved(np.array([size]), np.array([step]), np.array([1e12]))
+    (found,) = moved_by_reciprocals(np.array([size]), np.array([step]), np.array([1e12]))
     assert 1.0 / found == pytest.approx(1.0 / size - step / size**2, rel=1e-9)
     assert found > 0.0
 
 
 def test_what_is_no_limit_moves_straight_and_a_limit_at_most_to_the_wall():
-    found = moved(np.array([2.0, 2.0, 2.0, 0.0]), np.array([5.0, 5.0, -1.0, 3.0]), np.array([np.inf, 9.0, 9.0, 9.0]))
+    found = moved_by_reciprocals(
+        np.array([2.0, 2.0, 2.0, 0.0]), np.array([5.0, 5.0, -1.0, 3.0]), np.array([np.inf, 9.0, 9.0, 9.0])
+    )
     np.testing.assert_allclose(found, [7.0, 9.0, 2.0 / 1.5, 3.0])
 
 
@@ -84,7 +86,7 @@ def test_a_level_from_rest_is_that_of_exact_steps_however_hard_the_brim(rate):
     plant = state_space_plant(Tank, sensor_kind="displacement")
     inflow = staircase(1500, 3)
     drive = drive_of([Record(inflow[:, None], np.zeros((1500, 1)), DT)])
-    assembly = assemble(plant, [place(plant, CATALOGUE["overflow"], "output_0", displacement_scale=0.7)])
+    assembly = assemble(plant, [place_effect(plant, CATALOGUE["overflow"], "output_0", displacement_scale=0.7)])
     unknowns = initial_unknowns(assembly, 1)
     common = unknowns.common.copy()
     common[assembly.common_of(0)] = rate, LIMIT

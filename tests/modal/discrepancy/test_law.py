@@ -8,7 +8,7 @@ import scipy
 import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.assembly import assemble, initial_unknowns, place
+from modal.discrepancy.assembly import assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
@@ -46,7 +46,7 @@ def fitted_to(records, floor, key, start, *, where="element_0", fine=1, smoothin
     plant = structural_plant(model)
     problem = Problem(drive=drive_of(records, fine), floor=floor)
     outputs = np.concatenate([record.outputs[:, 0] for record in records])
-    item = place(
+    item = place_effect(
         plant,
         CATALOGUE[key],
         where,
@@ -212,7 +212,9 @@ def test_a_law_with_memory_has_a_loop_along_the_loudest_record():
     inputs = excitations(rng, [1.0, 4.0])
     records, floor = measured(rng, inputs, chain(inputs, no_force))
     plant, problem, _ = fitted_to(records, floor, "cubic_stiffness", [0.0])
-    item = place(plant, CATALOGUE["bouc_wen_hysteresis"], "element_0", displacement_scale=0.005, velocity_scale=0.1)
+    item = place_effect(
+        plant, CATALOGUE["bouc_wen_hysteresis"], "element_0", displacement_scale=0.005, velocity_scale=0.1
+    )
     assembly = assemble(plant, [item])
     unknowns = initial_unknowns(assembly, 2)
     unknowns.common[-3:] = 200.0, 0.003, 1.0

@@ -11,7 +11,7 @@ from modal.discrepancy.assembly import Unknowns
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
-from modal.discrepancy.estimation import Problem, estimate, normal_equations, simulate_at
+from modal.discrepancy.estimation import Problem, estimate, score_equations, simulate_at
 from modal.discrepancy.screen import screen_candidates
 from modal.discrepancy.sensitivity import sensitivity
 
@@ -44,7 +44,7 @@ def predicted_fall(current, problem):
         slopes=current.slopes,
         gain=current.gain,
     )
-    gram, score = normal_equations(current, problem, slopes)
+    gram, score = score_equations(current, problem, slopes)
     return score @ np.linalg.solve(gram, score)
 
 

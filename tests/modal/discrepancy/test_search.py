@@ -4,7 +4,7 @@ import pytest
 from made_up_nodes import made_up, made_up_task
 
 from modal.discrepancy import search as module
-from modal.discrepancy.search import BEAM, MOST_EFFECTS, search
+from modal.discrepancy.search import BEAM, MOST_EFFECTS, search_effects
 
 
 def _held_out(level):
@@ -33,7 +33,7 @@ def beam(monkeypatch):
         expand, asked = landscape(levels)
         monkeypatch.setattr(module, "expand", expand)
         start = made_up(root)
-        found = search(start, made_up_task(said))
+        found = search_effects(start, made_up_task(said))
         assert found[0] is start
         return [tuple(key for key, _ in node.effects) for node in found], asked
 

@@ -8,7 +8,7 @@ from engine_records import experiment, nominal
 
 from modal.discrepancy import setup as module
 from modal.discrepancy.given import given_model
-from modal.discrepancy.setup import prepare_setup, roots, uncovered
+from modal.discrepancy.setup import prepare_setup, roots, with_uncovered_floor
 
 THOUSANDTH = 1e-3
 
@@ -32,7 +32,7 @@ def test_records_without_noise_are_those_of_another_integrator(prepared):
 def test_a_residual_below_that_uncovers_nothing(prepared, monkeypatch, share):
     setup, as_given, root = prepared
     monkeypatch.setattr(module, "lowered_floor", lambda floor, *_: replace(floor, variance=share * floor.variance))
-    found, nodes, given = uncovered(setup, (root,), as_given)
+    found, nodes, given = with_uncovered_floor(setup, (root,), as_given)
     assert found is setup
     assert nodes == (root,)
     assert given is as_given
@@ -43,7 +43,7 @@ def test_a_lower_floor_counts_for_the_records_and_the_models_alike(prepared, mon
     noisy = replace(setup.floor, variance=9.0 * setup.floor.variance)
     raised = replace(setup, floor=noisy)
     monkeypatch.setattr(module, "lowered_floor", lambda *_: setup.floor)
-    found, (scaled, *_), given = uncovered(raised, (root,), as_given)
+    found, (scaled, *_), given = with_uncovered_floor(raised, (root,), as_given)
     assert found.task.fit.floor == pytest.approx(setup.task.fit.floor)
     assert scaled.fit_level == pytest.approx(9.0 * root.fit_level)
     assert given.held_out_level == pytest.approx(9.0 * as_given.held_out_level)

@@ -8,7 +8,7 @@ import pytest
 from engine_plants import some_records, two_masses, with_effects
 
 from modal.discrepancy import nodes, simpler_laws
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Motion
@@ -189,7 +189,7 @@ def test_a_hardening_spring_has_no_twin():
 )
 def test_the_twin_of_a_law_is_fitted_in_its_place_unless_it_was_already(monkeypatch, value, known, asked):
     plant = structural_plant(StructuralModel.chain([1.0], [90.0], [1.0], force_dofs=[0], sensor_dofs=[0]))
-    assembly = assemble(plant, [place(plant, CATALOGUE["cubic_stiffness"], "element_0")])
+    assembly = assemble(plant, [place_effect(plant, CATALOGUE["cubic_stiffness"], "element_0")])
     unknowns = initial_unknowns(assembly, 2)
     common = unknowns.common.copy()
     common[assembly.stiffness_parameter(0)], common[assembly.common_of(0)] = 93.0, value
