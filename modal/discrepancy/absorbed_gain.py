@@ -16,14 +16,13 @@ from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.discrepancy.nodes import SMALLEST_GAIN, Node, Task, node_of
 from modal.discrepancy.smaller_models import run_without
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.discrepancy.trajectory import SHARP
 
 __all__ = ["AbsorbedGain", "absorbed_gain"]
 
 ITERATIONS, LONGEST = 20, 60
 """Of the fit that finds the gain, and of one to its end."""
-EXPLAINED = 1.5
-"""Held-out mean square, in units of the floor, up to which the model with the gain explains the data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -96,7 +95,7 @@ def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: T
     if start is None:
         return None
     node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
-    if alone is None or max(node.fit_level, node.held_out_level) > EXPLAINED:
+    if alone is None or max(node.fit_level, node.held_out_level) > NEAR_FLOOR:
         return None
     if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
         return None

@@ -18,6 +18,7 @@ from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.callable_model import Simulator, run_callable
+from modal.discrepancy.gap import SAME_LEVEL
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, IdentificationWarning
 from okid.observer import ObserverFit, fit_observer
@@ -36,7 +37,6 @@ EXACT = 1e-6
 AS_GOOD = 1.5
 """A smaller model is preferred to one whose free run misses by less than this factor less."""
 STABLE = 1.0 + 1e-7
-SAME_LEVEL = 1.1
 PROBE_SAMPLES = 4000
 
 

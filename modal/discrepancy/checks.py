@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.plant import Plant, plant_matrices
-from okid.arrays import FloatArray
+from modal.discrepancy.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
@@ -157,7 +158,7 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
             )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
-        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), 1e-300) + 1e-9 / first.dt:
+        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
             raise InvalidDataError(
                 f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
                 "signs"

@@ -5,7 +5,7 @@ import scipy
 
 from modal.discrepancy.drive import IndexArray
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["covariance", "held_unknowns"]
 
@@ -19,7 +19,7 @@ def covariance(current: Estimate, problem: Problem) -> FloatArray:
     held = held_unknowns(current)
     gram[held, :] = 0.0
     gram[:, held] = 0.0
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
     inverse[held, :] = 0.0
     inverse[:, held] = 0.0

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from modal.discrepancy.statements import number
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.scalars import real_number
@@ -20,8 +21,6 @@ __all__ = ["GapBand", "check_bands", "line_power", "line_share", "octave_bands",
 MOST_OCTAVES = 8
 HALF_WIDTH = 0.15
 """Of a resonance's frequency: the band around it, on either side."""
-NARROWEST = 1e-9
-"""Relative width below which two edges are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,7 +91,7 @@ def resonance_bands(
         low = max(low, reached)
         if i + 1 < len(found):
             high = min(high, float(np.sqrt(frequency * found[i + 1])))
-        if low > reached * (1.0 + NARROWEST):
+        if low > reached * (1.0 + ROUNDING):
             bands.append(_between(reached, low))
         bands.append(GapBand(name=f"around {_hertz(frequency)} Hz", low=low, high=high))
         reached = high
@@ -114,7 +113,7 @@ def check_bands(bands: Sequence[GapBand]) -> tuple[GapBand, ...]:
             )
     ordered = sorted(bands, key=lambda band: band.low)
     for below, above in pairwise(ordered):
-        if above.low < below.high * (1.0 - NARROWEST):
+        if above.low < below.high * (1.0 - ROUNDING):
             raise InvalidDataError(
                 f"bands must not overlap, but {below.name!r} ends at {below.high:.6g} Hz and {above.name!r} begins at "
                 f"{above.low:.6g} Hz."

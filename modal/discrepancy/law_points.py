@@ -31,7 +31,8 @@ import scipy
 
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
 from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitivity
-from okid.arrays import FloatArray
+from modal.discrepancy.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["N_BINS", "Bins", "Told", "bins_of", "derivatives", "told_by", "told_by_sources", "unknowns_but"]
 
@@ -112,7 +113,7 @@ def bins_of(motion: FloatArray, *, n_bins: int = N_BINS, period: float = 0.0) ->
     if period > 0.0:
         return Bins(knots=np.arange(n_bins) * period / n_bins, period=period)
     low, high = float(motion.min(initial=np.inf)), float(motion.max(initial=-np.inf))
-    if not high > low or (high - low) <= 1e-9 * max(abs(low), abs(high)):
+    if not high > low or (high - low) <= ROUNDING * max(abs(low), abs(high)):
         return None
     shares = np.linspace(0.0, 1.0, n_bins)
     return Bins(knots=0.5 * (np.quantile(motion, shares) + low + shares * (high - low)))
@@ -146,7 +147,7 @@ class Told:
             squares: Sum of squares that is left with the bins: the noise is taken from it, not from what a law of the
                 wrong form leaves.
         """
-        level = max(1.0, fitted.level * squares / max(fitted.squares, 1e-300))
+        level = max(1.0, fitted.level * squares / max(fitted.squares, TINY))
         law = by_parameter @ spread @ by_parameter.T * (level / max(1.0, fitted.level))
         departure = np.diag(level * self.scatter - self.project @ law @ self.project.T)
         return np.asarray(np.sqrt(np.maximum(departure, 0.0) + np.maximum(np.diag(law), 0.0)))
@@ -161,12 +162,12 @@ def told_by(gram: FloatArray, score: FloatArray, bins: IndexArray, others: Index
         bins: (m,) where the bins stand.
         others: (k,) where the other unknowns stand; what stands in neither keeps its value.
     """
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     scaled, seen = gram / np.outer(scale, scale), score / scale
     inverse = scipy.linalg.pinvh(scaled[np.ix_(others, others)])
     cross = scaled[np.ix_(bins, others)]
     left = scaled[np.ix_(bins, bins)] - cross @ inverse @ cross.T
-    metric = scaled[np.ix_(bins, bins)] + 1e-9 * np.eye(len(bins))
+    metric = scaled[np.ix_(bins, bins)] + ROUNDING * np.eye(len(bins))
     share, directions = scipy.linalg.eigh(left, metric)
     told = share >= INDISTINCT
     share, directions = share[told], directions[:, told]

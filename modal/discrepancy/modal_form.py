@@ -13,18 +13,13 @@ import scipy
 
 from modal.discrepancy.continuous_time import ContinuousSystem
 from modal.discrepancy.plant import LinearParameter
+from modal.discrepancy.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
 __all__ = ["ModalCoordinates", "in_modal_coordinates"]
 
 _DEFECTIVE = 1e8
 """Condition of the shapes from which on they are taken for dependent."""
-
-_STILL = 1e-9
-"""Share of the largest pole below which a pole is zero, an integrator."""
-
-_CRITICAL_SHARE = 0.02
-"""Standard deviation of the damping ratio of a pair that has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -143,7 +138,7 @@ def _block_parameters(
     if len(block) == 2:
         pole = complex(matrix[first, first], np.sqrt(-matrix[first, last] * matrix[last, first]))
     size = abs(pole)
-    if size <= _STILL * largest:
+    if size <= ROUNDING * largest:
         return []
     pair = f"of pole pair {number} ({size / (2 * np.pi):.4g} Hz)"
     by_real = np.zeros_like(matrix)
@@ -151,7 +146,7 @@ def _block_parameters(
     factor = 1 + 3 * damping_tolerance
     deviation, lower, upper = damping_tolerance * abs(pole.real), factor * pole.real, pole.real / factor
     if abs(pole.real) <= 1e-6 * size:
-        deviation = _CRITICAL_SHARE * size
+        deviation = UNDAMPED_DEVIATION * size
         lower, upper = pole.real - 3 * deviation, max(pole.real, 0.0)
     real = LinearParameter(
         name=f"real part {pair}" if len(block) == 2 else f"real pole {number} ({pole.real:.4g} 1/s)",

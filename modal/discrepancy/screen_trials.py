@@ -16,7 +16,7 @@ from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.memory_along import memory_along
 from modal.discrepancy.port_motion import motion_at
 from modal.discrepancy.sensitivity import Source, force_response
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["TriedShape", "trials_of"]
 
@@ -65,8 +65,8 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
         motion = _signal(signal[:, item.channel], time)
     motion = replace(
         motion,
-        displacement_scale=max(float(np.std(motion.displacement)), 1e-300),
-        velocity_scale=max(float(np.std(motion.velocity)), 1e-300),
+        displacement_scale=max(float(np.std(motion.displacement)), TINY),
+        velocity_scale=max(float(np.std(motion.velocity)), TINY),
     )
     item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
     situation = Situation(
@@ -146,7 +146,7 @@ def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
     window = np.hanning(length)
     for record in range(drive.n_records):
         part = residual[drive.rows_of(record)][:length]
-        scale = np.maximum(part.std(axis=0), 1e-300)
+        scale = np.maximum(part.std(axis=0), TINY)
         power += np.sum(np.abs(np.fft.rfft((part - part.mean(axis=0)) / scale * window[:, None], axis=0)) ** 2, axis=1)
     dt = drive.dt * (int(drive.rows[1]) if len(drive.rows) > 1 else 1)
     frequencies = np.fft.rfftfreq(length, dt)

@@ -23,7 +23,7 @@ from modal.discrepancy.estimation import Estimate, Problem, score_equations, sen
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import run_without
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["sureness"]
 
@@ -85,5 +85,5 @@ def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: F
 
 
 def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)
