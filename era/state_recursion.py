@@ -16,13 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from okid.arrays import FloatArray
+from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 
-__all__ = ["checked_state", "free_run", "lifted", "simulate_array"]
+__all__ = ["PoleRecursion", "checked_state", "free_run", "lifted", "simulate_array"]
 
 CHUNK_SAMPLES = 1 << 15
 """Samples that are worked on at a time, so that intermediate arrays stay in cache and mapped inputs on disk."""
+POLE_BLOCK = 16
+"""Multiply that many samples of a recursion with one pole at a time: the quickest of 8, 16 and 32 for any length."""
 TRUSTED = 500.0
 """Rounding errors that a squared power of A may have, |A^k|^2 relative to |A^2k| or to that of a rotation."""
 
@@ -92,6 +94,68 @@ def lifted(A: FloatArray, C: FloatArray, length: int) -> tuple[FloatArray, Float
             observability = np.vstack([observability, observability @ power])
             power = power @ power
     return observability, power
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PoleRecursion:
+    """Several recursions x(k+1) = pole x(k) + drive(k), each with one pole inside the unit circle, over many samples.
+
+    A block of samples is one product with its drive and the state at its start; the states at the starts of blocks are
+    a recursion of the same form with the power of the pole.
+
+    Attributes:
+        poles: (n_poles,).
+        kernel: (n_poles, block + 1, block) states of a block by its drive and by the state at its start.
+        reach: (n_poles, block, 1) state after a block by its drive.
+        starts: of the blocks; None where there are too few of them.
+    """
+
+    poles: ComplexArray
+    kernel: ComplexArray
+    reach: ComplexArray
+    starts: "PoleRecursion | None"
+
+    @classmethod
+    def of(cls, poles: ComplexArray, n_samples: int) -> "PoleRecursion":
+        """Products for (n_poles,) poles and up to `n_samples` samples at a time.
+
+        Example:
+            >>> poles = np.array([0.5j])
+            >>> states, after = PoleRecursion.of(poles, 3).run(np.ones((1, 3)), np.zeros(1))
+            >>> states, after
+            (array([[0.+0.j , 1.+0.j , 1.+0.5j]]), array([0.75+0.5j]))
+        """
+        powers = poles[:, np.newaxis] ** np.arange(POLE_BLOCK + 1)
+        lags = np.arange(POLE_BLOCK) - 1 - np.arange(POLE_BLOCK)[:, np.newaxis]  # [sample of the drive, of the state]
+        driven = np.where(lags >= 0, powers[:, np.maximum(lags, 0)], 0.0)
+        return cls(
+            poles=poles,
+            kernel=np.concatenate([driven, powers[:, np.newaxis, :POLE_BLOCK]], axis=1),
+            reach=powers[:, POLE_BLOCK - 1 :: -1, np.newaxis],
+            starts=cls.of(powers[:, POLE_BLOCK], n_samples // POLE_BLOCK) if n_samples > 2 * POLE_BLOCK else None,
+        )
+
+    def run(self, drive: FloatArray | ComplexArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """States (n_poles, n_samples), and (n_poles,) the state after the last sample.
+
+        Args:
+            drive: (n_poles, n_samples) of each pole, or (1, n_samples) of all.
+            state: (n_poles,) at the first sample.
+        """
+        n_poles, n_samples = self.poles.size, drive.shape[1]
+        states = np.empty((n_poles, n_samples), dtype=np.complex128)
+        n_blocks = 0 if self.starts is None else n_samples // POLE_BLOCK
+        whole = n_blocks * POLE_BLOCK
+        if self.starts is not None:
+            stacked = np.empty((n_poles, n_blocks, POLE_BLOCK + 1), dtype=np.complex128)
+            stacked[:, :, :POLE_BLOCK] = drive[:, :whole].reshape(-1, n_blocks, POLE_BLOCK)
+            added = np.matmul(stacked[:, :, :POLE_BLOCK], self.reach)[:, :, 0]
+            stacked[:, :, POLE_BLOCK], state = self.starts.run(added, state)
+            states[:, :whole] = np.matmul(stacked, self.kernel).reshape(n_poles, whole)
+        for k in range(whole, n_samples):
+            states[:, k] = state
+            state = self.poles * state + drive[:, k]
+        return states, state
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

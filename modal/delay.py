@@ -210,7 +210,7 @@ def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
     weight = np.linalg.pinv(np.atleast_2d(fit.residual_covariance), hermitian=True)
     inverse = _inverse(gram)
     lags = np.arange(order + 1)
-    bounds = scipy.stats.chi2.isf(CHANCE, n_outputs * (lags + 1))
+    bounds = scipy.special.chdtri(n_outputs * (lags + 1), CHANCE)
     empty = np.zeros(n_inputs, dtype=int)
     for j in range(n_inputs):
         own = inverse[np.ix_(_places(gram, j), _places(gram, j))]

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from era.state_recursion import PoleRecursion
 from modal.basis import discrete_poles
 from modal.mode import ModalModel, Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
@@ -93,10 +94,9 @@ def _free_motion(pole: complex, times: NDArray[np.intp]) -> FloatArray:
 
 def _response(drive: ComplexArray, pole: complex, shape: ComplexArray, kept: BoolArray) -> FloatArray:
     """(n_kept, n_outputs) of x(k+1) = pole x(k) + drive(k), y(k) = Re(shape x(k)), from rest."""
-    import scipy.signal
-
-    state: ComplexArray = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], drive)
-    return (state[kept, np.newaxis] * shape).real
+    recursion = PoleRecursion.of(np.array([pole]), drive.size)
+    states, _ = recursion.run(drive[np.newaxis], np.zeros(1, dtype=np.complex128))
+    return (states[0, kept, np.newaxis] * shape).real
 
 
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:

@@ -11,10 +11,12 @@ these signals, so a record is passed once and only its Gram matrix is kept, one 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from era.state_recursion import PoleRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -24,8 +26,6 @@ IndexArray = npt.NDArray[np.intp]
 
 LONGEST_CHUNK = 8192
 """Rows of signals that are held at a time."""
-DELAY = np.array([0.0, 1.0])
-"""Numerator of the recursion: the input acts on the next sample."""
 DIED_OUT = 1e-100
 """Free responses below this are set to zero: their squares would be too small for a normal number, and so slow."""
 
@@ -149,13 +149,20 @@ class SignalLayout:
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
-        n, m = self.n_poles, self.n_inputs
-        regressors = [*range(2 * n + m), 2 * n + m + record]
-        start = n * (1 + m)
-        own = [*range(start), *range(start + n * record, start + n * (record + 1))]
-        real = [self.real.start + i for i in own]
-        imaginary = [self.imaginary.start + i for i in own]
-        return np.array([*regressors, *real, *imaginary, *range(self.outputs.start, self.outputs.stop)], dtype=np.intp)
+        return _places(self.n_poles, self.n_inputs, self.n_outputs, self.n_records, record)
+
+
+@lru_cache(maxsize=1024)
+def _places(n_poles: int, n_inputs: int, n_outputs: int, n_records: int, record: int) -> IndexArray:
+    """See `SignalLayout.places`: asked for at every step of a refinement, the same each time."""
+    regressors, shared = 2 * n_poles + n_inputs, n_poles * (1 + n_inputs)
+    n_sensitivities, real = shared + n_poles * n_records, regressors + n_records
+    own = np.r_[:shared, shared + n_poles * record : shared + n_poles * (record + 1)]
+    imaginary = real + n_sensitivities
+    outputs = imaginary + n_sensitivities + np.arange(n_outputs)
+    places = np.concatenate([np.arange(regressors), [regressors + record], real + own, imaginary + own, outputs])
+    places.flags.writeable = False
+    return places
 
 
 def block_grams(
@@ -211,28 +218,26 @@ def _add_grams(
     grams: FloatArray, parameters: ModalParameters, record: Record, rows: BoolArray, blocks: Sequence[Block]
 ) -> None:
     """Add one record's products to the Gram matrices of its blocks."""
+    complete = bool(rows.all())
     for start, signals in _signals(parameters, blocks[0].record, record):
         stop = start + signals.shape[0]
         for i, block in enumerate(blocks):
             first, last = max(start, block.first), min(stop, block.last)
             if first < last:
-                counted = rows[first:last]
                 part = signals[first - start : last - start]
-                chosen = part if counted.all() else part[counted]
+                chosen = part if complete else part[rows[first:last]]
                 grams[i] += chosen.T @ chosen
 
 
 def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterator[tuple[int, FloatArray]]:
     """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
-    import scipy.signal
-
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
-    recursions = [np.array([1.0, -pole]) for pole in poles]
+    recursion = PoleRecursion.of(poles, min(record.n_samples, LONGEST_CHUNK))
     powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
     np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
-    driven_memory = np.zeros((n_inputs, n_poles, 1), dtype=np.complex128)
-    slope_memory = np.zeros((n_poles, 1), dtype=np.complex128)
+    driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
+    slope_memory = np.zeros(n_poles, dtype=np.complex128)
     free_memory = np.ones(n_poles, dtype=np.complex128)
     for first in range(0, record.n_samples, LONGEST_CHUNK):
         outputs = record.outputs[first : first + LONGEST_CHUNK]
@@ -240,17 +245,14 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         n_rows = outputs.shape[0]
         # sensitivities to the poles, to the participations, to the initial states
         s = np.empty((1 + n_inputs + 1, n_poles, n_rows), dtype=np.complex128)
-        for j, i in np.ndindex(n_inputs, n_poles):
-            s[1 + j, i], driven_memory[j, i] = scipy.signal.lfilter(
-                DELAY, recursions[i], inputs[j], zi=driven_memory[j, i]
-            )
+        for j in range(n_inputs):
+            s[1 + j], driven_memory[j] = recursion.run(inputs[[j]], driven_memory[j])
         s[-1] = (powers[:n_rows] * free_memory).T
         s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
-        for i in range(n_poles):
-            s[0, i], slope_memory[i] = scipy.signal.lfilter(DELAY, recursions[i], state[i], zi=slope_memory[i])
+        s[0], slope_memory = recursion.run(state, slope_memory)
         s[0] *= poles[:, np.newaxis]
         free_memory = free_memory * powers[n_rows - 1] * poles
         flat = s.reshape(-1, n_rows)

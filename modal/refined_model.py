@@ -16,7 +16,7 @@ from modal.growth import errors_of, with_weak_mode
 from modal.modal_realisation import in_units, scaled_model
 from modal.modal_states import blocks_of
 from modal.refined_choice import MOST_STEPS
-from modal.refinement import OutputError, Step, refine
+from modal.refinement import SMALLEST_GAIN, OutputError, Step, refine
 from modal.starting import starting_parameters
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -73,6 +73,7 @@ def refined_model(
     *,
     weak_modes: int = 0,
     evidence: Realisation | None = None,
+    least_gain: float = SMALLEST_GAIN,
 ) -> RefinedModel | None:
     """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
 
@@ -83,6 +84,7 @@ def refined_model(
         weak_modes: modes to add from what the refined model leaves over.
         evidence: realisation of the order that includes them, whose Hankel factors the result keeps; `start` unless
             given.
+        least_gain: relative decrease of the error by a step below which it is the last.
     """
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -96,13 +98,13 @@ def refined_model(
         return None
     weights = np.ones(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
-    last = refine(first, data, n_steps=most)[-1]
+    last = refine(first, data, n_steps=most, least_gain=least_gain)[-1]
     for _ in range(weak_modes):
         larger = with_weak_mode(last, data)
-        last = last if larger is None else refine(larger, data, n_steps=most)[-1]
+        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=least_gain)[-1]
     ratio = _whiteness_ratio(last, data)
     if n_steps == MOST_STEPS and start.n_outputs > 1:
-        likeliest, own = _weighted(last, data)
+        likeliest, own = _weighted(last, data, least_gain)
         own_ratio = _whiteness_ratio(likeliest, data)
         if own_ratio <= WHITE:
             last, weights, ratio = likeliest, own, own_ratio
@@ -123,7 +125,7 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
     return [fold]
 
 
-def _weighted(step: Step, data: OutputError) -> tuple[Step, FloatArray]:
+def _weighted(step: Step, data: OutputError, least_gain: float) -> tuple[Step, FloatArray]:
     """Refined with each output weighted by the inverse of its own noise, and the weights, settled in a few rounds.
 
     An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
@@ -136,7 +138,7 @@ def _weighted(step: Step, data: OutputError) -> tuple[Step, FloatArray]:
         if largest == 0.0:
             break
         weights = largest / np.maximum(variance, SMALLEST_NOISE**2 * largest)
-        step = refine(step, data, n_steps=UNTIL_STILL, weights=weights)[-1]
+        step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
     return step, weights
 
 

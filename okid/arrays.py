@@ -12,6 +12,7 @@ import numpy.typing as npt
 from okid.errors import InvalidDataError
 
 __all__ = [
+    "TINY",
     "BoolArray",
     "ComplexArray",
     "FloatArray",
@@ -27,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 BoolArray = npt.NDArray[np.bool_]
 
+TINY = 1e-300
+"""Divide by no less than this: nothing over nothing is nothing, and no quotient of it overflows."""
 CHUNK_VALUES = 1 << 21
 """Values looked at in one step, so that checking a mapped file needs 16 MiB at a time."""
 

@@ -9,21 +9,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, place
+from modal.discrepancy.assembly import Unknowns, place_effect
 from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.discrepancy.nodes import SMALLEST_GAIN, Node, Task, node_of
 from modal.discrepancy.smaller_models import run_without
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.discrepancy.trajectory import SHARP
 
 __all__ = ["AbsorbedGain", "absorbed_gain"]
 
 ITERATIONS, LONGEST = 20, 60
 """Of the fit that finds the gain, and of one to its end."""
-EXPLAINED = 1.5
-"""Held-out mean square, in units of the floor, up to which the model with the gain explains the data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,14 +88,14 @@ def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: T
     """
     before = root.coarse.assembly
     effect = CATALOGUE[key]
-    assembly = replace(before, placements=(*before.placements, place(before.plant, effect, where)))
+    assembly = replace(before, placements=(*before.placements, place_effect(before.plant, effect, where)))
     common = np.concatenate([before.plant.nominal, root.coarse.unknowns.common[before.n_linear :], effect.neutral])
     unknowns = Unknowns(common=common, local=root.coarse.unknowns.local)
     start = simulate_at(assembly, unknowns, task.fit, states=root.coarse.trajectory.states)
     if start is None:
         return None
     node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
-    if alone is None or max(node.fit_level, node.held_out_level) > EXPLAINED:
+    if alone is None or max(node.fit_level, node.held_out_level) > NEAR_FLOOR:
         return None
     if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
         return None

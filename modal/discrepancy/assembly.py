@@ -15,11 +15,11 @@ from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, S
 from modal.discrepancy.plant import Plant, Port
 from okid.arrays import FloatArray
 
-__all__ = ["Assembly", "Placement", "Unknowns", "assemble", "initial_unknowns", "place"]
+__all__ = ["Assembly", "EffectPlacement", "Unknowns", "assemble", "initial_unknowns", "place_effect"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Placement:
+class EffectPlacement:
     """An effect at a place.
 
     Attributes:
@@ -91,7 +91,7 @@ class Assembly:
     """
 
     plant: Plant
-    placements: tuple[Placement, ...]
+    placements: tuple[EffectPlacement, ...]
 
     @property
     def forces(self) -> tuple[int, ...]:
@@ -193,7 +193,7 @@ class Assembly:
         return deviation
 
 
-def _bound(item: Placement, j: int, bound: float) -> float:
+def _bound(item: EffectPlacement, j: int, bound: float) -> float:
     return item.effect.neutral[j] if j in item.held else bound
 
 
@@ -228,19 +228,19 @@ class Unknowns:
         return np.concatenate([[1.0], free])
 
 
-def place(
+def place_effect(
     plant: Plant, effect: Effect, where: str, *, displacement_scale: float = 1.0, velocity_scale: float = 1.0
-) -> Placement:
+) -> EffectPlacement:
     """Put an effect at a place of the plant.
 
     Raises:
         KeyError: If the plant has no such place for this kind of effect.
     """
     if isinstance(effect, InputEffect):
-        return Placement(effect=effect, where=where, channel=_index(plant.input_names, where))
+        return EffectPlacement(effect=effect, where=where, channel=_index(plant.input_names, where))
     if isinstance(effect, SensorEffect):
-        return Placement(effect=effect, where=where, channel=_index(plant.output_names, where))
-    return Placement(
+        return EffectPlacement(effect=effect, where=where, channel=_index(plant.output_names, where))
+    return EffectPlacement(
         effect=effect,
         where=where,
         port=plant.port(where),
@@ -255,7 +255,7 @@ def _index(names: tuple[str, ...], where: str) -> int:
     return names.index(where)
 
 
-def assemble(plant: Plant, placements: Sequence[Placement] = ()) -> Assembly:
+def assemble(plant: Plant, placements: Sequence[EffectPlacement] = ()) -> Assembly:
     """A plant with effects."""
     return Assembly(plant=plant, placements=tuple(placements))
 

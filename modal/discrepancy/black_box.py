@@ -13,7 +13,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.discrepancy.advice import circumstances_of
-from modal.discrepancy.callable_identification import LinearPart, identify_callable, quietest, relative_miss
+from modal.discrepancy.callable_identification import IdentifiedPart, identify_callable, quietest, relative_miss
 from modal.discrepancy.callable_model import Simulator, check_deterministic, run_callable
 from modal.discrepancy.corrected_callable import along_plant
 from modal.discrepancy.decision import decide_nodes
@@ -29,8 +29,8 @@ from modal.discrepancy.noise_floor import NoiseFloor, noise_floor
 from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.proof import Runs, prove
 from modal.discrepancy.proved_diagnosis import proved, without_search
-from modal.discrepancy.search import search
-from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, uncovered
+from modal.discrepancy.search import search_effects
+from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, with_uncovered_floor
 from modal.discrepancy.workflow import diagnosis_of
 from modal.structure import SensorKind
 from okid.arrays import FloatArray
@@ -106,7 +106,7 @@ def diagnose_callable(
     progress("locating the gap", 0.05)
     along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
     location = _located([records[i] for i in to_fit], along, setup.floor)
-    setup, nodes, as_given = uncovered(setup, search(root, setup.task), as_given)
+    setup, nodes, as_given = with_uncovered_floor(setup, search_effects(root, setup.task), as_given)
     floor = _with_rows(floor, [*to_fit, *to_hold], setup.floor)
     runs = replace(runs, floor=floor.variance)
     progress("deciding", 0.9)
@@ -127,7 +127,7 @@ def diagnose_callable(
 
 def _identified(
     runs: Runs, sensor_kind: SensorKind | Sequence[SensorKind] | None
-) -> tuple[LinearPart | None, Given | None]:
+) -> tuple[IdentifiedPart | None, Given | None]:
     """The smallest linear part that is a plant too."""
 
     def as_plant(realisation: Realisation) -> Given | None:
@@ -214,7 +214,7 @@ def _nonlinear(misses: Sequence[float], records: Sequence[Record], n_fit: int) -
     return (said,)
 
 
-def _unidentified(part: LinearPart | None, own: Sequence[Record]) -> str:
+def _unidentified(part: IdentifiedPart | None, own: Sequence[Record]) -> str:
     at = quietest(own)[0].name or "the quietest record"
     how = "no linear model at all" if part is None else f"a linear model misses {100.0 * part.miss:.0f} % of its output"
     return (

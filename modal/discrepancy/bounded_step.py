@@ -3,7 +3,7 @@
 import numpy as np
 import scipy
 
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["bounded_step"]
 
@@ -40,7 +40,7 @@ def bounded_step(
         >>> bounded_step(gram, score, 0.0, at=np.zeros(2), lower=-far, upper=far, reach=np.array([1.0, np.inf]))
         array([1. , 0.5])
     """
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     scaled = gram / np.outer(scale, scale)
     scaled[np.diag_indices_from(scaled)] = 1.0 + damping
     free = scale > 1e-140

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.discrepancy.quiet_band import ResidualSpectrum
+from modal.discrepancy.tolerances import SURE
 from okid.arrays import FloatArray
 
 __all__ = ["SteadyLevel", "steady_level"]
@@ -20,7 +21,6 @@ _FROM, _FULL = 0.25, 0.35
 """Cycles a sample where the taper begins and where it is 1: sharp edges would smear bursts over time."""
 _SPREAD = 0.82
 """Standard deviation of clipped over plain level of steady noise, times the root of the independent envelope values."""
-_CERTAIN = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -77,7 +77,7 @@ def steady_level(spectrum: ResidualSpectrum, output: int) -> SteadyLevel | None:
     return SteadyLevel(
         variance=level,
         ratio=ratio,
-        bursts=ratio < 1.0 - _CERTAIN * _SPREAD / np.sqrt(independent),
+        bursts=ratio < 1.0 - SURE * _SPREAD / np.sqrt(independent),
         share=float((power < _LIMIT * level).mean()),
     )
 

@@ -15,13 +15,12 @@ from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observer import observer_gain
+from modal.discrepancy.tolerances import AT_FLOOR
 
 __all__ = ["calibrated_node", "fitted_either_way"]
 
 WIDER = 4.0
 """Factor by which bounds are moved out."""
-EXPLAINED = 1.2
-"""Mean square of the residual, in units of the floor, above which a fit in free run may be a false minimum."""
 
 
 def calibrated_node(start: Estimate, task: Task) -> Node:
@@ -35,13 +34,13 @@ def calibrated_node(start: Estimate, task: Task) -> Node:
         The model; within wider bounds where these explain the records and those given do not.
     """
     found = polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
-    if found.held_out_level <= EXPLAINED or not found.coarse.at_bounds[: start.assembly.n_linear].any():
+    if found.held_out_level <= AT_FLOOR or not found.coarse.at_bounds[: start.assembly.n_linear].any():
         return found
     wide = simulate_at(_widened(start.assembly), start.unknowns, task.fit, smoothing=start.smoothing)
     if wide is None:
         return found
     free = polished(node_of(fitted_either_way(wide, task.fit, iterations=12), task), task)
-    return free if max(free.fit_level, free.held_out_level) <= EXPLAINED else found
+    return free if max(free.fit_level, free.held_out_level) <= AT_FLOOR else found
 
 
 def _widened(assembly: Assembly) -> Assembly:
@@ -62,7 +61,7 @@ def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> 
         iterations: Largest number of iterations of a free run.
     """
     found = estimate(start, problem, iterations=iterations)
-    if found.level <= EXPLAINED:
+    if found.level <= AT_FLOOR:
         return found
     observed = _by_observer(start, problem, iterations)
     return found if observed is None or observed.cost >= found.cost else observed

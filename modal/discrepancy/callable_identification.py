@@ -18,13 +18,14 @@ from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.callable_model import Simulator, run_callable
+from modal.discrepancy.gap import SAME_LEVEL
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, IdentificationWarning
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
 from okid.recovery import recover_markov
 
-__all__ = ["LinearPart", "identify_callable", "quietest", "relative_miss"]
+__all__ = ["IdentifiedPart", "identify_callable", "quietest", "relative_miss"]
 
 OBSERVER_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -36,12 +37,11 @@ EXACT = 1e-6
 AS_GOOD = 1.5
 """A smaller model is preferred to one whose free run misses by less than this factor less."""
 STABLE = 1.0 + 1e-7
-SAME_LEVEL = 1.1
 PROBE_SAMPLES = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LinearPart:
+class IdentifiedPart:
     """The linear part of a callable.
 
     Attributes:
@@ -57,7 +57,7 @@ class LinearPart:
 
 def identify_callable(
     simulator: Simulator, runs: Sequence[Record], *, usable: Callable[[Realisation], bool] = lambda _: True
-) -> LinearPart | None:
+) -> IdentifiedPart | None:
     """Identify the linear part about the quietest level.
 
     Args:
@@ -132,9 +132,9 @@ def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
 
 def _best(
     runs: Sequence[Record], judges: Sequence[Record], source: str, usable: Callable[[Realisation], bool]
-) -> tuple[LinearPart | None, bool]:
+) -> tuple[IdentifiedPart | None, bool]:
     """The smallest of the models that miss least, and whether the records drove too little to tell."""
-    found: list[LinearPart] = []
+    found: list[IdentifiedPart] = []
     narrow = False
     for observer, poor in _observers(runs):
         for realisation in _realisations(observer):
@@ -143,7 +143,7 @@ def _best(
             except IdentificationError:
                 continue
             if np.isfinite(miss) and usable(realisation):
-                found.append(LinearPart(realisation=realisation, miss=miss, source=source))
+                found.append(IdentifiedPart(realisation=realisation, miss=miss, source=source))
         least = min((part.miss for part in found), default=np.inf)
         narrow = poor
         if least <= EXACT:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -17,9 +18,6 @@ __all__ = ["Simulator", "check_deterministic", "run_callable"]
 
 Simulator = Callable[[Record], Record]
 """Simulates along the inputs of a record; what the record measured is for its start at most."""
-
-_ROUNDING = 1e-9
-"""Of an output's size: two runs that differ by less are the same."""
 
 
 def run_callable(simulator: Simulator, record: Record) -> Record:
@@ -87,7 +85,7 @@ def check_deterministic(simulator: Simulator, record: Record, known: FloatArray)
     """
     again = run_callable(simulator, record).outputs
     difference, size = float(np.abs(again - known).max()), float(np.abs(known).max())
-    if difference > _ROUNDING * size:
+    if difference > ROUNDING * size:
         raise InvalidDataError(
             f"the callable must return the same outputs each time, but two runs along {_named(record)} differ by "
             f"{difference:.3g} (largest output {size:.3g}); leave out simulated noise, or seed it in the callable."

@@ -12,7 +12,7 @@ from modal.discrepancy.effects.coulomb_friction import CoulombFriction
 from modal.discrepancy.effects.cubic_stiffness import CubicStiffness
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.effects.gap_spring import GapSpring
-from modal.discrepancy.effects.input_delay import InputDelay
+from modal.discrepancy.effects.input_delay import DelayedInput
 from modal.discrepancy.effects.input_gain import InputGain
 from modal.discrepancy.effects.input_saturation import InputSaturation
 from modal.discrepancy.effects.missing_mode import MissingMode
@@ -46,7 +46,7 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
             ConstantForce(),
             TimeVaryingStiffness(),
             MissingMode(),
-            InputDelay(),
+            DelayedInput(),
             InputSaturation(),
             InputGain(),
             SensorBias(),

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.plant import Plant, plant_matrices
-from okid.arrays import FloatArray
+from modal.discrepancy.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["check_lengths", "check_plant", "check_records", "fewest_samples"]
+__all__ = ["check_long_enough", "check_plant", "check_records", "fewest_samples"]
 
 SAME_LEVEL = 1.25
 """Records whose inputs differ by less than this factor are of one level."""
@@ -157,7 +158,7 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
             )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
-        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), 1e-300) + 1e-9 / first.dt:
+        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
             raise InvalidDataError(
                 f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
                 "signs"
@@ -176,7 +177,7 @@ def fewest_samples(plant: Plant) -> int:
     return max(FEWEST_SAMPLES, FEWEST_PER_STATE * plant.n_states)
 
 
-def check_lengths(plant: Plant, records: Sequence[Record]) -> None:
+def check_long_enough(plant: Plant, records: Sequence[Record]) -> None:
     """Whether each record is long enough to prove anything.
 
     Args:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold
@@ -114,12 +115,13 @@ def _step(own: Any, dt: float | None) -> float | None:
 
 def _check_poles(Ad: FloatArray, dt: float) -> None:
     poles = np.linalg.eigvals(Ad)
-    if (np.abs(poles) < 1e-9).any():
+    n_delays = int((np.abs(poles) < ROUNDING).sum())
+    if n_delays:
         raise InvalidDataError(
-            f"a continuous-time model has no discrete pole at 0, but this one has {(np.abs(poles) < 1e-9).sum()} (a "
+            f"a continuous-time model has no discrete pole at 0, but this one has {n_delays} (a "
             "delay of whole samples, or more states than the data hold); leave them out and give a delay as an effect."
         )
-    negative = poles[(np.abs(poles.imag) <= 1e-9 * np.abs(poles)) & (poles.real < 0)]
+    negative = poles[(np.abs(poles.imag) <= ROUNDING * np.abs(poles)) & (poles.real < 0)]
     if negative.size:
         raise InvalidDataError(
             f"a continuous-time model has no discrete pole on the negative real axis, but this one has one at "

@@ -4,8 +4,8 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.drive import IndexArray
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of
-from okid.arrays import FloatArray
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["covariance", "held_unknowns"]
 
@@ -15,11 +15,11 @@ def covariance(current: Estimate, problem: Problem) -> FloatArray:
 
     What is held, or sits on a hard bound, has none: the others' is that given the bound.
     """
-    gram, _ = normal_equations(current, problem, sensitivity_of(current, problem))
+    gram, _ = score_equations(current, problem, sensitivity_of(current, problem))
     held = held_unknowns(current)
     gram[held, :] = 0.0
     gram[:, held] = 0.0
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
     inverse[held, :] = 0.0
     inverse[:, held] = 0.0

@@ -21,11 +21,10 @@ from modal.discrepancy.simpler_laws import has_limit, with_limits, with_twins
 from modal.discrepancy.smaller_models import without
 from modal.discrepancy.statements import number, times_floor_text
 from modal.discrepancy.sureness import sureness
+from modal.discrepancy.tolerances import NEAR_FLOOR, SURE
 
 __all__ = ["Decision", "decide_nodes"]
 
-NEAR_FLOOR = 1.5
-"""Held-out mean square, in units of the noise floor, up to which a model explains the data."""
 
 MOST_ON_FIT = 2.0
 """The same on the records to fit, where a firm name is wanted: they hold levels that the held-out ones may lack."""
@@ -44,7 +43,6 @@ CLEAR_RISE = 3.0
 """Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
 LEAST_SURE = 5.0
 """Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
-SURE = 3.0
 SHARP_SHARE = 0.05
 """A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
 

@@ -6,6 +6,7 @@ from typing import Any, Literal
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.explained import unexplained_outputs
 from modal.discrepancy.statements import listed, times_floor_text
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -20,10 +21,6 @@ __all__ = [
     "Parameter",
     "Step",
 ]
-
-
-_EXPLAINED = 1.5
-"""Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -260,6 +257,6 @@ class Diagnosis:
             return f"Missing: {names}; {left}."
         if not self.findings:
             return f"Something is missing, but no effect of the catalogue explains it: {left}."
-        if self.warnings and self.steps[-1].held_out_level <= _EXPLAINED:
+        if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
             return f"Unresolved: the best guess is {names}; {left}, but {self.warnings[-1]}."
         return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."

@@ -19,6 +19,10 @@ IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 SILENT = 1e-150
 """Level of a record without any input: its laws are smoothed as those of the records together."""
+INTERPOLATION_REACH = 32
+"""Weigh so many samples on either side of a time between samples of a band-limited input."""
+KAISER_BETA = 9.0
+"""Taper the interpolating sinc so that it passes less than 1e-4 of what is above half the sampling rate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -168,16 +172,18 @@ def _one(record: Record, upsampling: int) -> tuple[FloatArray, FloatArray, Float
 
 def _interpolated(u: FloatArray, factor: int) -> FloatArray:
     """Band-limited interpolation (n - 1) factor + 1 rows, by a long windowed sinc; the ends are continued oddly."""
-    import scipy.signal
-
-    half = 32
-    n = len(u)
-    pad = min(half, n - 1)
+    half = INTERPOLATION_REACH
+    n, pad = len(u), min(half, len(u) - 1)
     before = 2.0 * u[0] - u[pad:0:-1]
     after = 2.0 * u[-1] - u[-2 : -pad - 2 : -1]
     padded = np.concatenate([before, u, after])
-    taps = 2 * half * factor + 1
-    window = scipy.signal.firwin(taps, 1.0 / factor, window=("kaiser", 9.0)) * factor
-    fine = scipy.signal.resample_poly(padded, factor, 1, axis=0, window=window / factor)
-    first = pad * factor
-    return np.asarray(fine[first : first + (n - 1) * factor + 1])
+    taps = np.zeros(
+        (2 * half + 1) * factor
+    )  # in the table: row j, column r weighs sample k + half - j at k + r / factor
+    taps[: 2 * half * factor + 1] = np.kaiser(2 * half * factor + 1, KAISER_BETA)
+    taps *= np.sinc((np.arange(taps.size) - half * factor) / factor)
+    table = taps.reshape(-1, factor) * (factor / taps.sum())
+    fine = np.empty((n, factor, u.shape[1]))
+    for r, j in np.ndindex(factor, u.shape[1]):
+        fine[:, r, j] = np.convolve(padded[:, j], table[:, r])[half + pad : half + pad + n]
+    return fine.reshape(n * factor, -1)[: (n - 1) * factor + 1]

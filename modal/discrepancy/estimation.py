@@ -14,7 +14,7 @@ from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.bounded_step import bounded_step
 from modal.discrepancy.budget import Budget
 from modal.discrepancy.drive import Drive
-from modal.discrepancy.hard_steps import moved, reach_of, walls
+from modal.discrepancy.hard_steps import moved_by_reciprocals, reach_of, walls
 from modal.discrepancy.scheme import Scheme, scheme_and_slopes
 from modal.discrepancy.sensitivity import Sensitivity, sensitivity
 from modal.discrepancy.trajectory import SHARP, Trajectory, resting_states, simulate_states
@@ -24,7 +24,7 @@ __all__ = [
     "Estimate",
     "Problem",
     "estimate",
-    "normal_equations",
+    "score_equations",
     "sensitivity_of",
     "simulate_at",
     "weighted_residual",
@@ -172,7 +172,7 @@ def estimate(
     current, damping = start, FIRST_DAMPING
     for iteration in range(iterations):
         slopes = sensitivity_of(current, problem)
-        gram, score = normal_equations(current, problem, slopes)
+        gram, score = score_equations(current, problem, slopes)
         better, least = None, standstill * max(current.cost, 1.0)
         for trial in range(TRIALS):
             step = _step(current, gram, score, damping, free_common=problem.free_common)
@@ -210,7 +210,7 @@ def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:
     )
 
 
-def normal_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -> tuple[FloatArray, FloatArray]:
+def score_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -> tuple[FloatArray, FloatArray]:
     """Gram matrix and score of all unknowns: the common ones first, then record by record, priors included."""
     drive, weights = problem.drive, weights_along(problem, current.trajectory)
     n_common, n_local = len(slopes.common), len(slopes.local)
@@ -255,7 +255,9 @@ def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: Float
     own = step[n_common:].reshape(n_records, n_local)
     common = current.unknowns.common
     if n_common:
-        common = moved(common, step[:n_common], walls(current.assembly, current.unknowns, problem.drive.dt))
+        common = moved_by_reciprocals(
+            common, step[:n_common], walls(current.assembly, current.unknowns, problem.drive.dt)
+        )
     unknowns = Unknowns(common=common, local=current.unknowns.local + own)
     states = current.trajectory.states + np.tensordot(step[:n_common], slopes.common_states, axes=(0, 0))
     for record in range(n_records):

@@ -10,13 +10,12 @@ from modal.discrepancy.observed_fits import CLEAR, SOFT, observed_fits
 from modal.discrepancy.promising import seen
 from modal.discrepancy.settling import settled_stiffness
 from modal.discrepancy.simpler_laws import Law, is_limit, simple_first
+from modal.discrepancy.tolerances import AT_FLOOR
 from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import amplitudes, scaled, within_reach
 
-__all__ = ["ENOUGH", "expand"]
+__all__ = ["expand"]
 
-ENOUGH = 1.2
-"""Held-out mean square, in units of the floor, below which no further effect is looked for without good cause."""
 
 WORTH_A_TRY = 0.1
 """Beside a model that explains the data, effects are tried only where the screen promises a fall by this share."""
@@ -51,7 +50,7 @@ def expand(node: Node, task: Task) -> list[Node]:
     observed, candidates = seen(node, task)
     if not candidates:
         return []
-    if node.held_out_level <= ENOUGH and candidates[0].fall < WORTH_A_TRY:
+    if node.held_out_level <= AT_FLOOR and candidates[0].fall < WORTH_A_TRY:
         return []
     found: list[Node] = []
     while candidates and not _clear(found, node):
@@ -73,7 +72,7 @@ def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node]
     """
     found: list[Node] = list(known.values())
     for fit in finalists:
-        explaining = [node for node in found if node.held_out_level <= ENOUGH]
+        explaining = [node for node in found if node.held_out_level <= AT_FLOOR]
         far = explaining and fit.cost > reach * min(node.coarse.cost for node in explaining)
         if id(fit) not in known and not far and (not found or task.budget.allows()):
             found.append(_finished(fit, finalists[0], task))
@@ -105,7 +104,7 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
     runs: list[Estimate] = []
     finished: dict[int, Node] = {}
     for fit in fits:
-        explained = any(one.held_out_level <= ENOUGH for one in finished.values())
+        explained = any(one.held_out_level <= AT_FLOOR for one in finished.values())
         if (explained or _nearly(runs, node)) and fit.cost > rival * lowest:
             continue
         if runs and not budget.allows():
@@ -122,7 +121,7 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
 
 
 def _nearly(runs: Sequence[Estimate], node: Node) -> bool:
-    return any(run.level <= (NEARLY if node.effects else ENOUGH) for run in runs)
+    return any(run.level <= (NEARLY if node.effects else AT_FLOOR) for run in runs)
 
 
 def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:

@@ -11,10 +11,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_bands import Band, check_bands, octave_bands
+from modal.discrepancy.gap_bands import GapBand, check_bands, octave_bands
 from modal.discrepancy.gap_tables import BandTable, CellTable, WindowTable, spectral_tables, window_table
 from modal.discrepancy.gap_time import TimeTrend, time_trend
 from modal.discrepancy.gap_trend import LevelTrend, level_trends
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -26,8 +27,6 @@ __all__ = ["Gap", "LevelSource", "excitation_levels", "measure_gap"]
 LevelSource = Literal["inputs", "outputs"]
 """What the level of a record was taken from: outputs only where no input drives any record."""
 
-ROUND_OFF = 1e-9
-"""Of an output's size: no floor is taken to be lower, two simulations of one model do not agree further."""
 SAME_LEVEL = 1.1
 """Ratio of input sizes up to which two records are of one level."""
 
@@ -109,7 +108,7 @@ def measure_gap(
     simulated: Record | Sequence[Record],
     floor: npt.ArrayLike,
     *,
-    bands: Sequence[Band] | Literal["octaves"] = "octaves",
+    bands: Sequence[GapBand] | Literal["octaves"] = "octaves",
     n_windows: int = 8,
 ) -> Gap:
     """Compare measured records with their simulations.
@@ -220,7 +219,7 @@ def _floor(given: npt.ArrayLike, variance: FloatArray) -> FloatArray:
             "the noise floor must be finite and at least 0; give variances, in squared output units."
         )
     tiny = np.finfo(np.float64).tiny
-    result: FloatArray = np.maximum(noise, np.square(ROUND_OFF) * variance.mean(axis=0) + tiny)
+    result: FloatArray = np.maximum(noise, np.square(ROUNDING) * variance.mean(axis=0) + tiny)
     return result
 
 
@@ -238,7 +237,7 @@ def _check_match(measured: Sequence[Record], simulated: Sequence[Record]) -> Non
                 f"measured and simulated records need the same {what.replace('_', ' ')}, but have "
                 f"{list(getattr(one, what))} and {list(getattr(other, what))}; select or rename them."
             )
-    if abs(one.dt - other.dt) > 1e-9 * one.dt:
+    if abs(one.dt - other.dt) > ROUNDING * one.dt:
         raise InvalidDataError(
             f"measured and simulated records need the same time step, but have {one.dt:.9g} and {other.dt:.9g} s; "
             "simulate at the step of the measurement."

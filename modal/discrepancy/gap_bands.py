@@ -11,21 +11,20 @@ from itertools import pairwise
 import numpy as np
 
 from modal.discrepancy.statements import number
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.scalars import real_number
 
-__all__ = ["Band", "check_bands", "line_power", "line_share", "octave_bands", "resonance_bands"]
+__all__ = ["GapBand", "check_bands", "line_power", "line_share", "octave_bands", "resonance_bands"]
 
 MOST_OCTAVES = 8
 HALF_WIDTH = 0.15
 """Of a resonance's frequency: the band around it, on either side."""
-NARROWEST = 1e-9
-"""Relative width below which two edges are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Band:
+class GapBand:
     """The frequencies low < f <= high.
 
     Attributes:
@@ -39,7 +38,7 @@ class Band:
     high: float
 
 
-def octave_bands(highest: float, *, lowest: float = 0.0) -> tuple[Band, ...]:
+def octave_bands(highest: float, *, lowest: float = 0.0) -> tuple[GapBand, ...]:
     """Octaves downwards from the highest frequency, at most eight bands; the last reaches down to 0 Hz.
 
     Args:
@@ -61,7 +60,9 @@ def octave_bands(highest: float, *, lowest: float = 0.0) -> tuple[Band, ...]:
     return tuple(_between(low, high) for low, high in pairwise([0.0, *reversed(edges)]))
 
 
-def resonance_bands(resonances: Sequence[float], highest: float, *, half_width: float = HALF_WIDTH) -> tuple[Band, ...]:
+def resonance_bands(
+    resonances: Sequence[float], highest: float, *, half_width: float = HALF_WIDTH
+) -> tuple[GapBand, ...]:
     """One band around each resonance, one below, between and above them: together all frequencies up to the highest.
 
     Neighbours that come closer than their widths are parted at the geometric mean of the two.
@@ -83,23 +84,23 @@ def resonance_bands(resonances: Sequence[float], highest: float, *, half_width: 
     if not 0.0 < real_number(highest) < np.inf:
         raise InvalidDataError(f"the highest frequency of the bands must be positive, but is {highest!r} Hz.")
     found = sorted({float(f) for f in resonances if 0.0 < f < highest})
-    bands: list[Band] = []
+    bands: list[GapBand] = []
     reached = 0.0
     for i, frequency in enumerate(found):
         low, high = frequency * (1.0 - half_width), min(highest, frequency * (1.0 + half_width))
         low = max(low, reached)
         if i + 1 < len(found):
             high = min(high, float(np.sqrt(frequency * found[i + 1])))
-        if low > reached * (1.0 + NARROWEST):
+        if low > reached * (1.0 + ROUNDING):
             bands.append(_between(reached, low))
-        bands.append(Band(name=f"around {_hertz(frequency)} Hz", low=low, high=high))
+        bands.append(GapBand(name=f"around {_hertz(frequency)} Hz", low=low, high=high))
         reached = high
     if reached < highest:
         bands.append(_between(reached, highest))
     return tuple(bands)
 
 
-def check_bands(bands: Sequence[Band]) -> tuple[Band, ...]:
+def check_bands(bands: Sequence[GapBand]) -> tuple[GapBand, ...]:
     """The bands, checked to have edges in order and not to overlap.
 
     Raises:
@@ -112,7 +113,7 @@ def check_bands(bands: Sequence[Band]) -> tuple[Band, ...]:
             )
     ordered = sorted(bands, key=lambda band: band.low)
     for below, above in pairwise(ordered):
-        if above.low < below.high * (1.0 - NARROWEST):
+        if above.low < below.high * (1.0 - ROUNDING):
             raise InvalidDataError(
                 f"bands must not overlap, but {below.name!r} ends at {below.high:.6g} Hz and {above.name!r} begins at "
                 f"{above.low:.6g} Hz."
@@ -163,8 +164,8 @@ def line_share(n_samples: int) -> FloatArray:
     return share
 
 
-def _between(low: float, high: float) -> Band:
-    return Band(name=f"{_hertz(low)} to {_hertz(high)} Hz", low=low, high=high)
+def _between(low: float, high: float) -> GapBand:
+    return GapBand(name=f"{_hertz(low)} to {_hertz(high)} Hz", low=low, high=high)
 
 
 def _hertz(frequency: float) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_bands import Band, line_power, line_share
+from modal.discrepancy.gap_bands import GapBand, line_power, line_share
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -31,7 +31,7 @@ class BandTable:
         n_lines: (n_records, n_bands) lines of the Fourier transform in the band.
     """
 
-    bands: tuple[Band, ...]
+    bands: tuple[GapBand, ...]
     power: FloatArray
     floor: FloatArray
     n_lines: IntArray
@@ -72,7 +72,7 @@ class WindowTable:
 
 
 def spectral_tables(
-    simulated: Sequence[Record], residuals: Sequence[FloatArray], floor: FloatArray, bands: Sequence[Band]
+    simulated: Sequence[Record], residuals: Sequence[FloatArray], floor: FloatArray, bands: Sequence[GapBand]
 ) -> tuple[FloatArray, BandTable, CellTable]:
     """(n_records, n_outputs) constant part of the gap, and the rest by band and by cell.
 
@@ -116,7 +116,7 @@ class _Spectrum:
     simulated: FloatArray
 
     @staticmethod
-    def of(record: Record, residual: FloatArray, bands: Sequence[Band], n_cells: int) -> "_Spectrum":
+    def of(record: Record, residual: FloatArray, bands: Sequence[GapBand], n_cells: int) -> "_Spectrum":
         constant, lines = line_power(residual)
         simulated = line_power(record.outputs)[1]
         share = line_share(record.n_samples)

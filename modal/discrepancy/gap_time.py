@@ -14,14 +14,13 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.gap_tables import WindowTable
+from modal.discrepancy.tolerances import UNLIKELY
 from okid.arrays import FloatArray
 
 __all__ = ["TimeDirection", "TimeTrend", "time_trend"]
 
 TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
-TIME_PROBABILITY = 1e-3
-"""Of a slope or curvature by chance."""
 TIME_FACTOR = 2.0
 """Ratio of mean squares along a record below which nothing is said of it."""
 FEWEST_WINDOWS = 6
@@ -89,7 +88,7 @@ def _curve(gap: FloatArray, output: FloatArray) -> _Curve:
     coefficients = inverse @ values
     freedom = max(1, values.size - n_records - 3)
     variance = np.square(values - basis @ coefficients).sum() / freedom
-    quantile = scipy.special.stdtrit(freedom, 1.0 - 0.5 * TIME_PROBABILITY)
+    quantile = scipy.special.stdtrit(freedom, 1.0 - 0.5 * UNLIKELY)
     bounds = quantile * np.sqrt(variance * np.square(inverse).sum(axis=1))
     own = (values.reshape(n_records, n_windows) - coefficients[2] * centred[2]).mean(axis=0)
     outer = max(1, n_windows // 4)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.discrepancy.gap_tables import WindowTable
+from modal.discrepancy.tolerances import SURE
 from okid.arrays import FloatArray
 
 __all__ = ["LevelDirection", "LevelTrend", "level_trends"]
@@ -28,8 +29,6 @@ SLOPE_THAT_COUNTS = 0.3
 """A smaller slope is what a wrong parameter shows when the spectrum differs a little from level to level."""
 STAYS_WITHIN = 0.5
 """Two deviations beside the slope must lie within this for a gap to stay: half of what the slowest law gives."""
-SURE = 3.0
-"""Deviations by which a slope must differ from zero."""
 LEAST_OUTPUT_RATIO = 1.5
 """Of the loudest to the quietest output: with less, every gap is nearly of one size."""
 SILENT_SHARE = 0.5

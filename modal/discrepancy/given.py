@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement, Unknowns, assemble, place
+from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Effect, ForceEffect
@@ -159,7 +159,7 @@ def placed_assembly(
     """
     begun = np.zeros((drive.n_records, plant.n_states)) if initial is None else initial
     placements = [
-        _scaled(place(plant, catalogue[one.effect], one.where), plant, linear, drive, begun) for one in effects
+        _scaled(place_effect(plant, catalogue[one.effect], one.where), plant, linear, drive, begun) for one in effects
     ]
     assembly = assemble(plant, placements)
     common = np.zeros(assembly.n_common)
@@ -176,7 +176,7 @@ def placed_assembly(
     return assembly, Unknowns(common=common, local=local)
 
 
-def _directions(item: Placement, one: PlacedEffect) -> FloatArray:
+def _directions(item: EffectPlacement, one: PlacedEffect) -> FloatArray:
     if not item.n_directions:
         return np.zeros(0)
     if not one.direction:
@@ -184,7 +184,9 @@ def _directions(item: Placement, one: PlacedEffect) -> FloatArray:
     return np.array(one.direction[1:]) / one.direction[0]
 
 
-def _scaled(item: Placement, plant: Plant, linear: FloatArray, drive: Drive, initial: FloatArray) -> Placement:
+def _scaled(
+    item: EffectPlacement, plant: Plant, linear: FloatArray, drive: Drive, initial: FloatArray
+) -> EffectPlacement:
     if item.port is None:
         return item
     bare = assemble(plant)

@@ -18,7 +18,7 @@ from modal.discrepancy.effects.stiff_step import WALL
 from modal.discrepancy.port_motion import step_compliance
 from okid.arrays import FloatArray
 
-__all__ = ["moved", "reach_of", "walls"]
+__all__ = ["moved_by_reciprocals", "reach_of", "walls"]
 
 REACH = 0.9
 """Longest step as a share of the size: it makes a limit ten times as hard."""
@@ -50,7 +50,7 @@ def reach_of(common: FloatArray, walls: FloatArray) -> FloatArray:
     return found
 
 
-def moved(common: FloatArray, step: FloatArray, walls: FloatArray) -> FloatArray:
+def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray) -> FloatArray:
     """The common unknowns after a step, sizes of hard limits moved in their reciprocal.
 
     Args:
@@ -62,7 +62,7 @@ def moved(common: FloatArray, step: FloatArray, walls: FloatArray) -> FloatArray
         (n_common,) after.
 
     Example:
-        >>> moved(np.array([2.0, 2.0, 2.0]), np.ones(3), np.array([np.inf, 1e4, 3.0]))
+        >>> moved_by_reciprocals(np.array([2.0, 2.0, 2.0]), np.ones(3), np.array([np.inf, 1e4, 3.0]))
         array([3., 4., 3.])
     """
     after = common + step

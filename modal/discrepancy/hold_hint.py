@@ -9,6 +9,7 @@ import numpy as np
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.other_hold import has_half_a_sample, other_hold
 from modal.discrepancy.statements import number
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -16,8 +17,6 @@ __all__ = ["highest_frequency", "hold_words"]
 
 MOST_OF_IT = 0.95
 """Share of an output's power above the noise that lies below the highest frequency that matters."""
-ENOUGH = 1.5
-"""Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
 
 
 def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
@@ -63,7 +62,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
 
 
 def _gap_remains(diagnosis: Diagnosis) -> bool:
-    return not diagnosis.steps[-1].held_out_level <= ENOUGH
+    return not diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
 
 
 def _left_over(diagnosis: Diagnosis) -> float:

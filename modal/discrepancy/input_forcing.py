@@ -11,7 +11,7 @@ from modal.discrepancy.linearisation import linearise
 from modal.discrepancy.plant import Port
 from modal.discrepancy.scheme import Scheme
 from modal.discrepancy.trajectory import Trajectory
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["input_forcing"]
 
@@ -61,7 +61,7 @@ def _through_ports(
     """What a change of the drive does where it also moves ports, the states held: central differences of the steps."""
     about, drive = trajectory.linearisation, trajectory.drive
     largest = max(float(np.abs(slope).max(initial=0.0)) for slope in slopes)
-    size = 1e-6 * max(float(np.abs(drive.sample).max(initial=0.0)), 1e-300) / max(largest, 1e-300)
+    size = 1e-6 * max(float(np.abs(drive.sample).max(initial=0.0)), TINY) / max(largest, TINY)
     above, below = (
         linearise(
             assembly,
@@ -107,8 +107,8 @@ def _input_slopes(
 def _carried(assembly: Assembly, unknowns: Unknowns, drive: Drive, slopes: FloatArray, placement: int) -> FloatArray:
     """Derivatives of the drive behind one effect, carried through the effects after it by central differences."""
     before = drive_inputs(replace(assembly, placements=assembly.placements[: placement + 1]), unknowns, drive)
-    size = 1e-6 * max(float(np.abs(before.sample).max(initial=0.0)), 1e-300)
-    size /= max(float(np.abs(slopes).max(initial=0.0)), 1e-300)
+    size = 1e-6 * max(float(np.abs(before.sample).max(initial=0.0)), TINY)
+    size /= max(float(np.abs(slopes).max(initial=0.0)), TINY)
     found = []
     for sign in (1.0, -1.0):
         moved = replace(

@@ -11,6 +11,7 @@ from modal.discrepancy.law_curve import N_GRID, LawGrid, LawTask, law_curve, law
 from modal.discrepancy.law_inputs import drive_before, input_sources
 from modal.discrepancy.law_points import bins_of, told_by_sources
 from modal.discrepancy.sensitivity import Source
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["input_law_curve", "sensor_law_curve"]
@@ -56,7 +57,7 @@ def _of_the_moment(effect: InputEffect, values: list[float], grid: FloatArray, d
     """Whether each value after the effect depends on the value before it alone."""
     forward = effect.apply(values, grid, grid, dt)[0]
     backward = effect.apply(values, grid[::-1], grid[::-1], dt)[0][::-1]
-    return bool(np.allclose(forward, backward, rtol=1e-9, atol=1e-12 * float(np.abs(grid).max())))
+    return bool(np.allclose(forward, backward, rtol=ROUNDING, atol=1e-12 * float(np.abs(grid).max())))
 
 
 def sensor_law_curve(task: LawTask, placement: int, effect: SensorEffect, spread: FloatArray) -> LawCurve:

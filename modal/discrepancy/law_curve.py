@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.diagnosis import LawCurve
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.estimation import Estimate, Problem
@@ -41,7 +41,7 @@ class LawTask:
         """The drive after all effects at the inputs."""
         return self.fitted.trajectory.drive
 
-    def item(self, placement: int) -> Placement:
+    def item(self, placement: int) -> EffectPlacement:
         """An effect at its place."""
         return self.fitted.assembly.placements[placement]
 

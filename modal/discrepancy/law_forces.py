@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement, Unknowns
+from modal.discrepancy.assembly import EffectPlacement, Unknowns
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, simulate_at
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, simulate_at
 from modal.discrepancy.law_points import N_BINS, Bins, Told, derivatives, told_by, unknowns_but
 from modal.discrepancy.law_shape import Reading
 from okid.arrays import FloatArray
@@ -101,7 +101,7 @@ def binned_force(
     others = unknowns_but(current, [placement, added_to])
     for _ in range(STEPS - 1):
         slopes = derivatives(current, problem)
-        told = told_by(*normal_equations(current, problem, slopes), where, others)
+        told = told_by(*score_equations(current, problem, slopes), where, others)
         if told.fall <= WORTH * current.squares:
             break
         step = np.zeros(current.assembly.n_common + current.unknowns.local.size)
@@ -126,7 +126,7 @@ def binned_force(
             break
         current = better
     else:
-        told = told_by(*normal_equations(current, problem, derivatives(current, problem)), where, others)
+        told = told_by(*score_equations(current, problem, derivatives(current, problem)), where, others)
     return current.unknowns.common[where] + told.added, told, current.squares - told.fall
 
 
@@ -135,7 +135,7 @@ def _beside(
 ) -> Estimate | None:
     """The model with empty bins beside a law, in its direction."""
     item = fitted.assembly.placements[placement]
-    beside = Placement(
+    beside = EffectPlacement(
         effect=BinnedForce(bins=bins, reading=reading),
         where=item.where,
         port=item.port,

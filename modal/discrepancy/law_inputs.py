@@ -9,7 +9,7 @@ from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.law_points import Bins
 from modal.discrepancy.sensitivity import Source
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["drive_before", "input_sources"]
 
@@ -55,7 +55,7 @@ def _carried(
         return slopes[0], slopes[1], slopes[2]
     first = replace(assembly, placements=assembly.placements[: placement + 1])
     behind = drive_inputs(first, fitted.unknowns, before, first=placement)
-    size = RELATIVE_STEP * max(float(np.abs(behind.sample).max()), 1e-300)
+    size = RELATIVE_STEP * max(float(np.abs(behind.sample).max()), TINY)
     after = []
     for step in (size, -size):
         moved = replace(

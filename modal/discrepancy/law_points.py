@@ -29,9 +29,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, weighted_residual, weights_along
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
 from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitivity
-from okid.arrays import FloatArray
+from modal.discrepancy.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["N_BINS", "Bins", "Told", "bins_of", "derivatives", "told_by", "told_by_sources", "unknowns_but"]
 
@@ -60,18 +61,44 @@ class Bins:
         Beyond the outer knots they go on straight. Straight hats would lie on the wrong side of a curved force: over
         a parabola their values in the outer bins come out several per cent too small.
         """
-        from scipy.interpolate import CubicSpline  # costs a tenth of a second at import
-
+        heights = np.eye(len(self.knots))
         if self.period:
             knots = np.append(self.knots, self.knots[0] + self.period)
-            heights = np.eye(len(self.knots))
-            spline = CubicSpline(knots, np.concatenate([heights, heights[:1]]), bc_type="periodic")
             at = np.mod(motion - knots[0], self.period) + knots[0]
-            return np.asarray(spline(at)), np.asarray(spline(at, 1))
-        spline = CubicSpline(self.knots, np.eye(len(self.knots)), bc_type="natural")
+            return _spline(knots, np.concatenate([heights, heights[:1]]), at, periodic=True)
         at = np.clip(motion, self.knots[0], self.knots[-1])
-        rise = np.asarray(spline(at, 1))
-        return np.asarray(spline(at)) + rise * (motion - at)[:, None], rise
+        values, rise = _spline(self.knots, heights, at, periodic=False)
+        return values + rise * (motion - at)[:, None], rise
+
+
+def _spline(knots: FloatArray, heights: FloatArray, at: FloatArray, *, periodic: bool) -> tuple[FloatArray, FloatArray]:
+    """Values (n, m) and slopes of the cubic splines through heights (n_knots, m), without curvature at the ends.
+
+    A periodic spline goes on smoothly from its last knot to its first. The curvatures M at the knots follow from equal
+    slopes on both sides of each, h(i-1) M(i-1) + 2 (h(i-1) + h(i)) M(i) + h(i) M(i+1) = 6 (r(i) - r(i-1)) with widths h
+    and rises r of the intervals (de Boor, A Practical Guide to Splines, 2001, chapter 4).
+    """
+    widths = np.diff(knots)
+    rises = np.diff(heights, axis=0) / widths[:, None]
+    n = len(widths)
+    system, right = np.zeros((n, n)), 6.0 * (rises - np.roll(rises, 1, axis=0))
+    for i in range(n):  # knot i, between the intervals i - 1 and i
+        system[i, i] += 2.0 * (widths[i - 1] + widths[i])
+        system[i, i - 1] += widths[i - 1]
+        system[i, (i + 1) % n] += widths[i]
+    curvatures = np.zeros_like(heights)
+    if periodic:
+        curvatures[:-1] = np.linalg.solve(system, right)
+        curvatures[-1] = curvatures[0]
+    else:
+        curvatures[1:-1] = np.linalg.solve(system[1:, 1:], right[1:])
+    bends = np.diff(curvatures, axis=0) / widths[:, None]
+    starts = rises - widths[:, None] * (curvatures[:-1] / 3.0 + curvatures[1:] / 6.0)
+    at_left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, n - 1)
+    x = (at - knots[at_left])[:, None]
+    start, curvature, bend = starts[at_left], curvatures[at_left], bends[at_left]
+    values = heights[at_left] + x * (start + x * (curvature / 2.0 + x * bend / 6.0))
+    return values, start + x * (curvature + x * bend / 2.0)
 
 
 def bins_of(motion: FloatArray, *, n_bins: int = N_BINS, period: float = 0.0) -> Bins | None:
@@ -86,7 +113,7 @@ def bins_of(motion: FloatArray, *, n_bins: int = N_BINS, period: float = 0.0) ->
     if period > 0.0:
         return Bins(knots=np.arange(n_bins) * period / n_bins, period=period)
     low, high = float(motion.min(initial=np.inf)), float(motion.max(initial=-np.inf))
-    if not high > low or (high - low) <= 1e-9 * max(abs(low), abs(high)):
+    if not high > low or (high - low) <= ROUNDING * max(abs(low), abs(high)):
         return None
     shares = np.linspace(0.0, 1.0, n_bins)
     return Bins(knots=0.5 * (np.quantile(motion, shares) + low + shares * (high - low)))
@@ -120,7 +147,7 @@ class Told:
             squares: Sum of squares that is left with the bins: the noise is taken from it, not from what a law of the
                 wrong form leaves.
         """
-        level = max(1.0, fitted.level * squares / max(fitted.squares, 1e-300))
+        level = max(1.0, fitted.level * squares / max(fitted.squares, TINY))
         law = by_parameter @ spread @ by_parameter.T * (level / max(1.0, fitted.level))
         departure = np.diag(level * self.scatter - self.project @ law @ self.project.T)
         return np.asarray(np.sqrt(np.maximum(departure, 0.0) + np.maximum(np.diag(law), 0.0)))
@@ -135,12 +162,12 @@ def told_by(gram: FloatArray, score: FloatArray, bins: IndexArray, others: Index
         bins: (m,) where the bins stand.
         others: (k,) where the other unknowns stand; what stands in neither keeps its value.
     """
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     scaled, seen = gram / np.outer(scale, scale), score / scale
     inverse = scipy.linalg.pinvh(scaled[np.ix_(others, others)])
     cross = scaled[np.ix_(bins, others)]
     left = scaled[np.ix_(bins, bins)] - cross @ inverse @ cross.T
-    metric = scaled[np.ix_(bins, bins)] + 1e-9 * np.eye(len(bins))
+    metric = scaled[np.ix_(bins, bins)] + ROUNDING * np.eye(len(bins))
     share, directions = scipy.linalg.eigh(left, metric)
     told = share >= INDISTINCT
     share, directions = share[told], directions[:, told]
@@ -185,7 +212,7 @@ def unknowns_but(fitted: Estimate, placements: list[int]) -> IndexArray:
 def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources: list[Source]) -> Told:
     """What the data say of bins whose hats act as these sources: exact where they act linearly (inputs, sensors)."""
     slopes = derivatives(fitted, problem)
-    gram, score = normal_equations(fitted, problem, slopes)
+    gram, score = score_equations(fitted, problem, slopes)
     _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, gain=fitted.gain)
     weights = weights_along(problem, fitted.trajectory)
     columns = outputs * weights

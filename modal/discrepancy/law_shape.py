@@ -5,15 +5,15 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.effects.effect import ForceEffect, Motion, Values
+from modal.discrepancy.tolerances import DIFFERENCE_STEP, ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["Reading", "force_law", "loaded_law", "reading_of", "still_motion"]
 
 LOADING_STEPS = 60
 """Steps in which a law with memory is loaded from rest to either side."""
-RELATIVE_STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -33,7 +33,7 @@ class Reading:
     scaled: bool = False
 
 
-def still_motion(item: Placement, n: int, *, smoothing: float = 0.0) -> Motion:
+def still_motion(item: EffectPlacement, n: int, *, smoothing: float = 0.0) -> Motion:
     """(n,) samples of no motion at a force's place."""
     port = item.port
     stiffness = None if port is None else port.stiffness
@@ -52,16 +52,16 @@ def still_motion(item: Placement, n: int, *, smoothing: float = 0.0) -> Motion:
     )
 
 
-def reading_of(item: Placement, effect: ForceEffect, values: Values) -> Reading:
+def reading_of(item: EffectPlacement, effect: ForceEffect, values: Values) -> Reading:
     """What a force law is drawn against: time where it depends on it, else displacement, else velocity."""
     n = 7
     d, v = item.displacement_scale, item.velocity_scale
     at = _moved(still_motion(item, n), displacement=np.full(n, d), velocity=np.full(n, v))
     later = _moved(at, time=np.linspace(0.0, 1.0, n) ** 2 * 7.3)
     then = effect.force(values, later).value
-    if effect.n_memory == 0 and not np.allclose(then, effect.force(values, at).value, rtol=1e-9, atol=0.0):
+    if effect.n_memory == 0 and not np.allclose(then, effect.force(values, at).value, rtol=ROUNDING, atol=0.0):
         at_rest = effect.force(values, _moved(later, displacement=np.zeros(n))).value
-        scaled = not np.allclose(then, at_rest, rtol=1e-9, atol=0.0)
+        scaled = not np.allclose(then, at_rest, rtol=ROUNDING, atol=0.0)
         rates = [j for j, kind in enumerate(effect.parameters) if kind.dimension == (0, 0, -1)]
         rate = float(np.mean(values[rates[0]])) if rates else 0.0
         return Reading(
@@ -77,7 +77,7 @@ def reading_of(item: Placement, effect: ForceEffect, values: Values) -> Reading:
 
 
 def force_law(
-    item: Placement, effect: ForceEffect, values: Values, reading: Reading, grid: FloatArray
+    item: EffectPlacement, effect: ForceEffect, values: Values, reading: Reading, grid: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The law (n,) over a grid of what it is drawn against, and its derivative (n, n_parameters)."""
     still = still_motion(item, len(grid))
@@ -92,11 +92,11 @@ def force_law(
 
 
 def loaded_law(
-    item: Placement, effect: ForceEffect, values: Values, grid: FloatArray, dt: float
+    item: EffectPlacement, effect: ForceEffect, values: Values, grid: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """A law with memory as it loads from rest to either side, and its derivative, by central differences."""
     given = np.array([float(np.mean(value)) for value in values])
-    steps = RELATIVE_STEP * np.maximum(np.abs(given), 1e-12)
+    steps = DIFFERENCE_STEP * np.maximum(np.abs(given), 1e-12)
     moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], len(given))[:, None]
     trials = given + np.concatenate([np.zeros((1, len(given))), moves])
     reach = np.array([float(grid.min()), float(grid.max())])

@@ -18,10 +18,11 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.assurance import assurance
-from modal.discrepancy.level_starts import NEGLIGIBLE, Start, left_over, refined
+from modal.discrepancy.level_starts import NEGLIGIBLE, Start, refined, unexplained
 from modal.extraction import extract_modes
 from modal.mode import Mode
 from modal.overlap import IndexArray, pair_greatest_first
+from modal.refined_choice import STANDS_STILL
 from modal.refinement_covariance import output_error_uncertainty
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -88,7 +89,7 @@ def follow_levels(
 def _fitted(records: Sequence[Record], start: Realisation) -> LevelFit | None:
     """The model refined on one level, with the deviations of its modes; None where it cannot be refined."""
     better = refined(records, start)
-    left = left_over(start if better is None else better.realisation, records)
+    left = unexplained(start if better is None else better.realisation, records)
     if better is None:
         # noise-free data leave nothing to refine; anything else does not belong to this level
         if left.mean() > np.square(NEGLIGIBLE):
@@ -111,10 +112,13 @@ def _fitted(records: Sequence[Record], start: Realisation) -> LevelFit | None:
 
 
 def _scatter(records: Sequence[Record], model: Realisation, modes: Sequence[Mode]) -> FloatArray:
-    """(2, n_modes) deviation of the mean frequency and damping ratio over parts of the records; nan where unknown."""
+    """(2, n_modes) deviation of the mean frequency and damping ratio over parts of the records; nan where unknown.
+
+    A few parts know a deviation to a third of itself: each is refined to a tenth of its own, sqrt(n STANDS_STILL).
+    """
     found = []
     for part in _parts(records):
-        better = refined(part, model)
+        better = refined(part, model, least_gain=STANDS_STILL)
         if better is not None:
             others = _own_modes(better.realisation)
             partner = partners(modes, others)

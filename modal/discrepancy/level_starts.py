@@ -17,11 +17,12 @@ from modal.ground import hankel_limits
 from modal.quick_model import observer_markov
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import RefinedModel, refined_model
+from modal.refinement import SMALLEST_GAIN
 from okid.arrays import FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-__all__ = ["NEGLIGIBLE", "Start", "decay_start", "driven_start", "left_over", "refined"]
+__all__ = ["NEGLIGIBLE", "Start", "decay_start", "driven_start", "refined", "unexplained"]
 
 ORDERS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24)
 WITHIN = 1.25
@@ -80,20 +81,26 @@ def _smallest(tried: Sequence[tuple[float, Realisation]], within: float) -> Star
 
 
 def _error(model: Realisation, records: Sequence[Record]) -> float:
-    return float(np.sqrt(left_over(model, records).mean()))
+    return float(np.sqrt(unexplained(model, records).mean()))
 
 
-def refined(records: Sequence[Record], start: Realisation) -> RefinedModel | None:
-    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes."""
+def refined(records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN) -> RefinedModel | None:
+    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes.
+
+    Args:
+        records: of one level.
+        start: the model to refine.
+        least_gain: relative decrease of the error by a step below which it stands still.
+    """
     # a part of a record may not show a mode at all: then its parameters have no curvature, and their step no end
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
-            return refined_model(records, start, MOST_STEPS)
+            return refined_model(records, start, MOST_STEPS, least_gain=least_gain)
         except np.linalg.LinAlgError:
             return None
 
 
-def left_over(model: Realisation, records: Sequence[Record]) -> FloatArray:
+def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
     """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows.
 
     Args:

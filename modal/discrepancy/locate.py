@@ -16,12 +16,10 @@ from modal.discrepancy.level_words import mode_statements
 from modal.discrepancy.line_words import line_statements
 from modal.discrepancy.lines import Lines
 from modal.discrepancy.statements import Statement
+from modal.discrepancy.tolerances import AT_FLOOR
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["Location", "locate"]
-
-AGREES_WITHIN = 1.2
-"""Mean square in units of the floor up to which model and measurement agree: the floor itself is an estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,7 +69,7 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         >>> print(found.sentences[1])
         99.9 % of the gap is between 11.97 and 12.03 Hz, as is under 1 % of the simulated motion.
     """
-    limit = AGREES_WITHIN + 4.0 * np.sqrt(2.0 / np.maximum(1, gap.windows.n_samples.sum(axis=1)))
+    limit = AT_FLOOR + 4.0 * np.sqrt(2.0 / np.maximum(1, gap.windows.n_samples.sum(axis=1)))
     above: BoolArray = gap.in_floors > limit
     coherent = coherent_share(gap)
     shares = _output_shares(gap, above)

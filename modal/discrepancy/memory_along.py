@@ -11,7 +11,7 @@ import numpy as np
 from modal.discrepancy.banded import band_of, solve_band
 from modal.discrepancy.drive import Drive, IndexArray
 from modal.discrepancy.effects.effect import ForceEffect, Motion, Values
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = ["memory_along"]
 
@@ -70,7 +70,7 @@ def _solved(
         z = z + change
         if not np.isfinite(z).all():
             return None
-        if np.abs(change).max() <= MISS * max(np.abs(z).max(), 1e-300):
+        if np.abs(change).max() <= MISS * max(np.abs(z).max(), TINY):
             return z
     return None
 

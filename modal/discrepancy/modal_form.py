@@ -13,22 +13,17 @@ import scipy
 
 from modal.discrepancy.continuous_time import ContinuousSystem
 from modal.discrepancy.plant import LinearParameter
+from modal.discrepancy.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
-__all__ = ["ModalForm", "modal_form"]
+__all__ = ["ModalCoordinates", "in_modal_coordinates"]
 
 _DEFECTIVE = 1e8
 """Condition of the shapes from which on they are taken for dependent."""
 
-_STILL = 1e-9
-"""Share of the largest pole below which a pole is zero, an integrator."""
-
-_CRITICAL_SHARE = 0.02
-"""Standard deviation of the damping ratio of a pair that has none."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModalForm:
+class ModalCoordinates:
     """A state space in real modal form.
 
     Attributes:
@@ -42,7 +37,9 @@ class ModalForm:
     slopes: FloatArray
 
 
-def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_tolerance: float) -> ModalForm:
+def in_modal_coordinates(
+    system: ContinuousSystem, *, frequency_tolerance: float, damping_tolerance: float
+) -> ModalCoordinates:
     """Bring a system to real modal form.
 
     Args:
@@ -55,7 +52,7 @@ def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_
     Example:
         >>> pair = ContinuousSystem(A=np.array([[0.0, 1.0], [-4.0, -0.4]]), B=np.array([[0.0], [1.0]]),
         ...     C=np.array([[1.0, 0.0]]), D=np.zeros((1, 1)))
-        >>> form = modal_form(pair, frequency_tolerance=0.1, damping_tolerance=0.5)
+        >>> form = in_modal_coordinates(pair, frequency_tolerance=0.1, damping_tolerance=0.5)
         >>> form.system.A.round(3), [parameter.name for parameter in form.parameters]
         (array([[-0.2 ,  1.99],
                [-1.99, -0.2 ]]), ['real part of pole pair 1 (0.3183 Hz)', 'imaginary part of pole pair 1 (0.3183 Hz)'])
@@ -77,7 +74,7 @@ def modal_form(system: ContinuousSystem, *, frequency_tolerance: float, damping_
         for parameter, slope in _block_parameters(matrix, block, number, largest, tolerances):
             parameters.append(parameter)
             slopes.append(slope)
-    return ModalForm(
+    return ModalCoordinates(
         system=ContinuousSystem(A=matrix, B=B / scale[:, None], C=C * scale, D=system.D),
         parameters=tuple(parameters),
         slopes=np.array(slopes).reshape(len(slopes), *matrix.shape),
@@ -141,7 +138,7 @@ def _block_parameters(
     if len(block) == 2:
         pole = complex(matrix[first, first], np.sqrt(-matrix[first, last] * matrix[last, first]))
     size = abs(pole)
-    if size <= _STILL * largest:
+    if size <= ROUNDING * largest:
         return []
     pair = f"of pole pair {number} ({size / (2 * np.pi):.4g} Hz)"
     by_real = np.zeros_like(matrix)
@@ -149,7 +146,7 @@ def _block_parameters(
     factor = 1 + 3 * damping_tolerance
     deviation, lower, upper = damping_tolerance * abs(pole.real), factor * pole.real, pole.real / factor
     if abs(pole.real) <= 1e-6 * size:
-        deviation = _CRITICAL_SHARE * size
+        deviation = UNDAMPED_DEVIATION * size
         lower, upper = pole.real - 3 * deviation, max(pole.real, 0.0)
     real = LinearParameter(
         name=f"real part {pair}" if len(block) == 2 else f"real pole {number} ({pole.real:.4g} 1/s)",

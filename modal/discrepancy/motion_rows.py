@@ -6,14 +6,13 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.continuous_time import ContinuousSystem
+from modal.discrepancy.tolerances import ROUNDING
 from modal.structure import SensorKind
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 from okid.errors import InvalidDataError
 
 __all__ = ["OutputMotion", "motion_of_outputs"]
 
-_STILL = 1e-9
-"""Share of the largest pole below which a pole is an integrator."""
 
 _AT_ONCE = 0.5
 """Share of the largest velocity that an input calls up at any frequency: when it calls up that much at infinite
@@ -114,12 +113,12 @@ def _motion(system: ContinuousSystem, output: int, kind: SensorKind, unit: str) 
 def _antiderivative(system: ContinuousSystem, row: FloatArray, direct: FloatArray) -> FloatArray | None:
     """The row r with d/dt (r x) = row x + direct u; None where an integrator leaves it open."""
     poles = np.abs(np.linalg.eigvals(system.A))
-    if poles.min() > _STILL * poles.max():
+    if poles.min() > ROUNDING * poles.max():
         return np.asarray(np.linalg.solve(system.A.T, row))
     # r A = row alone leaves r open along what the integrator holds; what the inputs do settles it where it can
     both = np.hstack([system.A, system.B])
     wanted = np.concatenate([row, direct])
-    scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
+    scale = np.maximum(np.linalg.norm(both, axis=0), TINY)
     found, _, rank, _ = np.linalg.lstsq((both / scale).T, wanted / scale, rcond=1e-12)
     misfit = np.abs(found @ both - wanted) / scale
     if rank < len(system.A) or misfit.max() > 1e-6 * np.abs(wanted / scale).max():
@@ -132,7 +131,7 @@ def _moved_at_once(system: ContinuousSystem, row: FloatArray) -> bool:
     size = np.linalg.norm(system.B, axis=0)
     at_once = np.divide(row @ system.B, size, out=np.zeros_like(size), where=size > 0)
     poles = np.abs(np.linalg.eigvals(system.A))
-    poles = poles[poles > _STILL * poles.max()]
+    poles = poles[poles > ROUNDING * poles.max()]
     if poles.size == 0 or not size.any():
         return False
     span = np.geomspace(poles.min() / 10, poles.max() * 10, 400)

@@ -12,6 +12,7 @@ from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import within_reach
 from okid.arrays import FloatArray
@@ -32,10 +33,6 @@ those that go astray take longest, and a good one was seen to take eight to sixt
 CLEAR, MUCH_LESS = 0.05, 0.5
 """Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
 promised at least the second share of what it promised of that one."""
-EXPLAINED = 1.5
-"""Level below which a model explains the data in observer form: a law is then not fitted again from another of its
-shapes, and what is unfinished must be near the best one. Where the model without an effect is there already, no fit
-outdoes another."""
 MOST_OF_IT = 0.1
 """Share of what is left of the budget for these fits that the rest of one may take."""
 HIDDEN = 1.5
@@ -139,9 +136,9 @@ def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
 
     Either the screen promised much less of the candidate, or it is the same law with another shape to start from.
     """
-    clear = observed.level > EXPLAINED and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
+    clear = observed.level > NEAR_FLOOR and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
     same = (candidate.key, candidate.where) == (leader.candidate.key, leader.candidate.where)
-    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= EXPLAINED))
+    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= NEAR_FLOOR))
 
 
 def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimate]:
@@ -161,7 +158,7 @@ def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimat
 
 def _may_lead(one: _Begun, leader: _Begun) -> bool:
     """Whether a fit is not far behind the best one, or promised as much while that explains too little."""
-    if leader.fit.level > EXPLAINED and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
+    if leader.fit.level > NEAR_FLOOR and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
         return True
     return one.fit.cost <= BEHIND * leader.fit.cost
 

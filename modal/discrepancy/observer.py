@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.estimation import Estimate, Problem
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["observer_gain"]
 
@@ -40,12 +40,12 @@ def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> Float
     if n == 0 or scheme.E0.shape[1] == 0 or not np.any(excess > 1e-3 * floor):
         return None
     A, E = _sampled(scheme.Ad, scheme.E0 + scheme.E1, upsampling)
-    unit = E / np.maximum(np.linalg.norm(E, axis=0), 1e-300)
-    G = scheme.G / np.maximum(np.linalg.norm(E, axis=0), 1e-300)
+    unit = E / np.maximum(np.linalg.norm(E, axis=0), TINY)
+    G = scheme.G / np.maximum(np.linalg.norm(E, axis=0), TINY)
     try:
         spread = scipy.linalg.solve_discrete_lyapunov(_damped(A), unit @ unit.T)
         response = np.diag(scheme.C @ spread @ scheme.C.T + G @ G.T)
-        size = float(np.median(excess / np.maximum(response, 1e-300)))
+        size = float(np.median(excess / np.maximum(response, TINY)))
         R = np.diag(floor) + size * (G @ G.T)
         P = scipy.linalg.solve_discrete_are(_damped(A).T, scheme.C.T, size * unit @ unit.T, R, s=size * unit @ G.T)
         innovation = scheme.C @ P @ scheme.C.T + R

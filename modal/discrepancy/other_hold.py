@@ -10,14 +10,13 @@ from dataclasses import replace
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.effects.effect import Effect
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from okid.record import InputHold, Record
 
 __all__ = ["by_the_better_hold", "half_a_sample", "has_half_a_sample", "other_hold"]
 
 HALF_A_SAMPLE = (0.25, 0.75)
 """Delays, beyond whole samples, that a wrong hold may stand behind."""
-EXPLAINED = 1.5
-"""Held-out mean square in units of the floor up to which the data are explained, as in `modal.discrepancy.decision`."""
 
 Diagnose = Callable[[Sequence[Record], Sequence[Record], Mapping[str, Effect]], Diagnosis]
 """Records to fit, held-out records and the effects to try in, the diagnosis out."""
@@ -94,7 +93,7 @@ def _better(other: Diagnosis, found: Diagnosis) -> bool:
 
 
 def _explains(found: Diagnosis) -> bool:
-    return found.steps[-1].held_out_level <= EXPLAINED
+    return found.steps[-1].held_out_level <= NEAR_FLOOR
 
 
 def _n_besides(found: Diagnosis) -> int:

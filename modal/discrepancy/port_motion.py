@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Motion
 from modal.discrepancy.plant import Plant, Port, plant_matrices
@@ -19,7 +19,7 @@ def shifted(values: FloatArray) -> FloatArray:
 
 
 def motion_at(
-    item: Placement,
+    item: EffectPlacement,
     states: FloatArray,
     drive: Drive,
     memory: FloatArray,

@@ -8,7 +8,7 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.corrected_callable import CorrectedCallable
-from modal.discrepancy.decision import NEAR_FLOOR, Decision
+from modal.discrepancy.decision import Decision
 from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.locate import Location
@@ -16,6 +16,7 @@ from modal.discrepancy.noise_floor import NoiseFloor
 from modal.discrepancy.proof import Proof, Runs, unproved
 from modal.discrepancy.residual_model import residual_model, with_start
 from modal.discrepancy.statements import times_floor_text
+from modal.discrepancy.tolerances import NEAR_FLOOR
 from okid.arrays import FloatArray
 
 __all__ = ["proved", "without_search"]

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 __all__ = ["QuietBand", "ResidualSpectrum", "quiet_band", "residual_spectrum"]
@@ -248,6 +249,6 @@ def _standard_error(spectrum: ResidualSpectrum, weight: FloatArray) -> float:
     tail = 1.0 / (4.0 * np.sin(np.pi * middle) ** 2)
     own, cross, square = weight.sum(), weight @ tail, weight @ tail**2
     known = own * square - cross**2
-    if known <= 1e-9 * own * square:
+    if known <= ROUNDING * own * square:
         return _LARGEST_ERROR
     return float(min(_LARGEST_ERROR, np.sqrt(square / known / spectrum.freedom)))

@@ -25,6 +25,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.continuous_time import ContinuousSystem
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["Structure", "reciprocal_structure"]
@@ -32,8 +33,6 @@ __all__ = ["Structure", "reciprocal_structure"]
 _LIKE = 1e-3
 """Defect of the equations, as a share of what tells one solution from the next: an error of a thousandth in a direction
 or shape lies below the noise of any measured record."""
-
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,7 +110,7 @@ def _metrics(A: FloatArray) -> FloatArray | None:
             row += 1
     product = found @ A
     apart = np.abs(product - np.swapaxes(product, 1, 2)).max(initial=0.0)
-    return found if apart <= 1e-9 * np.abs(A).max() else None
+    return found if apart <= ROUNDING * np.abs(A).max() else None
 
 
 def _equations(
@@ -143,7 +142,7 @@ def _solution(equations: FloatArray, basis: FloatArray) -> FloatArray | None:
     """The one P that solves them; None where none or more than one does."""
     _, sizes, right = np.linalg.svd(equations)
     sizes = np.concatenate([sizes, np.zeros(len(right) - len(sizes))])
-    if sizes[-1] > _LIKE * sizes[-2] or sizes[-2] <= _ROUNDING * sizes[0]:
+    if sizes[-1] > _LIKE * sizes[-2] or sizes[-2] <= ROUNDING * sizes[0]:
         return None
     return np.asarray(np.tensordot(right[-1, : len(basis)], basis, axes=(0, 0)))
 
@@ -154,7 +153,7 @@ def _structure(A: FloatArray, metric: FloatArray, free: FloatArray, displacement
         for forces in _force_directions(signed, free, displacements):
             mass = forces.T @ signed @ A @ forces
             sizes = np.linalg.eigvalsh((mass + mass.T) / 2)
-            if sizes[0] > _ROUNDING * sizes[-1]:
+            if sizes[0] > ROUNDING * sizes[-1]:
                 unit = np.linalg.solve(np.linalg.cholesky((mass + mass.T) / 2), forces.T).T
                 return _modes(A, signed, unit)
     return None
@@ -188,12 +187,12 @@ def _modes(A: FloatArray, metric: FloatArray, forces: FloatArray) -> Structure |
     rows = forces.T @ metric
     both = np.vstack([rows, rows @ A])
     scale = np.linalg.norm(both, axis=1)
-    if np.linalg.cond(both / scale[:, None]) * _ROUNDING > 1.0:
+    if np.linalg.cond(both / scale[:, None]) * ROUNDING > 1.0:
         return None
     matrices = -np.linalg.solve(both.T, (rows @ A @ A).T).T
     stiffness, damping = matrices[:, :n_modes], matrices[:, n_modes:]
     squares, shapes = np.linalg.eigh((stiffness + stiffness.T) / 2)
-    if squares[0] <= _ROUNDING * squares[-1]:
+    if squares[0] <= ROUNDING * squares[-1]:
         return None
     modal = shapes.T @ damping @ shapes
     return Structure(

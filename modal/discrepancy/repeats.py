@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.periods import input_period
+from modal.discrepancy.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -19,8 +20,6 @@ __all__ = ["Scatter", "exact_period", "period_scatter", "repeat_scatter", "repea
 
 _SAME_INPUT = 1e-6
 """Of an input's size: numbers that went through a text file agree as well as this."""
-_SAME_OUTPUT = 1e-9
-"""Of an output's size: records that agree as well as this are copies, and say nothing about noise."""
 _SAME_PERIOD = 1e-7
 """Of the mean square: the response to what differs stays below a tenth of noise of 0.1 %."""
 _FEWEST_ROWS = 64
@@ -28,7 +27,6 @@ _FEWEST_ROWS = 64
 _N_BLOCKS = 24
 _LATEST = 18
 """Block by which a transient must have died out."""
-_UNLIKELY = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -177,7 +175,7 @@ def _onset(total: FloatArray, count: FloatArray, memory: FloatArray) -> int | No
     mean = total / np.maximum(count, 1.0)
     late = np.median(mean[_LATEST:], axis=0)
     freedom = np.maximum(count.min(axis=0) / memory, 1.0)
-    limit = late * scipy.special.gammainccinv(freedom / 2.0, _UNLIKELY) * 2.0 / freedom
+    limit = late * scipy.special.gammainccinv(freedom / 2.0, UNLIKELY) * 2.0 / freedom
     loud = np.flatnonzero((mean[:_LATEST] > limit).any(axis=1))
     start = 0 if loud.size == 0 else int(loud[-1]) + 1
     start += min(max(1, start // 2), _LATEST - start) if start else 0  # what is below the limit fades for a while yet
@@ -209,4 +207,4 @@ def _copies(one: Record, other: Record) -> bool:
     a, b = one.outputs[:n_rows], other.outputs[:n_rows]
     both = ~(np.isnan(a) | np.isnan(b))
     size = np.where(both, np.abs(a), 0.0).max(axis=0)
-    return bool((np.where(both, np.abs(a - b), 0.0) <= _SAME_OUTPUT * size).all())
+    return bool((np.where(both, np.abs(a - b), 0.0) <= ROUNDING * size).all())

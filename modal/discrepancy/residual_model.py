@@ -17,7 +17,7 @@ from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.search import choose_orders
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.observer import fit_observer
 from okid.record import Record
@@ -161,7 +161,7 @@ def _criterion(model: Realisation, fit: Sequence[Record], floor: FloatArray) -> 
     except IdentificationError:
         return np.inf
     n_unknowns = model.order * (model.n_inputs + model.n_outputs) + model.n_inputs * model.n_outputs
-    return count * float(np.log(max(squares, 1e-300))) + n_unknowns * float(np.log(count))
+    return count * float(np.log(max(squares, TINY))) + n_unknowns * float(np.log(count))
 
 
 def _missed(model: Realisation, record: Record) -> FloatArray:

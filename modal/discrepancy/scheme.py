@@ -12,13 +12,10 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.plant import Plant, PlantMatrices, plant_matrices
+from modal.discrepancy.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
 __all__ = ["Scheme", "scheme_and_slopes"]
-
-RELATIVE_STEP = 1e-5
-"""Step of the central differences by a linear parameter, relative to its prior deviation or value: the flow is smooth
-in it, so the error is of the order of the step's square and of rounding over the step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,7 +54,7 @@ def scheme_and_slopes(plant: Plant, linear: FloatArray, dt: float) -> tuple[Sche
     Returns:
         The scheme and one derivative a parameter.
     """
-    steps = [RELATIVE_STEP * max(parameter.deviation, abs(parameter.nominal)) for parameter in plant.parameters]
+    steps = [DIFFERENCE_STEP * max(parameter.deviation, abs(parameter.nominal)) for parameter in plant.parameters]
     points = [linear]
     for j, step in enumerate(steps):
         for sign in (1.0, -1.0):

@@ -13,14 +13,15 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.assembly import Placement
+from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.effects.effect import Effect, ForceEffect
 from modal.discrepancy.estimation import Estimate, Problem, weights_along
 from modal.discrepancy.placed import possible_places
-from modal.discrepancy.screen_trials import Trial, trials_of
+from modal.discrepancy.screen_trials import TriedShape, trials_of
 from modal.discrepancy.sensitivity import respond, sensitivity
-from okid.arrays import FloatArray
+from modal.discrepancy.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["Candidate", "screen_candidates"]
 
@@ -41,7 +42,7 @@ class Candidate:
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """
 
-    placement: Placement
+    placement: EffectPlacement
     common: FloatArray
     local: FloatArray
     fall: float
@@ -140,7 +141,7 @@ class _Nuisance:
         gram[diagonal, diagonal] += deviation**-2
         score = columns @ residual
         score[diagonal] += (centre - current.unknowns.common) * deviation**-2
-        scale = np.maximum(np.diag(gram), 1e-12 * max(1e-300, float(np.max(np.diag(gram), initial=0.0))))
+        scale = np.maximum(np.diag(gram), 1e-12 * max(TINY, float(np.max(np.diag(gram), initial=0.0))))
         factor = scipy.linalg.cho_factor(gram + 1e-10 * np.diag(scale))
         left = residual - columns.T @ scipy.linalg.cho_solve(factor, score)
         return _Nuisance(
@@ -148,7 +149,7 @@ class _Nuisance:
         )
 
 
-def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
+def _score(trial: TriedShape, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
     local = bool(trial.placement.local)
     if local:
         spread = np.repeat(np.arange(drive.n_records), np.diff(drive.row_firsts) * drive.outputs.shape[1])
@@ -156,7 +157,7 @@ def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive,
     seen = nuisance.columns @ columns.T
     gram = columns @ columns.T - seen.T @ scipy.linalg.cho_solve(nuisance.factor, seen)
     score = columns @ nuisance.residual
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(gram), TINY))
     if (
         not np.isfinite(gram).all()
         or not np.isfinite(score).all()
@@ -164,7 +165,7 @@ def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive,
     ):
         return None
     scaled = gram / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += 1e-9
+    scaled[np.diag_indices_from(scaled)] += ROUNDING
     weights = np.linalg.solve(scaled, score / size) / size
     signed = weights if signs == "free" else _signed(trial, weights, gram, score, local=local)
     if signed is None and signs == "bounded":
@@ -174,14 +175,14 @@ def _score(trial: Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive,
     fall = float(2.0 * best @ score - best @ gram @ best)
     return replace(
         _candidate(trial, weights, drive, local=local),
-        fall=fall / max(nuisance.total, 1e-300),
+        fall=fall / max(nuisance.total, TINY),
         significance=fall / len(weights),
         deviation=float(np.sqrt(np.linalg.inv(scaled)[0, 0]) / size[0]),
     )
 
 
 def _signed(
-    trial: Trial, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
+    trial: TriedShape, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
 ) -> FloatArray | None:
     """The weights within the sign bounds of the amplitudes: those that would cross are zero; None if none is left."""
     kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
@@ -203,7 +204,7 @@ def _signed(
     return found
 
 
-def _candidate(trial: Trial, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
+def _candidate(trial: TriedShape, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
     item, values = trial.placement, trial.values
     effect = item.effect
     own = np.zeros((drive.n_records, len(item.local)))

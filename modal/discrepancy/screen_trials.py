@@ -9,22 +9,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement, Unknowns, initial_unknowns, place
+from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, initial_unknowns, place_effect
 from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.memory_along import memory_along
 from modal.discrepancy.port_motion import motion_at
 from modal.discrepancy.sensitivity import Source, force_response
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
-__all__ = ["Trial", "trials_of"]
+__all__ = ["TriedShape", "trials_of"]
 
 N_PEAKS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Trial:
+class TriedShape:
     """An effect at a place, at one shape.
 
     Attributes:
@@ -33,12 +33,12 @@ class Trial:
         sources: What each amplitude does by itself, for each column of the port.
     """
 
-    placement: Placement
+    placement: EffectPlacement
     values: tuple[float, ...]
     sources: tuple[Source, ...]
 
 
-def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[Trial]:
+def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[TriedShape]:
     """An effect at a place, at each shape worth a try.
 
     Args:
@@ -53,7 +53,7 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
     """
     assembly, trajectory = current.assembly, current.trajectory
     drive = trajectory.drive
-    item = place(assembly.plant, effect, where)
+    item = place_effect(assembly.plant, effect, where)
     if any(other.effect.key == effect.key and other.where == where for other in assembly.placements):
         return []
     if isinstance(effect, ForceEffect):
@@ -65,8 +65,8 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
         motion = _signal(signal[:, item.channel], time)
     motion = replace(
         motion,
-        displacement_scale=max(float(np.std(motion.displacement)), 1e-300),
-        velocity_scale=max(float(np.std(motion.velocity)), 1e-300),
+        displacement_scale=max(float(np.std(motion.displacement)), TINY),
+        velocity_scale=max(float(np.std(motion.velocity)), TINY),
     )
     item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
     situation = Situation(
@@ -79,7 +79,7 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
     for values in effect.starts(situation):
         sources = _sources(current, item, values, motion)
         if sources:
-            found.append(Trial(placement=item, values=values, sources=tuple(sources)))
+            found.append(TriedShape(placement=item, values=values, sources=tuple(sources)))
     return found
 
 
@@ -94,7 +94,7 @@ def _signal(values: FloatArray, time: FloatArray) -> Motion:
     )
 
 
-def _sources(current: Estimate, item: Placement, values: tuple[float, ...], motion: Motion) -> list[Source]:
+def _sources(current: Estimate, item: EffectPlacement, values: tuple[float, ...], motion: Motion) -> list[Source]:
     effect, drive, n = item.effect, current.trajectory.drive, current.assembly.plant.n_states
     n_all = current.trajectory.states.shape[1]
     if isinstance(effect, ForceEffect):
@@ -146,7 +146,7 @@ def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
     window = np.hanning(length)
     for record in range(drive.n_records):
         part = residual[drive.rows_of(record)][:length]
-        scale = np.maximum(part.std(axis=0), 1e-300)
+        scale = np.maximum(part.std(axis=0), TINY)
         power += np.sum(np.abs(np.fft.rfft((part - part.mean(axis=0)) / scale * window[:, None], axis=0)) ** 2, axis=1)
     dt = drive.dt * (int(drive.rows[1]) if len(drive.rows) > 1 else 1)
     frequencies = np.fft.rfftfreq(length, dt)

@@ -18,10 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.expansion import ENOUGH, expand
+from modal.discrepancy.expansion import expand
 from modal.discrepancy.nodes import Node, Task, counts
+from modal.discrepancy.tolerances import AT_FLOOR
 
-__all__ = ["search"]
+__all__ = ["search_effects"]
 
 BEAM = 3
 MOST_EFFECTS = 4
@@ -32,7 +33,7 @@ LARGE_FALL = 0.5
 the held-out record does not show it yet."""
 
 
-def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
+def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
 
     Args:
@@ -49,7 +50,7 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
         return tuple(everything)
     front, untried, cut = front or [root], np.inf, False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
-        if min(node.held_out_level for node in front) <= ENOUGH and depth > 0:
+        if min(node.held_out_level for node in front) <= AT_FLOOR and depth > 0:
             break
         children: list[Node] = []
         hopeful: list[Node] = []
@@ -81,7 +82,7 @@ def search(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ..
 
 
 def _explain(children: Sequence[Node]) -> bool:
-    return any(child.held_out_level <= ENOUGH for child in children)
+    return any(child.held_out_level <= AT_FLOOR for child in children)
 
 
 def _named(node: Node) -> str:

@@ -8,16 +8,18 @@ import numpy as np
 
 from modal.discrepancy.budget import Budget, simulation_work
 from modal.discrepancy.calibration import calibrated_node
-from modal.discrepancy.checks import check_lengths, check_plant
+from modal.discrepancy.checks import check_long_enough, check_plant
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.gap import measure_gap
 from modal.discrepancy.given import Given, placed_assembly
+from modal.discrepancy.level_modes import LevelModes, level_modes
+from modal.discrepancy.lines import measure_lines
 from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
 from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
-from modal.discrepancy.search import search
+from modal.discrepancy.search import search_effects
 from modal.discrepancy.steps import steps_per_sample
 from okid.arrays import FloatArray
 from okid.errors import NumericalError
@@ -31,7 +33,7 @@ __all__ = [
     "roots",
     "simulated_outputs",
     "simulated_records",
-    "uncovered",
+    "with_uncovered_floor",
 ]
 
 MOST_WORK = 4000.0
@@ -87,7 +89,7 @@ def prepare_setup(
         budget: What is left of an earlier search; a new one unless given.
     """
     check_plant(given.plant, given.linear, [*fit, *held_out])
-    check_lengths(given.plant, [*fit, *held_out])
+    check_long_enough(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)
     known = _followed(noise_floor([*fit, *held_out]) if floor is None else floor, [*fit, *held_out])
     steps = steps_per_sample(given.plant, given.linear, [*fit, *held_out])
@@ -121,7 +123,7 @@ def _followed(floor: NoiseFloor, records: Sequence[Record]) -> NoiseFloor:
     return replace(floor, variance=np.maximum(floor.variance, FOLLOWED**2 * sizes))
 
 
-def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Setup, tuple[Node, ...], Node]:
+def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Setup, tuple[Node, ...], Node]:
     """The floor, lower where the best model's residual shows less noise than the records did; then the search goes on.
 
     Accelerometers under friction or impacts hide their noise below what the motion does; only a model that explains
@@ -144,7 +146,7 @@ def uncovered(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Se
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
-    return found, search(scaled[0], found.task, scaled), given
+    return found, search_effects(scaled[0], found.task, scaled), given
 
 
 def roots(setup: Setup) -> tuple[Node, Node]:
@@ -166,14 +168,17 @@ def roots(setup: Setup) -> tuple[Node, Node]:
     return polished(node_of(estimate(start, still, iterations=6), task), task), calibrated_node(start, task)
 
 
-def locate_gap(setup: Setup, root: Node) -> Location:
-    """Where the calibrated linear model and the records disagree."""
-    from modal.discrepancy.level_modes import level_modes
-    from modal.discrepancy.lines import measure_lines
+def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
+    """Where the calibrated linear model and the records disagree.
 
-    setup.task.report("locating the gap", 0.05)
+    Args:
+        setup: Model, records and floor.
+        root: The calibrated model.
+        modes: Of the records to fit at each level; found unless given.
+    """
+    setup.task.report("locating the gap", 0.85)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
-    return locate(gap, modes=level_modes(setup.fit), lines=measure_lines(setup.fit))
+    return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))
 
 
 def simulated_records(records: Sequence[Record], fitted: Estimate) -> list[Record]:

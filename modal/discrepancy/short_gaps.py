@@ -8,6 +8,7 @@ high frequencies: there the level of the noise falls by the share of bridged sam
 
 import numpy as np
 
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import BoolArray, FloatArray
 from okid.rows import runs_of
 
@@ -18,7 +19,6 @@ _REACHES = (6, 4, 3, 2)
 """Neighbours on either side: fewer where missing samples leave too few whole rows to learn from."""
 _FEWEST_ROWS = 4
 """Whole rows for each neighbour and input, without which nothing is learnt."""
-_RIDGE = 1e-9
 
 
 def bridgeable_runs(there: BoolArray) -> list[tuple[int, int]]:
@@ -88,7 +88,7 @@ def _neighbourhoods(channels: FloatArray, reach: int) -> FloatArray:
 def _foretold(rows: FloatArray, whole: FloatArray, centre: int) -> FloatArray:
     """The centre of each row from what is known of it, by the second moments of whole rows."""
     gram = whole.T @ whole
-    gram[np.diag_indices_from(gram)] += _RIDGE * np.trace(gram) / len(gram)
+    gram[np.diag_indices_from(gram)] += ROUNDING * np.trace(gram) / len(gram)
     known = ~np.isnan(rows)
     result = np.zeros(len(rows))
     for pattern in np.unique(known, axis=0):

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement
+from modal.discrepancy.assembly import Assembly, EffectPlacement
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.nodes import Node, Task
@@ -153,12 +153,12 @@ def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node
     return found
 
 
-def _placed(assembly: Assembly, i: int, effect: Effect) -> Placement:
+def _placed(assembly: Assembly, i: int, effect: Effect) -> EffectPlacement:
     """The law at the place, its first stiffness held at zero where the linear one stands for it."""
     item = assembly.placements[i]
     shared = getattr(effect, "beside_stiffness", ())
     held = (0,) if shared and assembly.stiffness_parameter(i) is not None else ()
-    return Placement(
+    return EffectPlacement(
         effect=effect,
         where=item.where,
         port=item.port,

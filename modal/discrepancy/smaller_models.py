@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Placement, Unknowns
+from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.trajectory import SHARP
@@ -68,7 +68,7 @@ def without(node: Node, placement: int, task: Task) -> Node:
     return _compared(run_without(node.coarse, placement, task.fit, smoothing=SHARP), node, task)
 
 
-def instead(node: Node, placement: int, law: Placement, values: Sequence[float], task: Task) -> Node:
+def instead(node: Node, placement: int, law: EffectPlacement, values: Sequence[float], task: Task) -> Node:
     """The model refitted with another law at the place of one of its effects, from these values.
 
     The law has no states and no values of a record of its own. It is fitted softened first, because a sharp law along a

@@ -28,7 +28,7 @@ import numpy as np
 
 from modal.discrepancy.continuous_time import ContinuousSystem, continuous_system
 from modal.discrepancy.internal_changes import internal_changes
-from modal.discrepancy.modal_form import modal_form
+from modal.discrepancy.modal_form import in_modal_coordinates
 from modal.discrepancy.motion_rows import OutputMotion, motion_of_outputs
 from modal.discrepancy.plant import Plant
 from modal.discrepancy.reciprocity import Structure, reciprocal_structure
@@ -104,7 +104,7 @@ def state_space_plant(
     if len(continuous.A) == 0:
         return static_plant(continuous.D, records=records, names=names, units=units)
     _check_stable(continuous.A)
-    form = modal_form(
+    form = in_modal_coordinates(
         continuous,
         frequency_tolerance=tolerance(frequency_tolerance, name="frequency_tolerance"),
         damping_tolerance=tolerance(damping_tolerance, name="damping_tolerance"),

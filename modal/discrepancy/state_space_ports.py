@@ -15,6 +15,7 @@ from modal.discrepancy.continuous_time import ContinuousSystem
 from modal.discrepancy.motion_rows import OutputMotion
 from modal.discrepancy.plant import Port
 from modal.discrepancy.tank_levels import is_length, tank_levels
+from modal.discrepancy.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["ports_of"]
@@ -27,9 +28,6 @@ _ACCEPTS = {
     "shaft": frozenset({"motion", "force"}),
     "flow": frozenset({"flow", "force"}),
 }
-
-_STILL = 1e-9
-"""Share of the largest pole below which a pole is an integrator."""
 
 
 def ports_of(
@@ -110,7 +108,7 @@ def _opposing(free: FloatArray, driven: FloatArray) -> FloatArray | None:
 
 def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray) -> float | None:
     """Constant force by the displacement that it gives at the place, per effective mass; k / m for one DOF."""
-    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / _STILL:
+    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / ROUNDING:
         return None
     compliance = float(motion.displacement[: len(A)] @ np.linalg.solve(A, opposing))
     return 1 / compliance if compliance > 0 else None

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.plant import LinearParameter
+from modal.discrepancy.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.elements import relative_vector
 from modal.structure import StructuralModel
 from okid.arrays import FloatArray
@@ -20,9 +21,6 @@ __all__ = ["Change", "changes_of", "updated_structure"]
 
 _MOST_MODES = 32
 """Modes whose stiffness and damping are parameters at most, from the lowest."""
-
-_CRITICAL_SHARE = 0.02
-"""Standard deviation of a damping that is nominally zero, as a share of critical."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -91,7 +89,7 @@ def _stiffness_changes(model: StructuralModel) -> tuple[Change, ...]:
         )
     squares, shapes = scipy.linalg.eigh(model.stiffness, model.mass)
     weighted = model.mass @ shapes
-    flexible = [mode for mode in range(model.n_dofs) if squares[mode] > 1e-9 * squares[-1]]
+    flexible = [mode for mode in range(model.n_dofs) if squares[mode] > ROUNDING * squares[-1]]
     return tuple(
         Change(
             parameter=_within(
@@ -123,7 +121,7 @@ def _damping_changes(model: StructuralModel) -> tuple[Change, ...]:
     weighted = model.mass @ shapes
     changes = []
     for mode in range(min(model.n_dofs, _MOST_MODES)):
-        natural = math.sqrt(squares[mode]) if squares[mode] > 1e-9 * squares[-1] else 0.0
+        natural = math.sqrt(squares[mode]) if squares[mode] > ROUNDING * squares[-1] else 0.0
         size = float(shapes[:, mode] @ model.damping @ shapes[:, mode])
         name = f"modal damping of mode {mode + 1} ({natural / (2 * np.pi):.4g} Hz)"
         parameter = _damping_parameter(name, "1/s", size, 2 * natural, model.damping_tolerance)
@@ -160,11 +158,11 @@ def _damping_parameter(
     name: str, unit: str, nominal: float, critical: float, tolerance: float
 ) -> LinearParameter | None:
     """A damping, with room to grow from zero; None where there is neither damping nor stiffness to size it by."""
-    if nominal > 1e-9 * critical:
+    if nominal > ROUNDING * critical:
         return _within(name, unit, nominal, tolerance)
     if critical == 0:
         return None
-    deviation = _CRITICAL_SHARE * critical
+    deviation = UNDAMPED_DEVIATION * critical
     return LinearParameter(
         name=name, unit=unit, nominal=nominal, deviation=deviation, lower=0.0, upper=nominal + 3 * deviation
     )

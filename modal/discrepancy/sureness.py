@@ -19,11 +19,11 @@ import scipy
 
 from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.covariance import held_unknowns
-from modal.discrepancy.estimation import Estimate, Problem, normal_equations, sensitivity_of, weights_along
+from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of, weights_along
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import run_without
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["sureness"]
 
@@ -40,7 +40,7 @@ def sureness(node: Node, task: Task) -> list[float]:
     """
     current, problem = node.coarse, task.fit
     slopes = sensitivity_of(current, problem)
-    gram, _ = normal_equations(current, problem, slopes)
+    gram, _ = score_equations(current, problem, slopes)
     held = held_unknowns(current)
     found = []
     for i in range(len(current.assembly.placements)):
@@ -85,5 +85,5 @@ def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: F
 
 
 def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)

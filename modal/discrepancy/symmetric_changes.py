@@ -14,12 +14,11 @@ from modal.discrepancy.internal_changes import MOST, InternalChanges
 from modal.discrepancy.motion_rows import OutputMotion
 from modal.discrepancy.plant import LinearParameter
 from modal.discrepancy.reciprocity import Structure
+from modal.discrepancy.tolerances import UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
 __all__ = ["symmetric_changes"]
 
-_CRITICAL_SHARE = 0.02
-"""Standard deviation of the damping ratio of a mode that has none."""
 
 _REACH, _DAMPING_REACH = 3.0, 10.0
 """Hard bounds, in standard deviations of the prior, and those of a mode's damping, which is often no more than a guess.
@@ -57,7 +56,7 @@ def symmetric_changes(
         return None
     natural = np.sqrt(structure.stiffness)
     damped = np.diag(structure.damping)
-    damping = np.where(damped > 2 * _UNDAMPED * natural, damping_tolerance * damped, 2 * _CRITICAL_SHARE * natural)
+    damping = np.where(damped > 2 * _UNDAMPED * natural, damping_tolerance * damped, 2 * UNDAMPED_DEVIATION * natural)
     direct = np.array([one.direct for one in motions]) @ structure.forces
     entering = np.vstack([structure.forces, direct])
     kinds = (

@@ -21,13 +21,22 @@ from modal.discrepancy.given import given_model, returned_model
 from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
+from modal.discrepancy.level_modes import LevelModes
 from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
 from modal.discrepancy.plant import Plant
-from modal.discrepancy.search import search
-from modal.discrepancy.setup import Progress, Setup, locate_gap, prepare_setup, roots, simulated_outputs, uncovered
+from modal.discrepancy.search import search_effects
+from modal.discrepancy.setup import (
+    Progress,
+    Setup,
+    locate_gap,
+    prepare_setup,
+    roots,
+    simulated_outputs,
+    with_uncovered_floor,
+)
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
 from modal.discrepancy.statements import listed, quantity
@@ -81,15 +90,24 @@ def diagnose(
         Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
-
-    def diagnosed(
-        fits: Record | Sequence[Record], helds: Record | Sequence[Record], tried: Mapping[str, Effect]
-    ) -> Diagnosis:
-        report = _silent if progress is None else progress
-        return _diagnosed(model, fits, helds, catalogue=tried, sensor_kind=sensor_kind, report=report)
-
+    report = _silent if progress is None else progress
     with one_blas_thread():
-        return with_cautions(by_the_better_hold(diagnosed(fit, held_out, catalogue), diagnosed, catalogue))
+        found = _diagnosed(model, fit, held_out, catalogue=catalogue, sensor_kind=sensor_kind, report=report)
+
+        def otherwise(
+            fits: Sequence[Record], helds: Sequence[Record], tried: Mapping[str, Effect]
+        ) -> Diagnosis:  # modes are those of the samples, whatever the inputs do between them
+            return _diagnosed(
+                model,
+                fits,
+                helds,
+                catalogue=tried,
+                sensor_kind=sensor_kind,
+                report=report,
+                modes=found.location.modes,
+            )
+
+        return with_cautions(by_the_better_hold(found, otherwise, catalogue))
 
 
 def _diagnosed(
@@ -100,6 +118,7 @@ def _diagnosed(
     catalogue: Mapping[str, Effect],
     sensor_kind: SensorKind | Sequence[SensorKind] | None,
     report: Progress,
+    modes: LevelModes | None = None,
 ) -> Diagnosis:
     if not isinstance(catalogue, Mapping):
         raise InvalidDataError(
@@ -116,10 +135,10 @@ def _diagnosed(
     given = given_model(model, fits, sensor_kind=sensor_kind)
     whole = prepare_setup(given, fits, helds, catalogue, report, whole=True)
     try:
-        return _searched(whole, notes)
+        return _searched(whole, notes, modes)
     except LostMotion:
         cut = _in_spans(whole)
-        return _searched(cut, (*notes, span_words(cut.fit)))
+        return _searched(cut, (*notes, span_words(cut.fit)), None)
 
 
 def _in_spans(whole: Setup) -> Setup:
@@ -132,16 +151,21 @@ def _in_spans(whole: Setup) -> Setup:
     return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.catalogue, task.report, floor=floor)
 
 
-def _searched(setup: Setup, notes: tuple[str, ...]) -> Diagnosis:
+def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) -> Diagnosis:
     """Everything from calibration to the words.
+
+    Args:
+        setup: Model, records and floor.
+        notes: What the reader must know of the records.
+        modes: Of the records to fit at each level, where they are known.
 
     Raises:
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """
     as_given, root = roots(setup)
-    location = locate_gap(setup, root)
-    nodes = search(root, setup.task)
-    setup, nodes, as_given = uncovered(setup, nodes, as_given)
+    nodes = search_effects(root, setup.task)
+    location = locate_gap(setup, root, modes)
+    setup, nodes, as_given = with_uncovered_floor(setup, nodes, as_given)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
     setup.task.report("deciding", 0.9)
     decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))

@@ -11,7 +11,7 @@ from okid.arrays import CHUNK_VALUES, FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling
 
-__all__ = ["MOST_SPANS", "Channel", "channels_of", "named", "percent", "place", "spoken", "when"]
+__all__ = ["MOST_SPANS", "Channel", "channels_of", "named", "percent", "spoken", "when", "where_found"]
 
 MOST_SPANS = 200
 """Places that a finding lists; its sentence counts all of them."""
@@ -163,6 +163,6 @@ def when(spans: Sequence[Span], n_records: int) -> str:
     return text + (f" and {more} more place{'s' * (more > 1)}" if more else "")
 
 
-def place(names: str | Iterable[str], spans: Sequence[Span], n_records: int) -> str:
+def where_found(names: str | Iterable[str], spans: Sequence[Span], n_records: int) -> str:
     """Where something was found: channels and the first time."""
     return f"{named(names)}, {when(spans, n_records)}"

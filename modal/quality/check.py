@@ -11,14 +11,14 @@ from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_
 from modal.quality.copies import copy_findings
 from modal.quality.findings import LEVELS, ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.quality.hammer import hit_findings, hits_of, is_hammer, ring_findings
-from modal.quality.hum import Lines, hum_findings, mains_lines
+from modal.quality.hum import HumLines, hum_findings, mains_lines
 from modal.quality.inputs import excitation_findings, together_findings
 from modal.quality.length import length_findings
 from modal.quality.level import is_steady, level_findings, offset_findings
 from modal.quality.missing import gap_findings, missing_findings
 from modal.quality.resolution import resolution_findings, resolution_of
 from modal.quality.slow import drift_findings
-from modal.quality.spectrum import alias_findings, noise_floor, period_findings, white_findings
+from modal.quality.spectrum import alias_findings, most_white_noise, period_findings, white_findings
 from modal.quality.spikes import sharp_samples, spike_findings
 from modal.quality.stuck import constant_findings, repeat_findings, stuck_findings
 from modal.quality.timing import timing_findings
@@ -68,7 +68,7 @@ class _Inputs:
     """What an output's findings need to know of the inputs, filled as these are looked at."""
 
     sharp: tuple[BoolArray, ...]
-    lines: list[Lines]
+    lines: list[HumLines]
     steady: list[bool]
     hammers: list[tuple[list[tuple[int, int]], ...]]
 
@@ -214,7 +214,7 @@ def _spectra(records: Sequence[Record]) -> _Spectra:
 def _statistics(
     channel: Channel, resolution: float, frequencies: FloatArray, density: FloatArray, explained: float
 ) -> ChannelStatistics:
-    floor = noise_floor(frequencies, density) if frequencies.size else float("nan")
+    floor = most_white_noise(frequencies, density) if frequencies.size else float("nan")
     with np.errstate(divide="ignore"):
         ratio = float(20.0 * np.log10(np.float64(channel.std) / floor)) if floor > 0.0 and channel.std > 0.0 else np.nan
     return ChannelStatistics(

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place
+from modal.quality.channel import MOST_SPANS, Channel, named, percent, where_found
 from modal.quality.findings import Finding, Span
 from okid.arrays import FloatArray
 from okid.rows import runs_of
@@ -58,7 +58,7 @@ def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
         Finding(
             level="note" if channel.role == "input" else "bad" if share >= BAD_SHARE else "doubtful",
             what="clipped",
-            where=place(channel.name, spans, n_records),
+            where=where_found(channel.name, spans, n_records),
             sentence=head + rest,
             channels=(channel.name,),
             spans=spans,

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place, spoken
+from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, where_found
 from modal.quality.findings import Finding, Span
 from okid.arrays import FloatArray
 from okid.rows import runs_of
@@ -83,7 +83,7 @@ def hit_findings(channel: Channel, frequencies: FloatArray, density: FloatArray,
             Finding(
                 level="note",
                 what="double hit",
-                where=place(channel.name, doubles, n_records),
+                where=where_found(channel.name, doubles, n_records),
                 sentence=f"hammer {named(channel.name)} struck twice {len(doubles)} time{'s' * (len(doubles) > 1)}, "
                 f"first at {doubles[0][1]:.6g} s with {spoken(gap)} s between: the force spectrum then has dips every "
                 f"{spoken(1 / gap)} Hz, which spoil quotients of spectra; the identification uses the force as it was "
@@ -137,7 +137,7 @@ def ring_findings(
         Finding(
             level="note",
             what="still ringing",
-            where=place(channel.name, (), n_records),
+            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} still rings at {percent(worst)} of its largest level when the "
             "record ends: spectra of it leak, and an exponential window would add damping that has to be taken off "
             "again; the identification works in time and needs no window, but a longer record makes damping sharper.",

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, percent, place, spoken
+from modal.quality.channel import Channel, named, percent, spoken, where_found
 from modal.quality.findings import Finding
 from okid.arrays import FloatArray
 
-__all__ = ["Lines", "hum_findings", "mains_lines"]
+__all__ = ["HumLines", "hum_findings", "mains_lines"]
 
 MAINS = (50.0, 60.0)
 MOST_MULTIPLES = 6
@@ -35,7 +35,7 @@ BAD_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Lines:
+class HumLines:
     """What stands at the multiples of the mains in one channel.
 
     Attributes:
@@ -51,7 +51,7 @@ class Lines:
     rms: FloatArray
 
 
-def mains_lines(channel: Channel) -> Lines:
+def mains_lines(channel: Channel) -> HumLines:
     """Prominence and size of the multiples of 50 and 60 Hz, over the longest record."""
     multiples = [(base, base * k) for base in MAINS for k in range(1, MOST_MULTIPLES + 1)]
     mains, frequencies = np.array([pair for pair in multiples if pair[1] < 0.45 / channel.dt]).reshape(-1, 2).T
@@ -73,10 +73,10 @@ def mains_lines(channel: Channel) -> Lines:
             usual = max(_median_beside(power, peak * step, skip, reach, step) for reach in reaches)
             prominence[i] = largest / max(usual, np.finfo(float).tiny)
             rms[i] = np.sqrt(2.0 * max(largest - usual, 0.0)) / window.sum()
-    return Lines(mains=mains, frequencies=frequencies, prominence=prominence, rms=rms)
+    return HumLines(mains=mains, frequencies=frequencies, prominence=prominence, rms=rms)
 
 
-def hum_findings(channel: Channel, lines: Lines, inputs: Sequence[Lines], n_records: int) -> list[Finding]:
+def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], n_records: int) -> list[Finding]:
     """Lines of an output that no input holds.
 
     Args:
@@ -101,7 +101,7 @@ def hum_findings(channel: Channel, lines: Lines, inputs: Sequence[Lines], n_reco
             Finding(
                 level="bad" if share >= BAD_SHARE else "doubtful" if share >= DOUBTFUL_SHARE else "note",
                 what="mains hum",
-                where=place(channel.name, (), n_records),
+                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} holds {'sharp lines' if own.sum() > 1 else 'a sharp line'} of "
                 f"the {base:.0f} Hz mains ({which} Hz), {percent(share)} of its motion"
                 f"{', that no input holds' if inputs else ''}: hum of a ground loop or an unshielded cable, or a "

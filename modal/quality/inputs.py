@@ -7,6 +7,7 @@ import numpy as np
 from modal.quality.channel import named, percent, spoken
 from modal.quality.findings import Finding, Level
 from modal.synthesis import AveragedSpectra, MeasuredFrf
+from okid.arrays import TINY
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
 from okid.record import Record
@@ -94,7 +95,7 @@ def _alike(record: Record, spectra: AveragedSpectra) -> list[Finding]:
     for i in range(n):
         for j in range(i + 1, n):
             alike = np.nan_to_num(coherence[:, i, j]) > ALIKE
-            share = min(float(power[alike, k].sum() / max(power[:, k].sum(), 1e-300)) for k in (i, j))
+            share = min(float(power[alike, k].sum() / max(power[:, k].sum(), TINY)) for k in (i, j))
             whole = 1.0 - share < 1e-9 and bool((np.nan_to_num(coherence[:, i, j], nan=1.0) > 1.0 - 1e-9).all())
             if share > ALIKE_SHARE and not whole:
                 pairs.append((share, i, j))

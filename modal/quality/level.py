@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, place, spoken
+from modal.quality.channel import Channel, named, spoken, where_found
 from modal.quality.findings import Finding
 from okid.arrays import FloatArray
 
@@ -35,7 +35,7 @@ def offset_findings(channel: Channel, n_records: int) -> list[Finding]:
         Finding(
             level="note",
             what="offset",
-            where=place(channel.name, (), n_records),
+            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} stands at {channel.value(channel.mean)}, {spoken(ratio)} times as "
             "far from zero as it moves: the mean is taken off before the fit, but most of the sensor's range serves "
             "the offset; couple it AC or zero it.",
@@ -100,7 +100,7 @@ def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: i
             Finding(
                 level="doubtful",
                 what="level changes",
-                where=place(channel.name, (), n_records),
+                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} is {times} times {word} from about {spoken(time)} s after the "
                 "start, while the inputs keep their level: a sensor that came loose, a range that was switched, or a "
                 "structure that changed; look there and cut the record.",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place, spoken, when
+from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, when, where_found
 from modal.quality.findings import Finding
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
@@ -31,7 +31,7 @@ def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
         Finding(
             level="bad" if share > 0.5 else "doubtful" if share > MANY else "note",
             what="missing samples",
-            where=place(channel.name, spans, n_records),
+            where=where_found(channel.name, spans, n_records),
             sentence=f"{channel.role} {named(channel.name)} lacks {percent(share)} of its samples, in {several} "
             f"{spoken(longest * channel.dt)} s: the rows they touch are left out"
             + ("; leave the channel out if the others matter more." if share > MANY else "."),

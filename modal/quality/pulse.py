@@ -17,7 +17,7 @@ from okid.regression import solve
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
-__all__ = ["best_pulse", "predicted_outputs", "pulse_response", "whole_rows"]
+__all__ = ["best_pulse", "fitted_pulse_response", "predicted_outputs", "whole_rows"]
 
 MOST_ROWS = 6000
 OBSERVERS = ((512, 1e-6), (128, 1e-6), (128, 1e-3), (32, 1e-6))
@@ -36,7 +36,7 @@ def whole_rows(records: Sequence[Record]) -> Record | None:
     return longest.samples(start, min(stop, start + MOST_ROWS)).detrended(0)
 
 
-def pulse_response(record: Record, *, n_unknowns: int, ridge: float) -> tuple[FloatArray, int] | None:
+def fitted_pulse_response(record: Record, *, n_unknowns: int, ridge: float) -> tuple[FloatArray, int] | None:
     """(n_samples, n_outputs, n_inputs) of outputs to a unit pulse, and how many numbers of an output were fitted.
 
     Args:
@@ -50,7 +50,7 @@ def pulse_response(record: Record, *, n_unknowns: int, ridge: float) -> tuple[Fl
     Example:
         >>> force = np.random.default_rng(0).standard_normal(900)
         >>> record = Record(force, np.convolve(force, [0.0, 1.0, 0.5])[:900], 0.01)
-        >>> pulse, n_fitted = pulse_response(record, n_unknowns=64, ridge=1e-6)
+        >>> pulse, n_fitted = fitted_pulse_response(record, n_unknowns=64, ridge=1e-6)
         >>> pulse[:4].ravel().round(3) + 0.0
         array([0. , 1. , 0.5, 0. ])
     """
@@ -85,7 +85,7 @@ def best_pulse(record: Record) -> tuple[FloatArray, FloatArray] | None:
     power = np.maximum(record.outputs.var(axis=0), np.finfo(float).tiny)
     best: tuple[FloatArray, FloatArray] | None = None
     for n_unknowns, ridge in OBSERVERS:
-        found = pulse_response(record, n_unknowns=n_unknowns, ridge=ridge)
+        found = fitted_pulse_response(record, n_unknowns=n_unknowns, ridge=ridge)
         if found is None:
             continue
         pulse, n_fitted = found

@@ -9,7 +9,7 @@ References:
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, percent, place
+from modal.quality.channel import Channel, named, percent, where_found
 from modal.quality.findings import Finding
 
 __all__ = ["resolution_findings", "resolution_of"]
@@ -65,7 +65,7 @@ def resolution_findings(channel: Channel, resolution: float, n_records: int) -> 
         Finding(
             level="bad" if noise >= BAD_NOISE else "doubtful",
             what="coarse",
-            where=place(channel.name, (), n_records),
+            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} moves over {n_levels} levels only, {channel.value(resolution)} "
             f"apart: rounding alone adds noise of {percent(noise)} of its motion; use a smaller range or a more "
             "sensitive sensor.",

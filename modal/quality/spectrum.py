@@ -10,7 +10,7 @@ from okid.arrays import FloatArray
 from okid.record import Record
 from okid.whiteness import centred, whiteness
 
-__all__ = ["alias_findings", "noise_floor", "period_findings", "white_findings"]
+__all__ = ["alias_findings", "most_white_noise", "period_findings", "white_findings"]
 
 SMOOTHED = 16
 """Lines of the spectrum over which the floor is averaged."""
@@ -30,7 +30,7 @@ STRONGEST = 20.0
 SHORTEST = 64
 
 
-def noise_floor(frequencies: FloatArray, density: FloatArray) -> float:
+def most_white_noise(frequencies: FloatArray, density: FloatArray) -> float:
     """Standard deviation of the most white noise that a channel can hold: its density nowhere exceeds the spectrum.
 
     Args:
@@ -38,7 +38,7 @@ def noise_floor(frequencies: FloatArray, density: FloatArray) -> float:
         density: (n_frequencies,) power spectral density [unit^2/Hz].
 
     Example:
-        >>> round(noise_floor(np.linspace(0, 50, 101), np.full(101, 0.08)), 6)
+        >>> round(most_white_noise(np.linspace(0, 50, 101), np.full(101, 0.08)), 6)
         2.0
     """
     inner = density[1:-1]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place, spoken
+from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, where_found
 from modal.quality.findings import Finding, Level
 from okid.arrays import BoolArray, FloatArray
 
@@ -61,7 +61,7 @@ def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray
         Finding(
             level=_level(channel, share, largest),
             what="spikes",
-            where=place(channel.name, spans, n_records),
+            where=where_found(channel.name, spans, n_records),
             sentence=f"{channel.role} {named(channel.name)}: {what} {lies} up to {spoken(largest / channel.std)} "
             f"standard deviations off the curve through the neighbours (first at {spans[0][1]:.6g} s): electrical "
             "spikes or lost bits, look at cables and grounding; mark them as missing (empty cells).",

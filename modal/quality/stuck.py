@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place, spoken
+from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, where_found
 from modal.quality.findings import Finding
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -35,7 +35,7 @@ def constant_findings(channel: Channel, n_records: int) -> list[Finding]:
         Finding(
             level="bad",
             what="constant",
-            where=place(channel.name, (), n_records),
+            where=where_found(channel.name, (), n_records),
             sentence=f"{channel.role} {named(channel.name)} never moves (always {channel.value(channel.mean)}): it is "
             "dead, unplugged or not recorded; leave it out.",
             channels=(channel.name,),
@@ -59,7 +59,7 @@ def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
         Finding(
             level="doubtful",
             what="repeated samples",
-            where=place(channel.name, (), n_records),
+            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} holds each value for {times} samples: it was taken at "
             f"{spoken(1 / (times * channel.dt))} Hz only and held in between, which looks like a delay and an "
             f"attenuation; keep every {times}th row of the record.",
@@ -101,7 +101,7 @@ def stuck_findings(channel: Channel, records: Sequence[Record], resolution: floa
         Finding(
             level="bad" if share >= BAD_SHARE and channel.role == "output" else "doubtful",
             what="stuck",
-            where=place(channel.name, spans, len(records)),
+            where=where_found(channel.name, spans, len(records)),
             sentence=f"{channel.role} {named(channel.name)} freezes {many}at {value} from {spans[0][1]:.6g} to "
             f"{spans[0][2]:.6g} s, {percent(share)} of its samples in all: "
             + (

@@ -116,6 +116,38 @@ def test_importing_leaves_heavy_libraries_out(package, repository):
     assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.optimize", "scipy.stats"))]
 
 
+DEMO = """
+import json, sys
+import numpy as np
+import modal
+from modal.examples.demo import demo_record
+modal.identify(demo_record(np.random.default_rng(7), n_samples=2000))
+print(json.dumps(list(sys.modules)))
+"""
+MOTOR = """
+import json, sys
+import numpy as np
+import modal
+from modal.examples.motor_propeller import Motor, measured_record
+rng = np.random.default_rng(1)
+slow, fast, middle = (measured_record(Motor(), rng, voltages=v, name="run") for v in ((1, 4), (3, 12), (2, 8)))
+model = modal.StructuralModel(
+    [[8e-5]], [[9.3e-4]], [[0]], force_map=[[0.0909]], sensor_map=[[1]], sensor_kind="velocity",
+    input_names=["voltage"], output_names=["speed"], input_units=["V"], length_unit="rad", force_unit="N m",
+)
+assert modal.discrepancy.diagnose(model, fit=[slow, fast], held_out=middle).findings
+print(json.dumps(list(sys.modules)))
+"""
+
+
+@pytest.mark.parametrize("code", [DEMO, MOTOR], ids=["identify", "diagnose"])
+def test_neither_road_loads_the_slow_parts_of_scipy(code, repository):
+    """They cost more than a short identification, for one quantile, one filter or one spline."""
+    loaded = json.loads(python(code, cwd=repository))
+    assert "scipy.linalg" in loaded
+    assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.stats", "scipy.interpolate"))]
+
+
 def test_okid_costs_little_more_than_numpy(repository):
     """Modules, not seconds: a clock says little on a shared machine. scipy loads its parts when they are used."""
 

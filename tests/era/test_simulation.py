@@ -10,7 +10,7 @@ from systems import random_system
 
 from era.realisation import Realisation
 from era.simulation import predict, simulate
-from era.state_recursion import CHUNK_SAMPLES, simulate_array
+from era.state_recursion import CHUNK_SAMPLES, PoleRecursion, simulate_array
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
@@ -196,3 +196,20 @@ def test_transfer_function_of_oversampled_data_is_not_blown_up_by_powers_of_its_
     allowed = 10 * float(np.abs(in_doubles - truth).max()) / size
     found = simulate_array(A, B, C, D, u)
     assert float(np.abs(found - truth).max()) / size < max(allowed, 1e-12)
+
+
+@pytest.mark.parametrize("n_samples", [0, 1, 16, 17, 31, 32, 300, 5000])
+@pytest.mark.parametrize("shared", [False, True])
+def test_states_of_single_poles_are_those_of_a_loop(n_samples, shared):
+    """Poles that die at once, turn, lie on the unit circle to rounding, and at zero."""
+    rng = np.random.default_rng(n_samples)
+    poles = np.array([0.3 - 0.2j, 0.999 * np.exp(0.7j), (1 - 1e-12) * np.exp(2j), 0.0, -0.95])
+    drive = rng.standard_normal((1 if shared else 5, n_samples))
+    drive = drive if shared else drive + 1j * rng.standard_normal(drive.shape)
+    start = rng.standard_normal(5) + 1j * rng.standard_normal(5)
+    states, after = PoleRecursion.of(poles, n_samples).run(drive, start)
+    state = start
+    for k in range(n_samples):
+        np.testing.assert_allclose(states[:, k], state, rtol=0, atol=1e-10)
+        state = poles * state + drive[:, k]
+    np.testing.assert_allclose(after, state, rtol=0, atol=1e-10)

@@ -4,7 +4,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.continuous_time import ContinuousSystem
-from modal.discrepancy.modal_form import modal_form
+from modal.discrepancy.modal_form import in_modal_coordinates
 
 __all__ = ["Chain"]
 
@@ -30,7 +30,7 @@ class Chain:
         mix = rng.standard_normal((2 * n_dofs, 2 * n_dofs))
         back = np.linalg.inv(mix)
         given = ContinuousSystem(A=mix @ A @ back, B=mix @ push, C=C @ back, D=np.zeros((len(C), 1)))
-        self.system = modal_form(given, frequency_tolerance=0.1, damping_tolerance=0.5).system
+        self.system = in_modal_coordinates(given, frequency_tolerance=0.1, damping_tolerance=0.5).system
         self.free = scipy.linalg.null_space(self.system.C)
         seen = [
             np.vstack([c @ np.linalg.matrix_power(a, k) for k in range(2 * n_dofs)])

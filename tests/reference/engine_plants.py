@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.plant import LinearParameter, Plant, Port
 from okid.record import Record
@@ -98,7 +98,7 @@ def two_masses():
             Port(name="anywhere", displacement=rows[1], velocity=rows[3], columns=(2, 0), mass=m1, accepts=EVERYTHING),
         ),
         input_names=("push", "other"),
-        output_names=("place", "speed", "acceleration"),
+        output_names=("place_effect", "speed", "acceleration"),
         input_units=("N", "N"),
         output_units=("m", "m/s", "m/s^2"),
     )
@@ -161,7 +161,7 @@ def with_effects(plant, keys, n_records, *, seed=0, port=None, scales=(0.2, 1.5)
     rng = np.random.default_rng(seed)
     pairs = [(key, place_of(plant, key, port)) if isinstance(key, str) else key for key in keys]
     items = [
-        place(plant, CATALOGUE[key], where, displacement_scale=scales[0], velocity_scale=scales[1])
+        place_effect(plant, CATALOGUE[key], where, displacement_scale=scales[0], velocity_scale=scales[1])
         for key, where in pairs
     ]
     assembly = assemble(plant, items)

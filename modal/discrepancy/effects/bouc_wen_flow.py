@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal.discrepancy.effects.rate_independent import SETTLED
 from okid.arrays import FloatArray
 
 __all__ = ["Flow", "bouc_wen_flow"]
@@ -22,8 +23,6 @@ __all__ = ["Flow", "bouc_wen_flow"]
 STEP, REACH = 0.02, 20.0
 """Cells of the table in q and where it ends: from there on g is n to the eighth digit. Between the nodes cubics follow
 the curve to 1e-6 for n up to 10."""
-SETTLED = 36.0
-"""q from which s is 1 to the last digit."""
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Points and weights by which a cell is integrated: to 1e-7 in the first cell for n below 2, to 1e-12 elsewhere."""
 

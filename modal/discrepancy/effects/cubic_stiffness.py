@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
 from modal.discrepancy.effects.memoryless import memoryless
-from modal.discrepancy.effects.smoothing import within_reach
+from modal.discrepancy.effects.smoothing import cut_to_finite
 
 __all__ = ["CubicStiffness"]
 
@@ -43,7 +43,7 @@ class CubicStiffness(ForceEffect):
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
-        d = within_reach(motion.displacement)
+        d = cut_to_finite(motion.displacement)
         square = d * d
         cube = square * d
         return memoryless(motion, values[0] * cube, (cube,), by_displacement=3.0 * values[0] * square)

@@ -16,6 +16,7 @@ from modal.discrepancy.effects.motion import Force, Memory, Motion, StepForce
 from okid.arrays import FloatArray
 
 __all__ = [
+    "N_PEAKS",
     "Effect",
     "Force",
     "ForceEffect",
@@ -57,6 +58,10 @@ class ParameterKind:
     upper: float = np.inf
     role: Literal["amplitude", "shape"] = "amplitude"
     local: bool = False
+
+
+N_PEAKS = 3
+"""Try an effect with a frequency of its own at so many of the highest peaks of what the model leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

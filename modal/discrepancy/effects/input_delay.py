@@ -18,7 +18,7 @@ import numpy as np
 from modal.discrepancy.effects.effect import InputEffect, ParameterKind, Situation, Values
 from okid.arrays import FloatArray
 
-__all__ = ["InputDelay"]
+__all__ = ["DelayedInput"]
 
 COUNTS = (-0.5, 0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 7.5, 10.5, 15.5, 22.5, 31.5)
 """Delays to start from, in steps: each lies between whole steps, where a held drive has no bend in tau; a broadband
@@ -69,7 +69,7 @@ def _mean(now: _Step, before: _Step, f: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InputDelay(InputEffect):
+class DelayedInput(InputEffect):
     """The drive delayed by tau, whole samples or fractions; a negative tau is a drive that acts before it is recorded.
 
     Signature: the phase of the output lags by an angle in proportion to frequency, the same at every level; the
@@ -90,7 +90,7 @@ class InputDelay(InputEffect):
 
     Example:
         >>> u = np.array([0.0, 1.0, 1.0, 1.0])  # a zero-order hold: start and end of each step agree
-        >>> start, end = InputDelay().apply([0.25], u, u, 1.0)
+        >>> start, end = DelayedInput().apply([0.25], u, u, 1.0)
         >>> (start + end) / 2
         array([0.  , 0.75, 1.  , 1.  ])
     """

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.discrepancy.effects.straight_path import PathMoments, straight_path
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["JumpLine", "jump", "jump_line"]
 
@@ -87,7 +87,7 @@ def jump(x: FloatArray, width: float | FloatArray) -> tuple[FloatArray, FloatArr
     """
     if not np.any(np.asarray(width) > 0.0):
         return np.sign(x), np.zeros_like(x)
-    size = np.maximum(np.hypot(x, width), 1e-300)
+    size = np.maximum(np.hypot(x, width), TINY)
     value = x / size
     return value, (1.0 - value) * (1.0 + value) / size
 
@@ -146,7 +146,7 @@ def _under_load(before: FloatArray, after: FloatArray, width: float | FloatArray
     forward, forward_by = 0.5 * (1.0 + sign), 0.5 * slope
     back, back_by = 0.5 * (np.hypot(ahead, width) - ahead), 0.5 * (sign - 1.0)
     total = start + back + 2.0 * change
-    root = np.sqrt(np.maximum((start - 2.0 * change) ** 2 + back**2 + 2.0 * back * (start + 2.0 * change), 1e-300))
+    root = np.sqrt(np.maximum((start - 2.0 * change) ** 2 + back**2 + 2.0 * back * (start + 2.0 * change), TINY))
     t = 2.0 * start / (total + root)
     t_start, t_back, t_change = (1.0 - t) / root, -t / root, -2.0 * t * (1.0 - t) / root
     behind, lever = 1.0 - forward, 1.0 - 2.0 * t

@@ -11,13 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
+from modal.discrepancy.effects.effect import (
+    N_PEAKS,
+    Force,
+    ForceEffect,
+    Memory,
+    Motion,
+    ParameterKind,
+    Situation,
+    Values,
+)
 from okid.arrays import FloatArray
 
 __all__ = ["MissingMode"]
 
-N_PEAKS = 3
-"""Highest peaks of the residual that are worth a try."""
 RATIOS = (1.0, 0.9, 1.11)
 """Frequencies to start from, by each peak: an absorber splits the resonance of its host, so its own frequency lies
 between two peaks, and each peak is off by about the root of the mass ratio."""

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.discrepancy.effects.effect import N_PEAKS, Force, ForceEffect, Motion, ParameterKind, Situation, Values
 from modal.discrepancy.effects.memoryless import memoryless
 from okid.arrays import FloatArray
 
 __all__ = ["PeriodicDisturbance"]
 
-N_PEAKS = 3
-"""Highest peaks of the residual that are worth a try."""
 OFF_PEAK = 1.0 / 3.0
 """The highest peak is also tried this share of a spectral line 1 / longest to either side: a peak is known to half a
 line only, where a sine that is off by half a line loses 59 % of its power and one off by a sixth of a line 9 %."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
 from modal.discrepancy.effects.memoryless import memoryless
-from modal.discrepancy.effects.smoothing import within_reach
+from modal.discrepancy.effects.smoothing import cut_to_finite
 from okid.arrays import FloatArray
 
 __all__ = ["PowerLawFlow"]
@@ -81,7 +81,7 @@ class PowerLawFlow(ForceEffect):
     def force(self, values: Values, motion: Motion) -> Force:
         """The flow and its derivatives, rounded where the level is zero."""
         coefficient, exponent, linear = values
-        h = within_reach(motion.displacement)
+        h = cut_to_finite(motion.displacement)
         scale = motion.displacement_scale if motion.displacement_scale > 0.0 else 1.0
         size = np.hypot(h, np.maximum(motion.smoothing, CORNER) * scale)
         factor = size ** (exponent - 1.0)
@@ -97,6 +97,6 @@ class PowerLawFlow(ForceEffect):
 
 def _nearest_line(level: FloatArray, exponent: float) -> float:
     """Slope of the line through the origin that comes nearest to the power of the levels."""
-    h = np.abs(within_reach(level))
+    h = np.abs(cut_to_finite(level))
     square = float(h @ h)
     return float(h @ h**exponent) / square if square > 0.0 else 1.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
 from modal.discrepancy.effects.memoryless import memoryless
-from modal.discrepancy.effects.smoothing import within_reach
+from modal.discrepancy.effects.smoothing import cut_to_finite
 
 __all__ = ["QuadraticDrag"]
 
@@ -46,7 +46,7 @@ class QuadraticDrag(ForceEffect):
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
-        v = within_reach(motion.velocity)
+        v = cut_to_finite(motion.velocity)
         speed = np.abs(v)
         square = v * speed
         return memoryless(motion, values[0] * square, (square,), by_velocity=2.0 * values[0] * speed)

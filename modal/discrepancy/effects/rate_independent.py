@@ -16,7 +16,7 @@ from okid.arrays import FloatArray
 __all__ = ["Leg", "advance_along", "stop_operator"]
 
 SETTLED = 36.0
-"""Widths after which the state has reached its limit to the last digit."""
+"""Stop an exponential approach after so many of its lengths: then its limit is reached to the last digit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

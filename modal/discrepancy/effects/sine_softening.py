@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.discrepancy.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
 from modal.discrepancy.effects.memoryless import memoryless
-from modal.discrepancy.effects.smoothing import within_reach
+from modal.discrepancy.effects.smoothing import cut_to_finite
 from okid.arrays import FloatArray
 
 __all__ = ["SineSoftening"]
@@ -64,7 +64,7 @@ class SineSoftening(ForceEffect):
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
-        d, k = within_reach(motion.displacement), motion.stiffness
+        d, k = cut_to_finite(motion.displacement), motion.stiffness
         length = np.maximum(values[0], max(SHORTEST * motion.displacement_scale, 1e-100))
         angle = d / length
         missing = _sine_less_angle(angle)

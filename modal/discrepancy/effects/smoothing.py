@@ -7,13 +7,13 @@ import numpy as np
 
 from okid.arrays import FloatArray
 
-__all__ = ["LARGEST", "positive_part", "within_reach"]
+__all__ = ["LARGEST", "cut_to_finite", "positive_part"]
 
 LARGEST = 1e60
 """Motion beyond this is cut there: a run that diverges is rejected by its size, and no law overflows on the way."""
 
 
-def within_reach(motion: FloatArray) -> FloatArray:
+def cut_to_finite(motion: FloatArray) -> FloatArray:
     """Displacement or velocity, cut at +-`LARGEST` so that its powers stay finite."""
     return np.clip(motion, -LARGEST, LARGEST)
 

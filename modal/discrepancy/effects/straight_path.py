@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 __all__ = ["PathMoments", "straight_path"]
 
@@ -66,7 +66,7 @@ def straight_path(before: FloatArray, after: FloatArray, width: float | FloatArr
     series = _series(middle, rise, width)
     rise = np.where(near, 1.0, rise)
     F0, F1 = np.hypot(before, width), np.hypot(after, width)
-    value_before, value_after = before / np.maximum(F0, 1e-300), after / np.maximum(F1, 1e-300)
+    value_before, value_after = before / np.maximum(F0, TINY), after / np.maximum(F1, TINY)
     S0 = 0.5 * (before * F0 + width**2 * np.arcsinh(before / width))
     S1 = 0.5 * (after * F1 + width**2 * np.arcsinh(after / width))
     half, area = (F1 + F0) / 2.0, (S1 - S0) / rise
@@ -84,7 +84,7 @@ def straight_path(before: FloatArray, after: FloatArray, width: float | FloatArr
 
 def _series(middle: FloatArray, rise: FloatArray, width: float | FloatArray) -> tuple[FloatArray, ...]:
     """Mean and moment over a small rise, each followed by its slopes by the velocity before and after."""
-    size = np.maximum(np.hypot(middle, width), 1e-300)
+    size = np.maximum(np.hypot(middle, width), TINY)
     x, w, r = middle / size, np.square(width / size), rise / size  # f = x, and its derivatives in units of the size
     xx, rr = x * x, r * r
     f1, f2, f3 = w, -3.0 * w * x, w * (12.0 * xx - 3.0 * w)

@@ -141,7 +141,7 @@ def test_too_few_values():
 
 @pytest.mark.parametrize(("n_samples", "refused"), [(63, True), (64, False)])
 def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
-    from modal.discrepancy.checks import check_lengths
+    from modal.discrepancy.checks import check_long_enough
     from modal.discrepancy.structural_plant import structural_plant
     from modal.structure import StructuralModel
 
@@ -149,9 +149,9 @@ def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
     record = Record(np.ones(n_samples), np.arange(n_samples, dtype=float), 0.02)
     if refused:
         with pytest.raises(InsufficientDataError, match="has 63 samples; a diagnosis with 2 states needs at least 64"):
-            check_lengths(plant, [record])
+            check_long_enough(plant, [record])
     else:
-        check_lengths(plant, [record])
+        check_long_enough(plant, [record])
 
 
 def test_a_model_beyond_the_sampling_frequency_is_refused():

@@ -13,7 +13,7 @@ from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import (
     Problem,
     estimate,
-    normal_equations,
+    score_equations,
     sensitivity_of,
     simulate_at,
     weighted_residual,
@@ -98,7 +98,7 @@ def test_what_a_record_shows_before_its_delayed_drive_arrives_is_not_judged():
 
     untouched = simulate_at(assembly, unknowns, problem)
     assert [cost(row) == untouched.cost for row in (0, 3, 4, first, first + 3, first + 4)] == [True, True, False] * 2
-    gram, _ = normal_equations(untouched, problem, sensitivity_of(untouched, problem))
+    gram, _ = score_equations(untouched, problem, sensitivity_of(untouched, problem))
     weights = weights_along(problem, untouched.trajectory)
     assert not weights[first : first + 4].any()
     assert weights[first + 4].all()
@@ -189,7 +189,7 @@ def test_the_normal_equations_are_those_of_the_stacked_residual():
     slopes = sensitivity(
         assembly, current.unknowns, problem.drive, current.trajectory, current.scheme, slopes=current.slopes
     )
-    gram, score = normal_equations(current, problem, slopes)
+    gram, score = score_equations(current, problem, slopes)
     drive, n_local = problem.drive, assembly.n_local
     columns = [one * problem.weights for one in slopes.common]
     for record in range(2):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.discrepancy.gap import excitation_levels, measure_gap
-from modal.discrepancy.gap_bands import Band, check_bands, line_power, octave_bands, resonance_bands
+from modal.discrepancy.gap_bands import GapBand, check_bands, line_power, octave_bands, resonance_bands
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -79,7 +79,7 @@ def test_sizes_against_hand_calculation():
     extra = 0.3 * np.sin(2 * np.pi * 11 * time) + 0.1
     record, simulation = Record(run, run + extra, DT), Record(run, run, DT)
     gap = measure_gap(
-        record, simulation, 0.01, bands=[Band(name="low", low=1, high=10), Band(name="high", low=10, high=20)]
+        record, simulation, 0.01, bands=[GapBand(name="low", low=1, high=10), GapBand(name="high", low=10, high=20)]
     )
     assert gap.mean_square[0, 0] == pytest.approx(0.045 + 0.01)
     assert gap.rmse[0, 0] == pytest.approx(np.sqrt(0.055))
@@ -94,7 +94,7 @@ def test_sizes_against_hand_calculation():
 def test_a_line_on_the_edge_of_two_bands_belongs_to_the_lower():
     time = np.arange(1000) * DT
     extra = np.sin(2 * np.pi * 10 * time)
-    bands = [Band(name="low", low=5, high=10), Band(name="high", low=10, high=20)]
+    bands = [GapBand(name="low", low=5, high=10), GapBand(name="high", low=10, high=20)]
     gap = measure_gap(Record(extra, 2 * extra, DT), Record(extra, extra, DT), 0.0, bands=bands)
     np.testing.assert_allclose(gap.bands.power[0, :, 0], [0.5, 0.0], atol=1e-15)
 
@@ -264,8 +264,8 @@ def test_octaves_double():
 @pytest.mark.parametrize(
     ("bands", "words"),
     [
-        ([Band(name="a", low=2, high=1)], "0 <= low < high"),
-        ([Band(name="a", low=0, high=2), Band(name="b", low=1, high=3)], "must not overlap"),
+        ([GapBand(name="a", low=2, high=1)], "0 <= low < high"),
+        ([GapBand(name="a", low=0, high=2), GapBand(name="b", low=1, high=3)], "must not overlap"),
         ([], "at least one band"),
     ],
 )

@@ -5,9 +5,10 @@ import time
 import numpy as np
 import pytest
 import scipy
+import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.assembly import assemble, initial_unknowns, place
+from modal.discrepancy.assembly import assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
@@ -45,7 +46,7 @@ def fitted_to(records, floor, key, start, *, where="element_0", fine=1, smoothin
     plant = structural_plant(model)
     problem = Problem(drive=drive_of(records, fine), floor=floor)
     outputs = np.concatenate([record.outputs[:, 0] for record in records])
-    item = place(
+    item = place_effect(
         plant,
         CATALOGUE[key],
         where,
@@ -211,7 +212,9 @@ def test_a_law_with_memory_has_a_loop_along_the_loudest_record():
     inputs = excitations(rng, [1.0, 4.0])
     records, floor = measured(rng, inputs, chain(inputs, no_force))
     plant, problem, _ = fitted_to(records, floor, "cubic_stiffness", [0.0])
-    item = place(plant, CATALOGUE["bouc_wen_hysteresis"], "element_0", displacement_scale=0.005, velocity_scale=0.1)
+    item = place_effect(
+        plant, CATALOGUE["bouc_wen_hysteresis"], "element_0", displacement_scale=0.005, velocity_scale=0.1
+    )
     assembly = assemble(plant, [item])
     unknowns = initial_unknowns(assembly, 2)
     unknowns.common[-3:] = 200.0, 0.003, 1.0
@@ -249,6 +252,20 @@ def test_periodic_bins_repeat():
     at = np.linspace(0.0, 0.25, 40)
     np.testing.assert_allclose(bins.hats(at)[0], bins.hats(at + 1.5)[0], atol=1e-9)
     assert bins_of(np.ones(10)) is None
+
+
+@pytest.mark.parametrize("period", [0.0, 0.7])
+def test_the_hats_are_cubic_splines(period):
+    """Of scipy; natural, or periodic; with values and slopes at the knots too."""
+    bins = bins_of(np.random.default_rng(2).standard_normal(500), period=period)
+    knots = np.append(bins.knots, period) if period else bins.knots
+    heights = np.eye(12)[np.arange(len(knots)) % 12]
+    kind = "periodic" if period else "natural"
+    spline = scipy.interpolate.CubicSpline(knots, heights, bc_type=kind)
+    at = np.concatenate([bins.knots, np.linspace(knots[0], knots[-1], 200)[:-1]])
+    hats, slopes = bins.hats(at)
+    np.testing.assert_allclose(hats, spline(at), atol=1e-10)
+    np.testing.assert_allclose(slopes, spline(at, 1), atol=1e-10 * np.abs(slopes).max())
 
 
 def test_the_same_model_gives_the_same_curves_in_little_time():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.discrepancy.continuous_time import ContinuousSystem
-from modal.discrepancy.modal_form import modal_form
+from modal.discrepancy.modal_form import in_modal_coordinates
 
 
 def system_of(A: np.ndarray, rng: np.random.Generator) -> ContinuousSystem:
@@ -20,7 +20,7 @@ def system_of(A: np.ndarray, rng: np.random.Generator) -> ContinuousSystem:
 def test_keeps_the_transfer_function(seed: int, n_states: int) -> None:
     rng = np.random.default_rng(seed)
     given_system = system_of(rng.standard_normal((n_states, n_states)) - 3 * np.eye(n_states), rng)
-    form = modal_form(given_system, frequency_tolerance=0.1, damping_tolerance=0.5)
+    form = in_modal_coordinates(given_system, frequency_tolerance=0.1, damping_tolerance=0.5)
     angular = np.array([0.0, 0.7, 3.0])
     wanted = given_system.response(angular)
     np.testing.assert_allclose(form.system.response(angular), wanted, atol=1e-8 * np.abs(wanted).max())
@@ -31,7 +31,7 @@ def test_keeps_the_transfer_function(seed: int, n_states: int) -> None:
 @settings(max_examples=25, deadline=None)
 def test_blocks_stand_on_the_diagonal_and_states_are_balanced(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    form = modal_form(
+    form = in_modal_coordinates(
         system_of(rng.standard_normal((6, 6)) - 3 * np.eye(6), rng), frequency_tolerance=0.1, damping_tolerance=0.5
     )
     whole = np.tensordot([one.nominal for one in form.parameters], form.slopes, axes=(0, 0))
@@ -45,7 +45,7 @@ def test_bad_scaling_of_the_given_states_does_no_harm() -> None:
     A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-500.0, 200, -0.3, 0.2], [100, -100, 0.1, -0.1]])
     plain = system_of(A, rng)
     scaled = ContinuousSystem(A=A * scale[:, None] / scale, B=plain.B * scale[:, None], C=plain.C / scale, D=plain.D)
-    form = modal_form(scaled, frequency_tolerance=0.1, damping_tolerance=0.5)
+    form = in_modal_coordinates(scaled, frequency_tolerance=0.1, damping_tolerance=0.5)
     angular = np.array([1.0, 8.0, 23.0])
     np.testing.assert_allclose(form.system.response(angular), plain.response(angular), rtol=1e-8)
     np.testing.assert_allclose(np.linalg.norm(form.system.B[:2]), np.linalg.norm(form.system.C[:, :2]), rtol=1e-9)
@@ -60,7 +60,7 @@ def test_bad_scaling_of_the_given_states_does_no_harm() -> None:
 )
 def test_coinciding_poles_without_independent_shapes(A: np.ndarray) -> None:
     given_system = system_of(A, np.random.default_rng(1))
-    form = modal_form(given_system, frequency_tolerance=0.1, damping_tolerance=0.5)
+    form = in_modal_coordinates(given_system, frequency_tolerance=0.1, damping_tolerance=0.5)
     angular = np.array([0.3, 2.5])
     np.testing.assert_allclose(form.system.response(angular), given_system.response(angular), rtol=1e-6)
     assert len(form.parameters) == len(A)
@@ -72,7 +72,7 @@ def test_coinciding_poles_without_independent_shapes(A: np.ndarray) -> None:
 
 def test_bounds_keep_poles_stable() -> None:
     rng = np.random.default_rng(3)
-    form = modal_form(
+    form = in_modal_coordinates(
         system_of(np.array([[-0.02, 5.0, 0.0], [-5.0, -0.02, 0.0], [0.0, 0.0, -0.7]]), rng),
         frequency_tolerance=0.1,
         damping_tolerance=0.5,

@@ -9,7 +9,7 @@ import scipy.signal
 from engine_plants import some_records, two_masses, with_effects
 from nonlinear_chain import run_chain
 
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place
+from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.plant import plant_matrices
@@ -42,7 +42,7 @@ def oscillator(
     plant = structural_plant(model)
     record = Record(inputs, np.zeros((len(inputs), 1)), DT, input_hold=hold)
     drive = drive_of([record], upsampling)
-    item = place(plant, CATALOGUE[key], mass_port, displacement_scale=scale[0], velocity_scale=scale[1])
+    item = place_effect(plant, CATALOGUE[key], mass_port, displacement_scale=scale[0], velocity_scale=scale[1])
     assembly = assemble(plant, [item])
     unknowns = initial_unknowns(assembly, 1)
     common, local = unknowns.common.copy(), unknowns.local.copy()
@@ -276,7 +276,7 @@ def test_an_accelerometer_on_a_mass_that_sticks_reads_what_holds_it(upsampling):
     )
     plant = structural_plant(model)
     drive = drive_of([Record(load, np.zeros((len(load), 1)), DT, input_hold="linear")], upsampling)
-    item = place(plant, CATALOGUE["coulomb_friction"], "element_0", displacement_scale=0.1, velocity_scale=scale)
+    item = place_effect(plant, CATALOGUE["coulomb_friction"], "element_0", displacement_scale=0.1, velocity_scale=scale)
     assembly = assemble(plant, [item])
     unknowns = initial_unknowns(assembly, 1)
     unknowns.common[assembly.common_of(0)] = [friction]

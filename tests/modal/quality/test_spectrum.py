@@ -3,7 +3,7 @@ import pytest
 import scipy.signal
 
 from modal.quality.check import check_quality
-from modal.quality.spectrum import noise_floor
+from modal.quality.spectrum import most_white_noise
 from okid.record import Record
 
 
@@ -24,7 +24,7 @@ def test_the_noise_floor_bounds_the_noise_that_was_added(size):
     numbers = check_quality(Record(force, tip, 0.01)).channels[1].statistics
     assert numbers.noise_floor == pytest.approx(size, rel=0.3)
     assert numbers.signal_to_noise == pytest.approx(-20 * np.log10(size), abs=3.0)
-    assert np.isnan(noise_floor(np.linspace(0, 1, 8), np.ones(8)))
+    assert np.isnan(most_white_noise(np.linspace(0, 1, 8), np.ones(8)))
 
 
 def test_white_noise_in_the_place_of_an_output_is_doubtful():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.discrepancy.effects.levels import levels
-from modal.discrepancy.effects.smoothing import LARGEST, positive_part, within_reach
+from modal.discrepancy.effects.smoothing import LARGEST, cut_to_finite, positive_part
 
 points = st.floats(-1e3, 1e3)
 widths = st.floats(1e-6, 10.0)
@@ -53,7 +53,7 @@ def test_each_sample_may_have_a_width_of_its_own():
 
 
 def test_motion_out_of_reach_is_cut():
-    found = within_reach(np.array([-1e300, 1.5, 1e300]))
+    found = cut_to_finite(np.array([-1e300, 1.5, 1e300]))
     np.testing.assert_array_equal(found, [-LARGEST, 1.5, LARGEST])
     assert np.isfinite(found**5).all()
 
