@@ -8,7 +8,8 @@ import scipy
 from modal.acceptance_limits import FitAtLeast, ModeCount, TrustAtLeast
 from modal.acceptance_words import MAYBE, NO, YES, Answer, Weighed, inside
 from modal.identification import Identification
-from modal.report.words import fit_text, judge
+from modal.report.words import judge
+from modal.wording import fit_text
 
 __all__ = ["check_count", "check_fit", "check_trust"]
 

@@ -6,7 +6,7 @@ from modal.comparison import Comparison, ModePair, Unmatched
 from modal.comparison_shifts import Shift
 from modal.mode import Mode
 from modal.names import shorten, visible
-from modal.report.words import hertz
+from modal.wording import hertz
 
 __all__ = [
     "assurance_text",

@@ -20,8 +20,9 @@ from modal.mode import Mode
 from modal.names import shorten, visible
 from modal.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
-from modal.report.words import damping_text, data_sentences, frequency_text, headline, hertz, judge
+from modal.report.words import damping_text, data_sentences, frequency_text, headline, judge
 from modal.report.writing import ReportFiles
+from modal.wording import hertz
 
 __all__ = ["listing", "plain", "show_comparison", "show_files", "show_limits", "show_result"]
 

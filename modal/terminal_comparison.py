@@ -10,8 +10,8 @@ from modal.comparison import Comparison, ModePair
 from modal.comparison_differences import Difference
 from modal.comparison_shifts import Shift
 from modal.report.comparison_writing import ComparisonFiles
-from modal.report.words import hertz
 from modal.terminal import listing, plain
+from modal.wording import hertz
 
 __all__ = ["show_comparison_files", "show_difference"]
 

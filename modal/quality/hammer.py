@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, place, spoken
+from modal.quality.channel import MOST_SPANS, Channel, named, place, spoken
 from modal.quality.findings import Finding, Span
+from modal.wording import percent
 from okid.arrays import FloatArray
 from okid.rows import runs_of
 

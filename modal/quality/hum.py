@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, percent, place, spoken
+from modal.quality.channel import Channel, named, place, spoken
 from modal.quality.findings import Finding
+from modal.wording import percent
 from okid.arrays import FloatArray
 
 __all__ = ["Lines", "hum_findings", "mains_lines"]

@@ -19,7 +19,7 @@ from modal.recording.order_scrub import (
 from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
-from modal.report.words import hertz
+from modal.wording import hertz
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

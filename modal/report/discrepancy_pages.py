@@ -18,7 +18,6 @@ from modal.report.discrepancy_values import (
     found_value,
     found_word,
     interval_text,
-    share_text,
     signed_change,
     size_text,
     step_text,
@@ -29,6 +28,7 @@ from modal.report.discrepancy_values import (
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture
 from modal.report.provenance import Provenance, installed_version
+from modal.wording import exact_percent
 from okid.arrays import FloatArray
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "equations_of"]
@@ -104,7 +104,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "records": [_record(diagnosis, number) for number in range(len(diagnosis.fit) + len(diagnosis.held_out))],
         "first_size": times_text(times_floor(diagnosis.steps[0].held_out_level)),
         "last_size": times_text(times_floor(diagnosis.steps[-1].held_out_level)),
-        "closed": share_text(closed_share(diagnosis.closed)),
+        "closed": exact_percent(closed_share(diagnosis.closed)),
         "equations": equations_of(diagnosis),
         "provenance": provenance,
         "version": installed_version(),
@@ -128,7 +128,7 @@ def _finding(number: int, finding: Finding) -> dict[str, object]:
         "law": finding.law,
         "signature": words.as_sentence(finding.signature),
         "evidence": words.as_sentence(finding.evidence.words),
-        "closed": share_text(closed_share(finding.evidence.closed)),
+        "closed": exact_percent(closed_share(finding.evidence.closed)),
         "runner_up": words.runner_up_sentence(finding),
         "ambiguity": words.ambiguity_sentence(finding),
         "parameters": [
@@ -165,7 +165,7 @@ def _gaps(diagnosis: Diagnosis) -> list[dict[str, object]]:
 
 def _explained(measured: FloatArray, left: float) -> str:
     variance = float(np.nanvar(measured))
-    return share_text(1.0 - left**2 / variance) if variance > 0.0 else "–"
+    return exact_percent(1.0 - left**2 / variance) if variance > 0.0 else "–"
 
 
 def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:

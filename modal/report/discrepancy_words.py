@@ -12,7 +12,7 @@ from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
 from modal.discrepancy.effect_names import one_of
 from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.statements import number, percent
+from modal.discrepancy.statements import number
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
@@ -20,14 +20,13 @@ from modal.report.discrepancy_values import (
     effect_text,
     effects_text,
     levels_in_words,
-    listed,
     parameters_text,
-    share_text,
     times_floor,
     times_text,
     with_unit,
 )
 from modal.report.words import Judgement
+from modal.wording import exact_percent, listed, percent
 
 __all__ = [
     "COULD_HIDE",
@@ -110,7 +109,7 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     took = "takes" if not diagnosis.findings else "take"
     if diagnosis.closed <= 0.0:
         return f"{what} {took} nothing of it away."
-    return f"{what} {took} away {share_text(closed_share(diagnosis.closed))} of what was above the noise."
+    return f"{what} {took} away {exact_percent(closed_share(diagnosis.closed))} of what was above the noise."
 
 
 def finding_sentence(finding: Finding) -> str:

@@ -11,6 +11,7 @@ from modal.report import words
 from modal.report.columns import shown
 from modal.report.limit_words import limits_class
 from modal.report.picture import Picture
+from modal.wording import fit_text, hertz, ratio_text, whole_percent
 
 if TYPE_CHECKING:
     import jinja2
@@ -42,10 +43,10 @@ def environment(*, html: bool) -> "jinja2.Environment":
     made.filters["frequency"] = words.frequency_text
     made.filters["damping"] = words.damping_text
     made.filters["damping_shown"] = words.damping_shown
-    made.filters["hertz"] = words.hertz
-    made.filters["percent"] = words.percent
-    made.filters["fit"] = words.fit_text
-    made.filters["share"] = words.share_text
+    made.filters["hertz"] = hertz
+    made.filters["percent"] = ratio_text
+    made.filters["fit"] = fit_text
+    made.filters["share"] = whole_percent
     made.filters["limit_class"] = limits_class
     made.filters["level_class"] = lambda level: _LEVEL_CLASSES.get(level, "noise")
     return made

@@ -10,6 +10,7 @@ from typing import Literal
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import shorten
+from modal.wording import GOOD_FIT, LEAST_FIT, counted, fit_text, hertz, ratio_text, with_interval
 
 __all__ = [
     "Judgement",
@@ -20,19 +21,11 @@ __all__ = [
     "data_sentences",
     "doubtful_sentence",
     "fit_sentence",
-    "fit_text",
     "fit_word",
     "headline",
-    "hertz",
     "judge",
-    "share_text",
 ]
 
-LEAST_FIT = 0.5
-"""Cross-validated fit below which no mode is certain."""
-
-GOOD_FIT = 0.8
-"""Cross-validated fit from which the model explains the record well."""
 
 MOST_CAUTION = 0.3
 """n / (p q) above which the classical indicators test the observer rather than the data."""
@@ -81,7 +74,7 @@ def headline(result: Identification) -> str:
     system = result.modes.system
     modes = [mode for mode in system if mode.kind == "oscillatory"]
     n_others = len(system) - len(modes)
-    others = f"{_count(n_others)} overdamped pole{'s' if n_others > 1 else ''}"
+    others = f"{counted(n_others)} overdamped pole{'s' if n_others > 1 else ''}"
     if not system:
         return "No mode of the system was found."
     if not modes:
@@ -90,7 +83,7 @@ def headline(result: Identification) -> str:
     if len(modes) == 1:
         return f"One mode of the system was found, at {hertz(modes[0].frequency)} Hz{also}."
     return (
-        f"{_count(len(modes)).capitalize()} modes of the system were found, "
+        f"{counted(len(modes)).capitalize()} modes of the system were found, "
         f"between {hertz(modes[0].frequency)} and {hertz(modes[-1].frequency)} Hz{also}."
     )
 
@@ -100,21 +93,6 @@ def fit_word(fit: float) -> str:
     if not math.isfinite(fit):
         return "not known"
     return "good" if fit >= GOOD_FIT else "fair" if fit >= LEAST_FIT else "poor"
-
-
-def fit_text(fit: float) -> str:
-    """A fit to two digits, a dash where it is not known; one below 0.5 or 0.8 is never rounded up to it.
-
-    Example:
-        >>> fit_text(0.4987), fit_text(0.7989), fit_text(0.7647), fit_text(-0.0012)
-        ('0.49', '0.79', '0.76', '0.00')
-    """
-    if not math.isfinite(fit):
-        return "–"
-    shown = round(fit, 2)
-    if any(fit < limit <= shown for limit in (LEAST_FIT, GOOD_FIT)):
-        shown = math.floor(100 * fit) / 100
-    return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
 
 
 def fit_sentence(result: Identification) -> str:
@@ -164,7 +142,7 @@ def doubtful_sentence(result: Identification) -> str:
         return f"One {more}pole, at {which} Hz, is doubtful: the data do not settle whether it is a mode."
     rest = f" and {len(doubtful) - 3} more" if len(doubtful) > 3 else ""
     return (
-        f"{_count(len(doubtful)).capitalize()} {more}poles are doubtful ({which} Hz{rest}): the data do not settle "
+        f"{counted(len(doubtful)).capitalize()} {more}poles are doubtful ({which} Hz{rest}): the data do not settle "
         "whether they are modes."
     )
 
@@ -191,7 +169,7 @@ def damping_text(mode: Mode) -> str:
         return "overdamped"
     if not mode.damping_resolved:
         return "not resolved"
-    return percent(mode.damping_ratio, mode.damping_ratio_std)
+    return ratio_text(mode.damping_ratio, mode.damping_ratio_std)
 
 
 def damping_shown(mode: Mode) -> str:
@@ -200,18 +178,8 @@ def damping_shown(mode: Mode) -> str:
     Its 95 % interval is shown only where it may be.
     """
     if mode.kind == "real" or not mode.damping_resolved:
-        return percent(mode.damping_ratio)
-    return percent(mode.damping_ratio, mode.damping_ratio_std)
-
-
-def hertz(frequency: float) -> str:
-    """A frequency to four digits, from 1000 Hz on to a tenth: never in powers of ten that a reader must work out.
-
-    Example:
-        >>> hertz(3.66971), hertz(27470.63)
-        ('3.67', '27470.6')
-    """
-    return f"{frequency:.4g}" if frequency < 1000 else f"{frequency:.1f}"
+        return ratio_text(mode.damping_ratio)
+    return ratio_text(mode.damping_ratio, mode.damping_ratio_std)
 
 
 def frequency_text(mode: Mode) -> str:
@@ -219,41 +187,3 @@ def frequency_text(mode: Mode) -> str:
     if not math.isfinite(mode.frequency_std):
         return hertz(mode.frequency)
     return with_interval(mode.frequency, 1.96 * mode.frequency_std)
-
-
-def percent(ratio: float, std: float = math.nan) -> str:
-    """A ratio in percent, with its 95 % interval where that is known."""
-    if not math.isfinite(ratio):
-        return "–"
-    return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 196 * std)} %"
-
-
-def share_text(share: float) -> str:
-    """A share in whole percent, a dash where it is not known; 100 % is all of it, and chance below nothing is 0 %.
-
-    Example:
-        >>> share_text(0.999), share_text(1.0), share_text(-0.001), share_text(0.236)
-        ('99 %', '100 %', '0 %', '24 %')
-    """
-    if not math.isfinite(share):
-        return "–"
-    whole = round(100 * share)
-    return f"{99 if whole == 100 and share < 1 else max(0, whole)} %"
-
-
-def with_interval(value: float, half_width: float) -> str:
-    """Value ± half width, both to the second digit of the half width.
-
-    Example:
-        >>> with_interval(3.66971, 0.0123)
-        '3.670 ± 0.012'
-    """
-    if not half_width > 0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(half_width)))
-    return f"{value:.{digits}f} ± {half_width:.{digits}f}"
-
-
-def _count(number: int) -> str:
-    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-    return words[number] if number < len(words) else str(number)

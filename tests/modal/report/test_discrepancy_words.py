@@ -13,11 +13,11 @@ from modal.report.discrepancy_values import (
     beside_text,
     found_hypothesis,
     interval_text,
-    share_text,
     size_text,
     times_text,
     value_text,
 )
+from modal.wording import exact_percent
 
 
 def with_levels(diagnosis, *levels):
@@ -334,8 +334,8 @@ def test_a_deviation_that_is_not_known_is_not_written(std):
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.123, 0.98999, 0.99, 0.9999, 1 - 1e-12, 1.0, 2.0])
 def test_a_share_never_reads_as_all_unless_it_is(share):
-    assert (share_text(share) == "100 %") == (share >= 1.0)
-    assert float(share_text(share).split()[0]) <= 100.0 * share * 1.005
+    assert (exact_percent(share) == "100 %") == (share >= 1.0)
+    assert float(exact_percent(share).split()[0]) <= 100.0 * share * 1.005
 
 
 def test_the_limits_of_the_words_are_those_of_the_decision():

@@ -12,15 +12,12 @@ from modal.report.words import (
     data_sentences,
     doubtful_sentence,
     fit_sentence,
-    fit_text,
     fit_word,
     frequency_text,
     headline,
-    hertz,
     judge,
-    percent,
-    with_interval,
 )
+from modal.wording import fit_text, hertz, ratio_text, with_interval
 
 
 def with_fit(result, fit):
@@ -195,4 +192,4 @@ def test_intervals_are_shown_when_known(identification):
     mode = replace(identification.modes.modes[0], frequency_std=0.01, damping_ratio_std=0.0005)
     assert frequency_text(mode) == "3.670 ± 0.020"
     assert damping_text(mode) == "1.200 ± 0.098 %"
-    assert percent(np.nan) == "–"
+    assert ratio_text(np.nan) == "–"
