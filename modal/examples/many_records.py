@@ -37,6 +37,7 @@ from modal.comparison_words import headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification import Identification
 from modal.pipeline import identify
+from modal.report.comparison_writing import write_comparison
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record
@@ -202,8 +203,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> Sequence[str]:
     """The comparison as pages and both results, a sentence a file, or why there are none."""
-    from modal.report.comparison_writing import write_comparison
-
     try:
         paths = [write_comparison(comparison, folder).html]
         paths += [result.save(folder / f"{name}.npz") for name, result in (("before", before), ("after", after))]

@@ -67,7 +67,7 @@ def draw_pareto(result: "Study") -> Figure:
         f"the first {shares.order}: {shares.sum_share[shares.order - 1]:.0%} of the sum, "
         f"{shares.energy_share[shares.order - 1]:.1%} of the energy"
     )
-    figure.key = Key(panel=left)
+    left.key = "best"
     shown = min(20, len(shares.gap))
     for i in range(shown):
         role: Role = "system" if i + 1 == shares.order else "noise"

@@ -7,12 +7,10 @@ import numpy as np
 from modal.discrepancy.diagnosis import LawCurve
 from modal.names import plot_label
 from modal.plots.figure import Figure, Panel, row_of
+from modal.plots.style import NINETY_FIVE
 from modal.report.discrepancy_values import effect_text, law_against, law_gives
 
 __all__ = ["law_curves"]
-
-NINETY_FIVE = 1.96
-"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
 
 
 def law_curves(laws: Sequence[LawCurve]) -> Figure:

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.names import plot_label
-from modal.plots.discrepancy_law import NINETY_FIVE
 from modal.plots.figure import Figure, Panel, grid_of
 from modal.plots.histories import APART as ROLES
-from modal.plots.style import Role
+from modal.plots.style import NINETY_FIVE, Role
 from modal.report.discrepancy_levels import LevelLine
 from okid.arrays import FloatArray
 

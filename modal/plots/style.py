@@ -7,7 +7,7 @@ import numpy as np
 
 from okid.arrays import FloatArray
 
-__all__ = ["COLOURS", "STYLE", "Role", "envelope", "text_width"]
+__all__ = ["COLOURS", "NINETY_FIVE", "STYLE", "Role", "envelope", "text_width"]
 
 Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
 """What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
@@ -58,6 +58,9 @@ class Style:
     down: float = 25.0
     ground: float = 0.85
 
+
+NINETY_FIVE: Final = 1.96
+"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
 
 STYLE: Final = Style()
 """Draw every picture in these sizes."""

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.recording.blueprint import document_view, plot_view, series_view, show_whole_record
+from modal.recording.blueprint import show_whole_record
 from modal.recording.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
 from modal.recording.discrepancy_page import (
     GAP_TEXT,
@@ -19,6 +19,7 @@ from modal.recording.discrepancy_series import diagnosis_tables
 from modal.recording.discrepancy_steps import STEP_GAP, STEP_PARTS, STEP_SPECTRUM, STEP_TEXT
 from modal.recording.names import label, with_unit
 from modal.recording.series import TIMELINE
+from modal.recording.views import document_view, plot_view, series_view
 
 if TYPE_CHECKING:
     import rerun.blueprint

@@ -5,10 +5,10 @@ from typing import Any, Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.recording.blueprint import document_view, plot_view, series_view
 from modal.recording.fit_page import FIT_TEXT, MARKOV, WHITENESS
 from modal.recording.names import label, with_unit
 from modal.recording.plan import SHOWN_INPUTS, DataPlan, Plan
+from modal.recording.views import document_view, plot_view, series_view
 from modal.wording import fit_text
 
 __all__ = ["fit_page", "inputs_view", "run_view"]

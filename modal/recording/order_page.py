@@ -19,6 +19,7 @@ from modal.recording.order_scrub import (
 from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
+from modal.synthesis import frf
 from modal.wording import hertz
 from okid.arrays import FloatArray
 
@@ -73,8 +74,6 @@ def _response_size(identification: Identification, frequencies: FloatArray) -> F
 
     Where no input was measured, the gain and the residual take the place of B and of the input.
     """
-    from modal.synthesis import frf
-
     model, markov = identification.fitted_model or identification.realisation, identification.markov
     into = markov.input_scale
     if not markov.n_inputs:

@@ -3,7 +3,6 @@
 from typing import Any
 
 from modal.identification import Identification
-from modal.recording.blueprint import document_view, plot_view, series_view
 from modal.recording.evidence import Evidence
 from modal.recording.fit_blueprint import run_view
 from modal.recording.names import label
@@ -16,6 +15,7 @@ from modal.recording.validation_panes import (
     overview_columns,
     response_pane,
 )
+from modal.recording.views import document_view, plot_view, series_view
 
 __all__ = ["validation_page"]
 

@@ -25,7 +25,7 @@ from modal.report.discrepancy_values import (
     times_text,
     with_unit,
 )
-from modal.report.words import Judgement
+from modal.trust import Judgement
 from modal.wording import exact_percent, listed, percent
 
 __all__ = [

@@ -10,14 +10,15 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
+from modal.acceptance import check_limits
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import csv_cell
 from modal.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
-from modal.report.words import judge
 from modal.specification import Specification
+from modal.trust import trust_of
 from okid.record import Record
 
 __all__ = ["SCHEMA", "csv_text", "json_text", "number_cell", "plain", "record_document", "schema_text"]
@@ -37,9 +38,7 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
         provenance: where it comes from.
         specification: of the test; the outcomes of its limits are among the numbers.
     """
-    from modal.acceptance import check_limits  # its words come from this package, so it cannot be imported above
-
-    judgement = judge(result)
+    judgement = trust_of(result)
     document = {
         "schema": SCHEMA,
         "version": installed_version(),

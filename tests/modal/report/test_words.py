@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.report.words import (
+from modal.report.words import data_sentences, fit_word, headline
+from modal.trust import (
     caution_sentence,
     damping_sentence,
     damping_text,
-    data_sentences,
     doubtful_sentence,
     fit_sentence,
-    fit_word,
     frequency_text,
-    headline,
-    judge,
+    trust_of,
 )
 from modal.wording import fit_text, hertz, ratio_text, with_interval
 
@@ -117,7 +115,7 @@ def test_fit_sentence_names_the_worst_output(identification):
 def test_an_unknown_fit_is_said_to_be_unknown(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, np.nan)))
     assert "No fit on held-out data is known" in fit_sentence(result)
-    assert judge(result).trust == "with care"
+    assert trust_of(result).trust == "with care"
 
 
 def test_without_inputs_nothing_is_said_about_inputs(identification):
@@ -139,12 +137,12 @@ def test_without_inputs_nothing_is_said_about_inputs(identification):
 )
 def test_trust(identification, fit, n_system, warnings, trust):
     result = replace(with_system(with_fit(identification, fit), n_system), warnings=warnings)
-    assert judge(result).trust == trust
+    assert trust_of(result).trust == trust
 
 
 def test_no_system_mode_is_said(identification):
-    assert not any("nothing to quote" in reason for reason in judge(identification).reasons)
-    assert any("nothing to quote" in reason for reason in judge(with_system(identification, 0)).reasons)
+    assert not any("nothing to quote" in reason for reason in trust_of(identification).reasons)
+    assert any("nothing to quote" in reason for reason in trust_of(with_system(identification, 0)).reasons)
 
 
 def test_unresolved_damping_is_said_and_not_quoted(identification):
@@ -155,7 +153,7 @@ def test_unresolved_damping_is_said_and_not_quoted(identification):
     assert "3.67 Hz" in damping_sentence(result)
     assert damping_text(unresolved) == "not resolved"
     assert damping_text(first) == "1.20 %"
-    assert damping_sentence(result) in judge(result).reasons
+    assert damping_sentence(result) in trust_of(result).reasons
 
 
 @pytest.mark.parametrize(("count", "words"), [(0, ""), (1, "One more pole, at 23.4 Hz"), (5, "Five more poles")])
