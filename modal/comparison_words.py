@@ -12,7 +12,7 @@ __all__ = [
     "assurance_text",
     "caution_sentences",
     "change_text",
-    "headline",
+    "comparison_headline",
     "how_sentence",
     "least_text",
     "pair_sentence",
@@ -25,7 +25,7 @@ __all__ = [
 LONGEST_NAME = 40
 
 
-def headline(comparison: Comparison) -> str:
+def comparison_headline(comparison: Comparison) -> str:
     """What changed, in one sentence."""
     n_pairs = len(comparison.pairs)
     shifted = [pair for pair in comparison.pairs if pair.changed]

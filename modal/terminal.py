@@ -20,7 +20,7 @@ from modal.mode import Mode
 from modal.names import shorten, visible
 from modal.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
-from modal.report.words import data_sentences, headline
+from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles
 from modal.trust import damping_text, frequency_text, trust_of
 from modal.wording import hertz
@@ -49,7 +49,7 @@ def show_result(
     """Headline, mode table, limits of acceptance, fit and warnings in words."""
     judgement = trust_of(result)
     console.print()
-    console.print(plain(headline(result), "bold"))
+    console.print(plain(modes_headline(result), "bold"))
     console.print(_mode_table(result.modes.modes))
     hidden = sum(mode.verdict == "noise" for mode in result.modes) - MOST_NOISE
     if hidden > 0:

@@ -29,7 +29,7 @@ def show_difference(console: Console, comparison: Comparison) -> None:
     before, after = comparison.before.name, comparison.after.name
     console.print()
     console.print(plain(f"{before} → {after}", "bright_black"))
-    console.print(plain(words.headline(comparison), "bold"))
+    console.print(plain(words.comparison_headline(comparison), "bold"))
     if comparison.pairs:
         console.print()
         console.print(_table(comparison.pairs))

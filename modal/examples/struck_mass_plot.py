@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal.examples.struck_mass_models import LinearModel, pulse_response, step_response, truncated_model
-from modal.plots.figure import Figure, Key, grid_of
+from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.style import Role
 from modal.plots.vector import page_of, svg_text
 from okid.arrays import FloatArray
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_full_order", "draw_pareto", "draw_reduction", "draw_responses", "write_pictures"]
 
 
-def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Figure:
+def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
     """Why a perfect fit proves nothing: the full-order model on its own samples, and just beyond them.
 
     Args:
@@ -45,7 +45,7 @@ def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Figure:
     return figure
 
 
-def draw_pareto(result: "Study") -> Figure:
+def draw_pareto(result: "Study") -> Chart:
     """Singular values with their share in the sum, their share in the energy, and the gap.
 
     Args:
@@ -77,7 +77,7 @@ def draw_pareto(result: "Study") -> Figure:
     return figure
 
 
-def draw_reduction(result: "Study") -> Figure:
+def draw_reduction(result: "Study") -> Chart:
     """Truncated against reduced: equal to rounding with the left projector, not without it.
 
     Args:
@@ -101,7 +101,7 @@ def draw_reduction(result: "Study") -> Figure:
     return figure
 
 
-def draw_responses(result: "Study") -> Figure:
+def draw_responses(result: "Study") -> Chart:
     """Pulse and step response: truth, measurement, reduced model.
 
     Args:

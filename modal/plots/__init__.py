@@ -1,18 +1,18 @@
-"""Pictures of a result: each function takes frozen types and returns a `Figure`, which is numbers; `svg_text` draws it.
+"""Pictures of a result: each function takes frozen types and returns a `Chart`, which is numbers; `svg_text` draws it.
 
 No plotting library: a page needs lines, areas and words as SVG, in colours that it exchanges itself.
 """
 
 from modal.plots.charts import Notes, chart_text
-from modal.plots.figure import Figure
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
+from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
 from modal.plots.responses import frequency_responses, markov_parameters, output_spectra
 from modal.plots.shapes import assurance_matrix, geometry_picture, mode_shapes, shape_complexity
 from modal.plots.vector import svg_text
 
 __all__ = [
-    "Figure",
+    "Chart",
     "Notes",
     "assurance_matrix",
     "chart_text",

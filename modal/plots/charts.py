@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.plots.figure import Axis, Figure, Line, Panel
+from modal.plots.layout import Chart
+from modal.plots.marks import Curve, Scale
+from modal.plots.panels import Panel
 from modal.plots.vector import line_identity
 from okid.arrays import FloatArray
 
@@ -34,7 +36,7 @@ class Notes:
     rows: tuple[tuple[float, ...], ...]
 
 
-def chart_text(figure: Figure, name: str, *, notes: Mapping[str, Notes] | None = None) -> str:
+def chart_text(figure: Chart, name: str, *, notes: Mapping[str, Notes] | None = None) -> str:
     """The numbers of a figure as JSON for a `<script type="application/json">`: no letter of it can end the tag.
 
     Args:
@@ -46,7 +48,7 @@ def chart_text(figure: Figure, name: str, *, notes: Mapping[str, Notes] | None =
         One line of ASCII without "<", ">" and "&".
 
     Example:
-        >>> from modal.plots.figure import grid_of
+        >>> from modal.plots.panels import grid_of
         >>> figure = grid_of(1, 1, size=(4, 3))
         >>> figure.panels[0].line([0, 1, 2], [3, 4, 5], "measured", label="measured")
         >>> json.loads(chart_text(figure, "x"))["panels"][0]["series"][0]["y"]
@@ -76,7 +78,7 @@ def _panel(panel: Panel, name: str, number: int, notes: Mapping[str, Notes]) -> 
     }
 
 
-def _axis(axis: Axis) -> dict[str, object]:
+def _axis(axis: Scale) -> dict[str, object]:
     what, _, unit = axis.label.partition(" [")
     return {
         "what": what,
@@ -86,7 +88,7 @@ def _axis(axis: Axis) -> dict[str, object]:
     }
 
 
-def _series(line: Line, identity: str, notes: Notes | None) -> dict[str, object]:
+def _series(line: Curve, identity: str, notes: Notes | None) -> dict[str, object]:
     made: dict[str, object] = {"name": line.label or line.follows, "id": identity}
     if line.follows or np.isinf(line.corners).any():
         return made  # a follower, or a line across the panel: it is hidden and shown, and has no values to tell

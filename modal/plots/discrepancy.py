@@ -8,8 +8,9 @@ import numpy as np
 from modal.discrepancy.diagnosis import Hypothesis, Step
 from modal.discrepancy.gap import Gap
 from modal.names import plot_label
-from modal.plots.figure import Figure, Key, Panel, grid_of, row_of
 from modal.plots.histories import mark_moment
+from modal.plots.layout import Chart, Key, grid_of, row_of
+from modal.plots.panels import Panel
 from modal.plots.responses import density_label
 from modal.plots.style import STYLE, Role, envelope
 from modal.report.discrepancy_spectra import gap_density
@@ -29,7 +30,7 @@ STAGE_ROLES: Final[dict[str, Role]] = {"before": "residual", "linear": "doubtful
 """Draw red before, amber for the calibrated linear model, green after."""
 
 
-def gap_histories(stages: Sequence[Stage], *, record: int = 0, outputs: Sequence[int] | None = None) -> Figure:
+def gap_histories(stages: Sequence[Stage], *, record: int = 0, outputs: Sequence[int] | None = None) -> Chart:
     """Measured minus simulated, one row an output: the whole record on the left, its worst moment on the right.
 
     Args:
@@ -60,7 +61,7 @@ def gap_histories(stages: Sequence[Stage], *, record: int = 0, outputs: Sequence
     return figure
 
 
-def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None) -> Figure:
+def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None) -> Chart:
     """Power spectral density of the gap of each output over that of the measured output, with the noise floor.
 
     Args:
@@ -89,7 +90,7 @@ def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None
     return figure
 
 
-def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Figure:
+def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
     """Each part of the held-out data as a line from before to after, in times of the noise floor, on a log axis.
 
     Args:
@@ -111,7 +112,7 @@ def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Figure:
     return figure
 
 
-def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | None = None) -> Figure:
+def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | None = None) -> Chart:
     """What each set of effects leaves on held-out data, in times of the noise floor, the best first.
 
     Args:
@@ -137,7 +138,7 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
     return figure
 
 
-def shrinking_gap(steps: Sequence[Step]) -> Figure:
+def shrinking_gap(steps: Sequence[Step]) -> Chart:
     """What is left after each step, on the records fitted to and on the held-out ones, in times of the noise floor."""
     figure = grid_of(1, 1, size=(10.4, 3.2))
     panel = figure.panels[0]

@@ -6,14 +6,15 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import LawCurve
 from modal.names import plot_label
-from modal.plots.figure import Figure, Panel, row_of
+from modal.plots.layout import Chart, row_of
+from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE
 from modal.report.discrepancy_values import effect_text, law_against, law_gives
 
-__all__ = ["law_curves"]
+__all__ = ["draw_laws"]
 
 
-def law_curves(laws: Sequence[LawCurve]) -> Figure:
+def draw_laws(laws: Sequence[LawCurve]) -> Chart:
     """Each law with its 95 % band, over the force in bins of the motion that the data give free of any law.
 
     A law with memory has no single force at a motion: it is drawn as the loop that it ran through along the loudest

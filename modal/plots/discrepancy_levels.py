@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.names import plot_label
-from modal.plots.figure import Figure, Panel, grid_of
 from modal.plots.histories import APART as ROLES
+from modal.plots.layout import Chart, grid_of
+from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, Role
 from modal.report.discrepancy_levels import LevelLine
 from okid.arrays import FloatArray
@@ -17,7 +18,7 @@ APART = 0.012
 """Stand the bars of two modes apart by this share of the level."""
 
 
-def modes_against_level(lines: Sequence[LevelLine]) -> Figure:
+def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
     """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
 
     Args:

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from modal.names import plot_label
-from modal.plots.figure import Figure, Key, Panel, grid_of
+from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.panels import Panel
 from modal.plots.style import Role, envelope
 from modal.wording import fit_text
 from okid.arrays import FloatArray
@@ -26,7 +27,7 @@ def measured_against_simulated(
     outputs: Sequence[int] | None = None,
     fits: FloatArray | None = None,
     detail: float | None = None,
-) -> Figure:
+) -> Chart:
     """One row an output: the whole record on the left, the strongest moment of it on the right.
 
     Args:
@@ -71,7 +72,7 @@ def mark_moment(whole: Panel, part: Panel, time: FloatArray, window: slice) -> N
 
 def residual_autocorrelation(
     residuals: ResidualCheck, *, output_names: Sequence[str] = (), n_outputs: int = 8
-) -> Figure:
+) -> Chart:
     """Autocorrelation of the one-step residual of each output, with the band in which white noise would stay."""
     figure = grid_of(1, 1, size=(10.4, 2.9))
     panel = figure.panels[0]

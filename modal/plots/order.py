@@ -7,7 +7,8 @@ import numpy as np
 
 from modal.identification import OrderEvidence, StabilisationPoint
 from modal.mode import ModalModel
-from modal.plots.figure import Figure, Key, Panel, grid_of
+from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import STYLE, Role
 from modal.wording import hertz
@@ -33,7 +34,7 @@ REPEATABILITY_CLASSES = (
 """Repeatability over halves of the data and another observer: (from, below, word)."""
 
 
-def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Figure:
+def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
     """Singular values of the scaled block Hankel matrix on a log axis: kept, dropped, and where the widest gap is."""
     figure = grid_of(1, 1, size=(5.2, 3.3))
     panel = figure.panels[0]
@@ -56,7 +57,7 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Figure:
     return figure
 
 
-def order_fits(evidence: OrderEvidence) -> Figure:
+def order_fits(evidence: OrderEvidence) -> Chart:
     """Cross-validated fit against model order; an unstable one has no point, a very bad one stands at the edge."""
     figure = grid_of(1, 1, size=(5.2, 3.3))
     panel = figure.panels[0]
@@ -81,7 +82,7 @@ def stabilisation_diagram(
     modes: ModalModel,
     *,
     measured: Sequence[Record] = (),
-) -> Figure:
+) -> Chart:
     """Every pole of every model order over the power of the measured outputs, coloured by how well it is found again.
 
     Args:

@@ -6,7 +6,8 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.names import plot_label
-from modal.plots.figure import Figure, Key, Panel, grid_of, row_of
+from modal.plots.layout import Chart, Key, grid_of, row_of
+from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import Role
 from modal.synthesis import MeasuredFrf, frf
@@ -31,7 +32,7 @@ def frequency_responses(
     output_names: Sequence[str] = (),
     input_names: Sequence[str] = (),
     n_pairs: int = 6,
-) -> Figure:
+) -> Chart:
     """Magnitude of the frequency response from inputs to outputs, as measured and synthesised, above its coherence.
 
     Args:
@@ -68,7 +69,7 @@ def model_grid(measured: MeasuredFrf) -> FloatArray:
     return np.linspace(measured.frequencies[1], measured.frequencies[-1], N_GRID)
 
 
-def _pairs_with_coherence(n_pairs: int) -> tuple[Figure, list[tuple[Panel, Panel]]]:
+def _pairs_with_coherence(n_pairs: int) -> tuple[Chart, list[tuple[Panel, Panel]]]:
     """Panels for the pairs, three in a row, each with a strip for the coherence below it."""
     n_columns = min(3, max(1, n_pairs))
     n_rows = max(1, -(-n_pairs // n_columns))
@@ -104,7 +105,7 @@ def output_spectra(
     *,
     frequencies: Sequence[float] = (),
     outputs: Sequence[int] | None = None,
-) -> Figure:
+) -> Chart:
     """Power spectral density of each output, measured and simulated; `frequencies` [Hz] are marked."""
     chosen = list(range(measured[0].n_outputs)) if outputs is None else list(outputs)
     figure = row_of(len(chosen), most_columns=3, width=10.4, height=2.3)
@@ -136,7 +137,7 @@ def markov_parameters(
     output_names: Sequence[str] = (),
     input_names: Sequence[str] = (),
     n_pairs: int = 6,
-) -> Figure:
+) -> Chart:
     """Pulse responses: as recovered from the observer, and as the realisation has them.
 
     Args:

@@ -8,7 +8,8 @@ from modal.geometry import Geometry
 from modal.mode import Mode
 from modal.names import plot_label
 from modal.placement import at_rest, placed
-from modal.plots.figure import Figure, Panel, grid_of, row_of
+from modal.plots.layout import Chart, grid_of, row_of
+from modal.plots.panels import Panel
 from modal.plots.structure import draw_lines, draw_surfaces, frame_of, place_labels
 from modal.plots.style import Role
 from modal.scene import Scene, scene_of
@@ -42,7 +43,7 @@ def mode_shapes(
     output_units: Sequence[str] = (),
     geometry: Geometry | None = None,
     title: str = "",
-) -> Figure:
+) -> Chart:
     """Every mode on the geometry, at rest and at both ends of its motion, all seen from the same side.
 
     A shape is turned to its best real phase. Without a geometry, and where the names state no nodes, it is a stick
@@ -80,7 +81,7 @@ def mode_shapes(
     return figure
 
 
-def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) -> Figure:
+def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) -> Chart:
     """The structure at rest: nodes with their names, lines, surfaces, and an arrow for each sensor.
 
     Args:
@@ -130,7 +131,7 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
         panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
 
 
-def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Figure:
+def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
     figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=height)
     place = np.arange(1, len(output_names) + 1)
@@ -154,7 +155,7 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
     return figure
 
 
-def shape_complexity(modes: Sequence[Mode]) -> Figure:
+def shape_complexity(modes: Sequence[Mode]) -> Chart:
     """Every shape component as a phasor, greatest 1: a real mode lies on one line."""
     figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=2.1)
     circle = np.exp(2j * np.pi * np.linspace(0, 1, 97))
@@ -171,7 +172,7 @@ def shape_complexity(modes: Sequence[Mode]) -> Figure:
     return figure
 
 
-def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float]) -> Figure:
+def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float]) -> Chart:
     """Modal assurance of each pair of shapes, as depth of colour and as a number.
 
     Args:

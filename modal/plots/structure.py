@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from modal.plots.figure import Panel
+from modal.plots.panels import Panel
 from modal.plots.style import Role, text_width
 from modal.scene import Scene
 from okid.arrays import FloatArray
 
-__all__ = ["Frame", "draw_lines", "draw_surfaces", "frame_of", "place_labels"]
+__all__ = ["Viewport", "draw_lines", "draw_surfaces", "frame_of", "place_labels"]
 
 MOST_SEGMENTS: Final = 3000
 MOST_TRIANGLES: Final = 3000
@@ -21,7 +21,7 @@ NAME_SIZE: Final = 7.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Viewport:
     """The part of the flat picture that holds everything.
 
     Attributes:
@@ -45,7 +45,7 @@ class Frame:
         panel.equal, panel.frame = True, False
 
 
-def frame_of(scene: Scene, positions: Sequence[FloatArray]) -> Frame:
+def frame_of(scene: Scene, positions: Sequence[FloatArray]) -> Viewport:
     """A frame around nodes in several positions, each (n_nodes, 3), with a margin; never flatter than 1 to 4."""
     seen = scene.eye.seen(np.concatenate(positions))
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -53,7 +53,7 @@ def frame_of(scene: Scene, positions: Sequence[FloatArray]) -> Frame:
     low, high = low - margin, high + margin
     least = 0.25 * float((high - low).max())
     short = np.maximum(least - (high - low), 0.0) / 2
-    return Frame(low - short, high + short)
+    return Viewport(low - short, high + short)
 
 
 def draw_lines(panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, width: float, opacity: float) -> None:
@@ -75,7 +75,7 @@ def draw_surfaces(panel: Panel, scene: Scene, positions: FloatArray, role: Role,
 
 
 def place_labels(
-    panel: Panel, frame: Frame, places: FloatArray, texts: Sequence[str], *, size: tuple[float, float]
+    panel: Panel, frame: Viewport, places: FloatArray, texts: Sequence[str], *, size: tuple[float, float]
 ) -> None:
     """Names beside points, each where it covers no point and no other name; one that has no room is left out.
 

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.names import visible
-from modal.plots.figure import Area, Figure, Key, Line, Mark, Panel, Segments, runs
+from modal.plots.layout import Chart, Key
+from modal.plots.marks import Area, Curve, Mark, Segments, runs
+from modal.plots.panels import Panel
 from modal.plots.style import COLOURS, STYLE, Role, text_width
 from okid.arrays import FloatArray
 
@@ -18,7 +20,7 @@ _ARROW = 7.0
 """Draw the head of an arrow this long [pt]."""
 
 
-def svg_text(figure: Figure, *, name: str, description: str) -> str:
+def svg_text(figure: Chart, *, name: str, description: str) -> str:
     """One `<svg>` element; every colour is `var(--role, colour)`.
 
     Args:
@@ -69,7 +71,7 @@ def _panel(panel: Panel, name: str, number: int) -> list[str]:
     for mark in panel.marks:
         if isinstance(mark, Segments):
             parts.append(_segments(panel, mark))
-        elif isinstance(mark, Line):
+        elif isinstance(mark, Curve):
             shown = _line(panel, mark)
             tagged = mark.label or mark.follows
             parts.append(f'<g id="{line_identity(name, number, lines)}">{shown}</g>' if tagged else shown)
@@ -148,7 +150,7 @@ def _said(panel: Panel) -> list[str]:
     return parts
 
 
-def _line(panel: Panel, line: Line) -> str:
+def _line(panel: Panel, line: Curve) -> str:
     places = panel.place(line.corners)
     parts = []
     if line.width:
@@ -221,7 +223,7 @@ def _emptiest(panel: Panel, corners: dict[str, tuple[float, float]], size: tuple
     return min(inside, key=lambda where: inside[where])
 
 
-def _outer_key(figure: Figure, key: Key) -> list[str]:
+def _outer_key(figure: Chart, key: Key) -> list[str]:
     marks = key.panel.keyed
     widths = [STYLE.sample + 5 * STYLE.gap + text_width(mark.label, STYLE.tick) for mark in marks]
     free = figure.width - sum(widths)
@@ -245,9 +247,9 @@ def _entry(mark: Mark, x: float, y: float) -> list[str]:
         high = 0.7 * STYLE.tick
         parts.append(_filled(f"M{x:.2f} {y - high / 2:.2f}H{end:.2f}v{high:.2f}H{x:.2f}z", mark.role, mark.opacity))
     elif mark.width:
-        dash = _DASHES[mark.dash] if isinstance(mark, Line) else ""
+        dash = _DASHES[mark.dash] if isinstance(mark, Curve) else ""
         parts.append(_path(f"M{x:.2f} {y:.2f}H{end:.2f}", mark.role, mark.width, opacity=mark.opacity, dash=dash))
-    if isinstance(mark, Line) and mark.dot:
+    if isinstance(mark, Curve) and mark.dot:
         parts.append(_dots(np.array([[middle, y]]), mark.role, mark.dot, square=mark.square))
     return [*parts, _words(end + STYLE.gap, y + STYLE.tick / 3, mark.label, "muted", size=STYLE.tick, anchor="start")]
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from modal.identification import Identification
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.fit_blueprint import fit_page
 from modal.recording.modes_blueprint import modes_page
 from modal.recording.order_page import ORDER_FIT, SINGULAR_VALUES, STABILISATION
@@ -35,7 +35,7 @@ ORDERS_A_SECOND: Final = 4.0
 """Play the oscillating shapes and the growing order so fast."""
 
 
-def blueprint(identification: Identification, plan: Plan, evidence: Evidence) -> "rerun.blueprint.Blueprint":
+def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
     """The whole layout for one identification."""
     return whole_blueprint(_pages(identification, plan, evidence), plan)
 
@@ -62,7 +62,7 @@ def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Bluepr
     )
 
 
-def _pages(identification: Identification, plan: Plan, evidence: Evidence) -> list[Any]:
+def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> list[Any]:
     pages = [
         record_page(identification.records, plan.data, evidence.quality),
         fit_page(identification, plan),

@@ -7,7 +7,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal.identification import Identification, OrderEvidence
 from modal.recording.axis import linear_axis, log_axis
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
 from modal.recording.order_scrub import (
     MODEL_ORDER,
@@ -38,7 +38,7 @@ TEXT_WIDTH: Final = 52.0
 
 
 def log_order_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Evidence
+    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Gathered
 ) -> None:
     """Singular values, cross-validated fit against order, stabilisation diagram over the measured response."""
     evidence = identification.order_evidence
@@ -53,7 +53,7 @@ def log_order_page(
     _draw_stabilisation(identification, recording, plan, modelled=(frequencies, size), measured=measured)
 
 
-def _measured_size(identification: Identification, seen: Evidence) -> tuple[FloatArray, FloatArray] | None:
+def _measured_size(identification: Identification, seen: Gathered) -> tuple[FloatArray, FloatArray] | None:
     """Frequencies, and the root mean square over all pairs of channels of what was measured, by their scales.
 
     Of the responses; without inputs, of the square roots of the spectra.

@@ -35,7 +35,7 @@ def _context(comparison: Comparison) -> dict[str, object]:
         "damping": _reach([pair.damping for pair in pairs]),
     }
     return {
-        "headline": words.headline(comparison),
+        "headline": words.comparison_headline(comparison),
         "before": before.name,
         "after": after.name,
         "changed": comparison.changed,

@@ -63,7 +63,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
     stages = stages_of(diagnosis)
     return {
         "title": _title(diagnosis),
-        "headline": words.headline(diagnosis),
+        "headline": words.diagnosis_headline(diagnosis),
         "judgement": words.judge_diagnosis(diagnosis),
         "status_word": STATUS_WORDS[diagnosis.status],
         "diagnosis": diagnosis,
@@ -71,7 +71,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "findings": [_finding(number, one) for number, one in enumerate(diagnosis.findings, start=1)],
         "next_sentences": words.next_sentences(diagnosis),
         "where_sentences": words.where_sentences(diagnosis),
-        "limits_sentence": words.limits_sentence(diagnosis),
+        "limits_sentence": words.hidden_sentence(diagnosis),
         "stages": stages,
         "rows": [
             {"part": row.part, "name": row.name, "sizes": [times_text(size) for size in row.sizes]}

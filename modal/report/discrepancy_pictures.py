@@ -112,7 +112,7 @@ def _law_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
         if any(x.loop_motion.size for x in laws)
         else ""
     )
-    return {"laws": drawn(discrepancy_law.law_curves(laws), "laws", f"{words}.{loops}")}
+    return {"laws": drawn(discrepancy_law.draw_laws(laws), "laws", f"{words}.{loops}")}
 
 
 def _states(stages: Sequence[Stage]) -> str:

@@ -227,14 +227,14 @@ def signed_change(item: Calibrated) -> float:
     return item.value / item.nominal - 1.0 if item.nominal else math.nan
 
 
-def with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
+def value_with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
     """A value and its unit."""
     return f"{text} {item.unit}" if item.unit else text
 
 
 def parameters_text(finding: Finding) -> str:
     """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
-    return ", ".join(f"{one.name} = {with_unit(found_value(one), one)}" for one in finding.parameters)
+    return ", ".join(f"{one.name} = {value_with_unit(found_value(one), one)}" for one in finding.parameters)
 
 
 def finite_or_nan(values: Sequence[float]) -> list[float]:

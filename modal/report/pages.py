@@ -104,7 +104,7 @@ def _verdict_values(result: Identification) -> dict[str, object]:
     record = result.records[0]
     return {
         "title": _title(result),
-        "headline": words.headline(result),
+        "headline": words.modes_headline(result),
         "judgement": trust_of(result),
         "fit_word": words.fit_word(result.fit.mean),
         "result": result,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from modal.plots.charts import Notes, chart_text
-from modal.plots.figure import Figure
+from modal.plots.layout import Chart
 from modal.plots.vector import svg_text
 
 __all__ = ["Picture", "drawn", "readable"]
@@ -25,12 +25,12 @@ class Picture:
     chart: str = ""
 
 
-def drawn(figure: Figure, name: str, caption: str) -> Picture:
+def drawn(figure: Chart, name: str, caption: str) -> Picture:
     """A picture that is looked at and no more."""
     return Picture(svg=svg_text(figure, name=name, description=caption), caption=caption)
 
 
-def readable(figure: Figure, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
+def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
     """A picture that a script can read values off and whose lines it can hide.
 
     Args:

@@ -11,11 +11,11 @@ from modal.wording import GOOD_FIT, LEAST_FIT, counted, hertz
 __all__ = [
     "data_sentences",
     "fit_word",
-    "headline",
+    "modes_headline",
 ]
 
 
-def headline(result: Identification) -> str:
+def modes_headline(result: Identification) -> str:
     """How many modes there are, in one sentence; an overdamped pole is no vibration mode and is counted apart."""
     system = result.modes.system
     modes = [mode for mode in system if mode.kind == "oscillatory"]

@@ -9,7 +9,7 @@ import pytest
 
 from modal import plots
 from modal.plots.charts import MOST_VALUES, Notes, chart_text
-from modal.plots.figure import grid_of
+from modal.plots.layout import grid_of
 
 
 def chart_of(figure, *, notes=None):

@@ -9,7 +9,7 @@ from diagnosis_by_hand import hysteresis_law
 
 from modal import plots
 from modal.plots import discrepancy, discrepancy_law
-from modal.plots.figure import Area, Segments
+from modal.plots.marks import Area, Segments
 from modal.report.discrepancy_stages import rows_of, stages_of
 
 
@@ -26,7 +26,7 @@ def figures(diagnosis, stages):
         "before and after": discrepancy.before_and_after(rows_of(stages), stages),
         "hypotheses": discrepancy.hypothesis_bars(diagnosis.hypotheses, chosen=diagnosis.hypotheses[0]),
         "steps": discrepancy.shrinking_gap(diagnosis.steps),
-        "laws": discrepancy_law.law_curves(laws),
+        "laws": discrepancy_law.draw_laws(laws),
     }
 
 
@@ -120,7 +120,7 @@ def test_steps_are_drawn_on_both_kinds_of_records(diagnosis):
 
 def test_a_law_is_drawn_with_its_band_and_the_points_with_their_bars(diagnosis):
     law = diagnosis.laws[0]
-    axis = discrepancy_law.law_curves([law]).panels[0]
+    axis = discrepancy_law.draw_laws([law]).panels[0]
     (curve,) = (line for line in axis.lines if line.label == "law as found")
     np.testing.assert_array_equal(curve.y, law.force)
     (points,) = (line for line in axis.lines if line.label == "from the data, 95 %")
@@ -134,7 +134,7 @@ def test_a_law_is_drawn_with_its_band_and_the_points_with_their_bars(diagnosis):
 
 def test_a_law_with_memory_is_its_loop(diagnosis):
     law = hysteresis_law()
-    axis = discrepancy_law.law_curves([law]).panels[0]
+    axis = discrepancy_law.draw_laws([law]).panels[0]
     np.testing.assert_array_equal(axis.lines[0].y, law.loop_force)
     np.testing.assert_array_equal(axis.lines[1].y, law.force)
     assert not any(isinstance(mark, Area) for mark in axis.marks)
@@ -152,7 +152,7 @@ def test_a_law_with_memory_is_its_loop(diagnosis):
 )
 def test_a_law_says_what_it_gives(diagnosis, effect, against, words):
     law = replace(diagnosis.laws[0], against=against, motion_unit="s", force_unit="V", effect=effect)
-    axis = discrepancy_law.law_curves([law]).panels[0]
+    axis = discrepancy_law.draw_laws([law]).panels[0]
     assert (axis.x.label, axis.y.label) == (f"{against} [s]", words)
 
 

@@ -9,7 +9,7 @@ import pytest
 from modal import plots
 from modal.geometry import Geometry, Sensor
 from modal.placement import placed
-from modal.plots.figure import Segments
+from modal.plots.marks import Segments
 from modal.plots.structure import MOST_SEGMENTS
 from modal.plots.style import text_width
 from modal.scene import scene_of

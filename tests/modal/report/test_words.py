@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.report.words import data_sentences, fit_word, headline
+from modal.report.words import data_sentences, fit_word, modes_headline
 from modal.trust import (
     caution_sentence,
     damping_sentence,
@@ -31,7 +31,7 @@ def with_system(result, count):
     [(0, "No mode of the system was found."), (1, "One mode of the system was found, at 3.67 Hz."), (3, "Three modes")],
 )
 def test_headline_counts_the_system_modes_alone(identification, count, beginning):
-    assert headline(with_system(identification, count)).startswith(beginning)
+    assert modes_headline(with_system(identification, count)).startswith(beginning)
 
 
 @pytest.mark.parametrize(
@@ -48,12 +48,12 @@ def test_overdamped_poles_are_not_called_vibration_modes(identification, count, 
         replace(mode, kind="real") if i >= 3 - count else mode for i, mode in enumerate(identification.modes.system)
     )
     result = replace(identification, modes=replace(identification.modes, modes=modes))
-    assert headline(result).endswith(words)
+    assert modes_headline(result).endswith(words)
     assert [damping_text(mode) for mode in modes].count("overdamped") == count
 
 
 def test_headline_gives_the_range(identification):
-    assert headline(identification).endswith("between 3.67 and 16.6 Hz.")
+    assert modes_headline(identification).endswith("between 3.67 and 16.6 Hz.")
 
 
 @pytest.mark.parametrize(("value", "text"), [(0.00072371, "0.0007237"), (999.96, "1000"), (27470.63, "27470.6")])
@@ -61,7 +61,7 @@ def test_frequencies_are_written_without_powers_of_ten(identification, value, te
     assert hertz(value) == text
     modes = (replace(identification.modes.modes[0], frequency=value, damping_resolved=False),)
     result = replace(identification, modes=replace(identification.modes, modes=modes))
-    for sentence in (headline(result), damping_sentence(result)):
+    for sentence in (modes_headline(result), damping_sentence(result)):
         assert f"at {text} Hz" in sentence
 
 
