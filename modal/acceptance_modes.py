@@ -33,7 +33,7 @@ from modal.acceptance_words import (
 )
 from modal.identification import Identification
 from modal.mode import Mode
-from modal.report.words import damping_text, frequency_text
+from modal.trust import damping_text, frequency_text
 
 __all__ = ["check_damping", "check_expected", "check_forbidden", "check_settled", "check_uncertainty"]
 

@@ -8,7 +8,8 @@ import scipy
 from modal.acceptance_limits import FitAtLeast, ModeCount, TrustAtLeast
 from modal.acceptance_words import MAYBE, NO, YES, Answer, Weighed, inside
 from modal.identification import Identification
-from modal.report.words import fit_text, judge
+from modal.trust import trust_of
+from modal.wording import fit_text
 
 __all__ = ["check_count", "check_fit", "check_trust"]
 
@@ -56,7 +57,7 @@ def check_fit(limit: FitAtLeast, result: Identification) -> Weighed:
 
 def check_trust(limit: TrustAtLeast, result: Identification) -> Weighed:
     """How far the data carry the result as a whole."""
-    judgement = judge(result)
+    judgement = trust_of(result)
     met = _RANK[judgement.trust] >= _RANK[limit.at_least]
     wanted = 'the data carry it ("carried")' if limit.at_least == "carried" else 'at least "with care"'
     return Weighed(

@@ -12,7 +12,9 @@ from rich.console import Console
 
 from modal.job import FileSource, own_warnings, progress_bar
 from modal.job_setup import refuse_sources
+from modal.quality.check import check_quality
 from modal.quality.findings import ChannelQuality, DataQuality, Finding
+from modal.terminal_check import show_quality
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
@@ -41,9 +43,6 @@ def carry_out_check(job: CheckJob) -> tuple[DataQuality, Console]:
         InvalidDataError: files that cannot be read or do not belong together, or numbers that could not be written, or
             not without losing a measured file.
     """
-    from modal.quality.check import check_quality
-    from modal.terminal_check import show_quality
-
     if job.json is not None:
         refuse_sources([job.json], job.source.files)
     with progress_bar() as tell, own_warnings() as heard:

@@ -11,9 +11,12 @@ from typing import Annotated
 
 import typer
 
+import modal
 from modal.command_options import spread_files
 from modal.commands import check, demo, diff, gap, run, view
 from modal.commands.common import complain
+from modal.interruption import stop_no_more, stop_politely
+from modal.report.provenance import installed_version
 
 __all__ = ["main"]
 
@@ -31,8 +34,6 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command and leave with its exit status."""
-    from modal.interruption import stop_no_more, stop_politely
-
     stop_politely()
     status = _status(sys.argv[1:])
     if status == STOPPED:
@@ -69,9 +70,6 @@ def _with_help(text: str, arguments: list[str]) -> str:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        import modal
-        from modal.report.provenance import installed_version
-
         typer.echo(f"modal-report {installed_version()} (modal from {Path(modal.__file__ or '').parent})")
         raise typer.Exit
 

@@ -13,6 +13,8 @@ import numpy as np
 from modal.identification import Choice, Identification
 from modal.mode import Mode
 from modal.names import shorten, visible
+from modal.storage import load
+from modal.trust import trust_of
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["Channel", "ResultSummary", "read_result", "summary_of"]
@@ -82,8 +84,6 @@ def summary_of(result: Identification, *, name: str = "") -> ResultSummary:
         result: of `modal.identify` or `modal.load`.
         name: for a reader; that of its first record unless given.
     """
-    from modal.report.words import judge
-
     record = result.records[0]
     known = result.uncertainty
     return ResultSummary(
@@ -95,7 +95,7 @@ def summary_of(result: Identification, *, name: str = "") -> ResultSummary:
         n_samples=tuple(one.n_samples for one in result.records),
         choices=result.choices,
         fit=result.fit.mean,
-        trust=judge(result).trust,
+        trust=trust_of(result).trust,
         degrees_of_freedom=math.inf if known is None else known.degrees_of_freedom,
         data=frozenset(f"samples {_digest(one.inputs, one.outputs)}" for one in result.records),
     )
@@ -115,8 +115,6 @@ def read_result(path: str | Path) -> ResultSummary:
     try:
         file = _file_of(path)
         if file.suffix.lower() == ".npz":
-            from modal.storage import load
-
             return _checked(summary_of(load(file), name=name))
         return _checked(_of_document(json.loads(_text(file)), name))
     except OSError as error:

@@ -6,13 +6,13 @@ from modal.comparison import Comparison, ModePair, Unmatched
 from modal.comparison_shifts import Shift
 from modal.mode import Mode
 from modal.names import shorten, visible
-from modal.report.words import hertz
+from modal.wording import hertz
 
 __all__ = [
     "assurance_text",
     "caution_sentences",
     "change_text",
-    "headline",
+    "comparison_headline",
     "how_sentence",
     "least_text",
     "pair_sentence",
@@ -25,7 +25,7 @@ __all__ = [
 LONGEST_NAME = 40
 
 
-def headline(comparison: Comparison) -> str:
+def comparison_headline(comparison: Comparison) -> str:
     """What changed, in one sentence."""
     n_pairs = len(comparison.pairs)
     shifted = [pair for pair in comparison.pairs if pair.changed]

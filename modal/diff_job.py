@@ -8,6 +8,8 @@ from rich.console import Console
 
 from modal.comparison import Comparison, compare_results
 from modal.comparison_source import read_result
+from modal.report.comparison_writing import refuse_existing_comparison, write_comparison
+from modal.terminal_comparison import show_comparison_files, show_difference
 
 __all__ = ["DiffJob", "carry_out_diff"]
 
@@ -36,9 +38,6 @@ def carry_out_diff(job: DiffJob) -> Comparison:
         UnreadableFileError: one of the two is no result.
         InvalidDataError: the folder cannot be written.
     """
-    from modal.report.comparison_writing import refuse_existing_comparison, write_comparison
-    from modal.terminal_comparison import show_comparison_files, show_difference
-
     if job.folder is not None:
         refuse_existing_comparison(job.folder, job.existing)
     comparison = compare_results(read_result(job.before), read_result(job.after))

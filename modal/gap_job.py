@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.workflow import diagnose
 from modal.job import FileSource, Reading, own_warnings, progress_bar
 from modal.job_setup import refuse_other_report, refuse_pdf, refuse_sources
+from modal.model_file import read_model
+from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
+from modal.report.pdf import write_pdf
 from modal.report.provenance import Provenance, fingerprints
+from modal.terminal_discrepancy import show_diagnosis
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
     from modal.discrepancy.diagnosis import Diagnosis
     from modal.discrepancy.effects.effect import Effect
-    from modal.report.discrepancy_writing import DiagnosisFiles
 
 __all__ = ["GapJob", "carry_out_gap"]
 
@@ -77,11 +82,6 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    from modal.discrepancy.workflow import diagnose
-    from modal.model_file import read_model
-    from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
-    from modal.terminal_discrepancy import show_diagnosis
-
     refuse_existing_diagnosis(job.folder, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
@@ -114,8 +114,6 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
             if files.model is None:
                 (job.folder / "model.json").unlink(missing_ok=True)
         if job.pdf is not None:
-            from modal.report.pdf import write_pdf
-
             tell("printing the report", 0.97)
             write_pdf(files.html, job.pdf)
     console = Console(highlight=False)
@@ -129,8 +127,6 @@ def chosen_effects(keys: list[str] | None) -> "Mapping[str, Effect]":
     Raises:
         InvalidDataError: a key that the catalogue does not have.
     """
-    from modal.discrepancy.catalogue import CATALOGUE
-
     if keys is None:
         return CATALOGUE
     unknown = [key for key in keys if key not in CATALOGUE]

@@ -16,6 +16,7 @@ import numpy as np
 
 from modal.dof_names import Motion, dof_of
 from modal.names import shorten, visible
+from modal.node_motion import motion_of
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError
 
@@ -150,8 +151,6 @@ class Geometry:
         Raises:
             InvalidDataError: the shape has not one component a name.
         """
-        from modal.node_motion import motion_of
-
         return motion_of(self, self.sensors_of(output_names)).deflection(shape)
 
 

@@ -10,18 +10,25 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
+from modal.acceptance import check_limits
+from modal.examples.demo import demo_record
 from modal.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
 from modal.live_view import live_view
+from modal.pipeline import identify
 from modal.progress import Progress, progress_bar
+from modal.quality.check import check_quality
+from modal.report import ReportFiles, write_report
+from modal.report.pdf import write_pdf
 from modal.report.provenance import Provenance, fingerprints
+from modal.terminal import show_result
 from okid.errors import IdentificationWarning
+from okid.readers import read_described
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome
     from modal.geometry import Geometry
     from modal.identification import Identification
-    from modal.report import ReportFiles
 
 __all__ = [
     "FileSource",
@@ -86,8 +93,6 @@ class FileSource:
 
     def read(self) -> Reading:
         """Records, and remarks on what was done to the units of their channels."""
-        from okid.readers import read_described
-
         records, descriptions = read_described(
             self.files, inputs=self.inputs, outputs=self.outputs, dt=self.dt, input_hold=self.hold
         )
@@ -137,8 +142,6 @@ def read_demo() -> Reading:
     """The embedded example, always the same."""
     import numpy as np
 
-    from modal.examples.demo import demo_record
-
     return (demo_record(np.random.default_rng(DEMO_SEED)),), ()
 
 
@@ -157,12 +160,6 @@ def carry_out(
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    from modal.acceptance import check_limits
-    from modal.pipeline import identify
-    from modal.quality.check import check_quality
-    from modal.report import ReportFiles, write_report
-    from modal.terminal import show_result
-
     specification, named = prepare(job)
     geometry = geometry if named is None else named
     refuse_other_report(job.folder, "findings.csv")
@@ -204,8 +201,6 @@ def carry_out(
         )
         clear_stale(job, files)
         if job.pdf is not None:
-            from modal.report.pdf import write_pdf
-
             tell("printing the report", 0.95)
             write_pdf(files.html, job.pdf)
         limits = () if specification is None else check_limits(result, specification)

@@ -4,7 +4,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from modal.geometry_file import read_geometry
 from modal.names import shorten, visible
+from modal.report.folder import refuse_names
+from modal.report.pdf import NoBrowserError, find_browser
+from modal.report.writing import refuse_existing
+from modal.specification import read_specification
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -27,19 +32,13 @@ def prepare(job: "Job") -> "tuple[Specification | None, Geometry | None]":
         InvalidDataError: a report that could not be written, or a test file or geometry that is none.
         NoBrowserError: a PDF was asked for, and nothing prints it.
     """
-    from modal.report.writing import refuse_existing
-
     refuse_existing(job.folder, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
     specification = None
     if job.test is not None:
-        from modal.specification import read_specification
-
         specification = read_specification(job.test)
     if job.geometry is not None:
-        from modal.geometry_file import read_geometry
-
         return specification, read_geometry(job.geometry)
     return specification, None if specification is None else specification.geometry
 
@@ -55,9 +54,6 @@ def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
         InvalidDataError: the file exists already, or its folder cannot be written.
         NoBrowserError: there is no browser that prints.
     """
-    from modal.report.folder import refuse_names
-    from modal.report.pdf import NoBrowserError, find_browser
-
     refuse_names(pdf.parent, [pdf.name], existing)
     if find_browser() is None:
         raise NoBrowserError(

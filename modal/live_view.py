@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from modal.recording.live import live_recording, log_progress, log_records, log_result
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -27,22 +28,16 @@ class LiveView:
     def show_records(self, records: Sequence[Record]) -> None:
         """The page of the records, as soon as they are read."""
         if self.recording is not None:
-            from modal.recording.live import log_records
-
             log_records(records, self.recording)
 
     def show_progress(self, what: str, share: float) -> None:
         """What is being done, and the share that is behind."""
         if self.recording is not None:
-            from modal.recording.live import log_progress
-
             log_progress(self.recording, what, share)
 
     def show_result(self, result: "Identification", geometry: "Geometry | None") -> None:
         """All pages of the result."""
         if self.recording is not None:
-            from modal.recording.live import log_result
-
             log_result(result, self.recording, geometry=geometry)
 
 
@@ -61,7 +56,5 @@ def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[LiveView
     if not wanted:
         yield LiveView()
         return
-    from modal.recording.live import live_recording
-
     with live_recording(tell=tell) as recording:
         yield LiveView(recording=recording)

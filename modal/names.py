@@ -44,13 +44,8 @@ def shorten(text: str, limit: int) -> str:
 
 
 def plot_label(text: str, *, limit: int = 28) -> str:
-    r"""A name for a picture: visible, short, and never taken for mathematics.
-
-    Example:
-        >>> print(plot_label("a $x$"))
-        a \$x\$
-    """
-    return shorten(visible(text), limit).replace("$", r"\$")
+    """A name for a picture: visible and short."""
+    return shorten(visible(text), limit)
 
 
 def escape_markdown(text: str) -> str:

@@ -15,14 +15,16 @@ With A t + B r = y and the projection P = 1 - A A^+:  r = (P B)^+ P y,  t = A^+ 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from modal.geometry import Geometry, Sensor
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
+
+if TYPE_CHECKING:
+    from modal.geometry import Geometry, Sensor
 
 __all__ = ["RESOLVED", "Motions", "motion_of"]
 
@@ -88,7 +90,7 @@ class Motions:
         }
 
 
-def motion_of(geometry: Geometry, sensors: Sequence[Sensor | None]) -> Motions:
+def motion_of(geometry: "Geometry", sensors: "Sequence[Sensor | None]") -> Motions:
     """Solve every node and every rigid body once, for any shape.
 
     Args:
@@ -124,7 +126,7 @@ def _block(nodes: Sequence[int], outputs: Sequence[int], matrix: FloatArray, *, 
     )
 
 
-def _body_matrix(positions: FloatArray, body: Sequence[int], sensors: Sequence[Sensor]) -> FloatArray:
+def _body_matrix(positions: FloatArray, body: Sequence[int], sensors: "Sequence[Sensor]") -> FloatArray:
     """(n_body_nodes, 3, n_sensors); rotations are counted in units of the body's size, so that all numbers compare."""
     centre = np.mean([positions[one.node] for one in sensors], axis=0)
     arms = positions[list(body)] - centre

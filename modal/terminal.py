@@ -20,8 +20,10 @@ from modal.mode import Mode
 from modal.names import shorten, visible
 from modal.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
-from modal.report.words import damping_text, data_sentences, frequency_text, headline, hertz, judge
+from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles
+from modal.trust import damping_text, frequency_text, trust_of
+from modal.wording import hertz
 
 __all__ = ["listing", "plain", "show_comparison", "show_files", "show_limits", "show_result"]
 
@@ -45,9 +47,9 @@ def show_result(
     console: Console, result: Identification, *, remarks: Sequence[str] = (), limits: Sequence[LimitOutcome] = ()
 ) -> None:
     """Headline, mode table, limits of acceptance, fit and warnings in words."""
-    judgement = judge(result)
+    judgement = trust_of(result)
     console.print()
-    console.print(plain(headline(result), "bold"))
+    console.print(plain(modes_headline(result), "bold"))
     console.print(_mode_table(result.modes.modes))
     hidden = sum(mode.verdict == "noise" for mode in result.modes) - MOST_NOISE
     if hidden > 0:

@@ -9,8 +9,8 @@ from rich.text import Text
 
 from modal.names import shorten
 from modal.quality.findings import LEVELS, ChannelQuality, DataQuality, Finding
-from modal.report.words import share_text
 from modal.terminal import listing, plain
+from modal.wording import whole_percent
 from okid.record import Record
 
 __all__ = ["show_quality"]
@@ -92,7 +92,7 @@ def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
             *(plain(_number(x)) for x in values),
             plain(shorten(channel.unit, 12), "bright_black"),
             plain(_number(numbers.signal_to_noise, "{:.0f} dB")),
-            plain(share_text(numbers.explained)),
+            plain(whole_percent(numbers.explained)),
             _what(channel),
         )
     return table

@@ -10,8 +10,8 @@ from modal.comparison import Comparison, ModePair
 from modal.comparison_differences import Difference
 from modal.comparison_shifts import Shift
 from modal.report.comparison_writing import ComparisonFiles
-from modal.report.words import hertz
 from modal.terminal import listing, plain
+from modal.wording import hertz
 
 __all__ = ["show_comparison_files", "show_difference"]
 
@@ -29,7 +29,7 @@ def show_difference(console: Console, comparison: Comparison) -> None:
     before, after = comparison.before.name, comparison.after.name
     console.print()
     console.print(plain(f"{before} → {after}", "bright_black"))
-    console.print(plain(words.headline(comparison), "bold"))
+    console.print(plain(words.comparison_headline(comparison), "bold"))
     if comparison.pairs:
         console.print()
         console.print(_table(comparison.pairs))

@@ -25,7 +25,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
     """Verdict, findings, where, before and after, runner-up, what could still hide, what to do next, warnings."""
     judgement = words.judge_diagnosis(diagnosis)
     console.print()
-    console.print(plain(words.headline(diagnosis), "bold"))
+    console.print(plain(words.diagnosis_headline(diagnosis), "bold"))
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
     if diagnosis.findings:
         console.print()
@@ -37,7 +37,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
         console.print()
         console.print(plain("Held-out gap, times the noise floor", "bold"))
         console.print(_before_after(stages))
-    limits = words.limits_sentence(diagnosis)
+    limits = words.hidden_sentence(diagnosis)
     hidden = words.capital(limits.removeprefix(words.COULD_HIDE))
     listing(console, "What the data could still hide", [hidden] if limits else [], "")
     listing(console, "Next", words.next_sentences(diagnosis), "cyan")

@@ -10,7 +10,7 @@ from pathlib import Path
 from modal.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
-__all__ = ["find_viewer", "open_viewer", "recording_of"]
+__all__ = ["find_viewer", "open_recording", "recording_of"]
 
 RECORDING = "recording.rrd"
 _LONGEST = 200
@@ -50,7 +50,7 @@ def find_viewer() -> Path | None:
     return Path(found) if found else None
 
 
-def open_viewer(recording: Path) -> str:
+def open_recording(recording: Path) -> str:
     """Open the viewer and let it live on by itself.
 
     Args:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from modal.check_job import CheckJob, carry_out_check, check_status
 from modal.command_options import name_list
 from modal.commands.common import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults
 from modal.job import FileSource
@@ -37,8 +38,6 @@ def check(
     result; 2 wrong use or unreadable input.
     """
     with faults(show=traceback):
-        from modal.check_job import CheckJob, carry_out_check, check_status
-
         source = FileSource(
             files=files, inputs=name_list(inputs, "inputs"), outputs=name_list(outputs, "outputs"), dt=dt, hold=hold
         )

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from modal.names import visible
 from okid.errors import IdentificationError, InsufficientDataError
 from okid.record import InputHold
 
@@ -76,6 +77,4 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
 
 def complain(sentence: str) -> None:
     """One line on stderr."""
-    from modal.names import visible
-
     typer.echo(f"modal-report: {re.sub(' +', ' ', visible(sentence))}", err=True)

@@ -7,8 +7,11 @@ import typer
 
 from modal.commands.common import Overwrite, Traceback, examples, faults
 from modal.commands.run import Live, Pdf, exit_status, extras_of
+from modal.examples.demo import compare_with_truth, demo_truth
+from modal.examples.demo_geometry import demo_geometry
 from modal.job import Job, carry_out, read_demo
 from modal.report.provenance import Provenance
+from modal.terminal import show_comparison, show_files
 
 __all__ = ["EXAMPLES", "demo"]
 
@@ -31,10 +34,6 @@ def demo(
     the data do not carry the result; 2 wrong use.
     """
     with faults(show=traceback):
-        from modal.examples.demo import compare_with_truth, demo_truth
-        from modal.examples.demo_geometry import demo_geometry
-        from modal.terminal import show_comparison, show_files
-
         job = Job(folder=folder, existing="replace" if overwrite else "refuse", extras=extras_of(live=live, pdf=pdf))
         provenance = Provenance(command="modal-report demo")
         finished = carry_out(job, read_demo, provenance=provenance, geometry=demo_geometry())

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from modal.commands.common import Overwrite, Traceback, examples, faults
+from modal.diff_job import DiffJob, carry_out_diff
 
 __all__ = ["EXAMPLES", "diff"]
 
@@ -36,8 +37,6 @@ def diff(
     unreadable input.
     """
     with faults(show=traceback):
-        from modal.diff_job import DiffJob, carry_out_diff
-
         job = DiffJob(before=before, after=after, folder=folder, existing="replace" if overwrite else "refuse")
         comparison = carry_out_diff(job)
         sides = (comparison.before, comparison.after)

@@ -8,6 +8,10 @@ import typer
 from modal.command_options import name_list, plain_name
 from modal.commands.common import Dt, Overwrite, Traceback, examples, faults
 from modal.commands.run import Pdf, extras_of
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.gap_job import GapJob, carry_out_gap
+from modal.terminal import plain
+from modal.terminal_discrepancy import show_diagnosis_files
 from okid.record import InputHold
 
 __all__ = ["EXAMPLES", "gap"]
@@ -21,8 +25,6 @@ EXAMPLES = examples(
 
 def _effects(incomplete: str) -> list[str]:
     """Keys of the catalogue that go on as what is typed so far; those before a comma are kept."""
-    from modal.discrepancy.catalogue import CATALOGUE
-
     done, comma, rest = incomplete.rpartition(",")
     return [done + comma + key for key in CATALOGUE if key.startswith(rest)]
 
@@ -69,10 +71,6 @@ def gap(
     1 nothing could be proved; 2 wrong use or unreadable input.
     """
     with faults(show=traceback, poor_data=1):
-        from modal.gap_job import GapJob, carry_out_gap
-        from modal.terminal import plain
-        from modal.terminal_discrepancy import show_diagnosis_files
-
         job = GapJob(
             model=model,
             fit=tuple(fit),

@@ -5,9 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from modal.acceptance import all_met
 from modal.command_options import name_list, number_or_auto, plain_name, whole_or_auto
 from modal.commands.common import Dt, Hold, Inputs, Outputs, Overwrite, Records, Traceback, examples, faults
 from modal.job import FileSource, Finished, Job, carry_out
+from modal.terminal import show_files
+from modal.trust import trust_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,8 +65,6 @@ def run(
     or a limit of --test is not surely met; 2 wrong use or unreadable input.
     """
     with faults(show=traceback):
-        from modal.terminal import show_files
-
         job = Job(
             folder=folder or Path(f"modal-report-{plain_name(files[0].stem)}"),
             existing="replace" if overwrite else "refuse",
@@ -96,7 +97,4 @@ def extras_of(*, live: bool, pdf: bool) -> frozenset[Literal["live", "pdf"]]:
 
 def exit_status(finished: Finished) -> int:
     """0 where the data carry the result and every limit is surely met, 1 otherwise."""
-    from modal.acceptance import all_met
-    from modal.report.words import judge
-
-    return 0 if judge(finished.result).trust != "not carried" and all_met(finished.limits) else 1
+    return 0 if trust_of(finished.result).trust != "not carried" and all_met(finished.limits) else 1

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from modal.commands.common import Traceback, complain, examples, faults
+from modal.view_job import open_recording, recording_of
 
 __all__ = ["EXAMPLES", "view"]
 
@@ -25,9 +26,7 @@ def view(
     (it says the command that opens it elsewhere); 2 wrong use or no recording.
     """
     with faults(show=traceback):
-        from modal.view_job import open_viewer, recording_of
-
-        problem = open_viewer(recording_of(result))
+        problem = open_recording(recording_of(result))
         if problem:
             complain(problem)
         raise typer.Exit(1 if problem else 0)

@@ -3,7 +3,8 @@
 import numpy as np
 
 from modal.discrepancy.lines import DOMINANT, Lines
-from modal.discrepancy.statements import Statement, percent
+from modal.discrepancy.statements import Statement
+from modal.wording import percent
 
 __all__ = ["line_statements"]
 

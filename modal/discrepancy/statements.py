@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Statement", "Subject", "listed", "number", "part", "percent", "quantity", "times", "times_floor_text"]
+from modal.wording import percent
+
+__all__ = ["Statement", "Subject", "number", "part", "quantity", "times", "times_floor_text"]
 
 Subject = Literal["size", "output", "band", "constant", "line", "level", "coherence", "time", "lines", "modes"]
 
@@ -20,21 +22,6 @@ class Statement:
 
     subject: Subject
     text: str
-
-
-def percent(share: float) -> str:
-    """A share in per cent, two digits, never rounded to all or nothing.
-
-    Example:
-        >>> percent(0.861), percent(0.0412), percent(0.9991), percent(12.3)
-        ('86 %', '4.1 %', '99.9 %', '1230 %')
-    """
-    value = 100.0 * share
-    if 0.0 < share < 1e-4:
-        return "under 0.01 %"
-    if 99.5 <= value < 100.0:
-        return f"{min(value, 99.9):.1f} %"
-    return f"{value:.0f} %" if abs(value) >= 9.95 else f"{value:.2g} %"
 
 
 def part(share: float) -> str:
@@ -96,13 +83,3 @@ def times_floor_text(level: float) -> str:
         return "unbounded"
     size = math.sqrt(level)
     return f"{float(f'{size:.3g}'):.0f}" if size >= 100.0 else f"{size:#.3g}"
-
-
-def listed(words: list[str]) -> str:
-    """Words joined as a person joins them.
-
-    Example:
-        >>> listed(["a", "b", "c"]), listed(["a"])
-        ('a, b and c', 'a')
-    """
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -33,10 +33,11 @@ import numpy as np
 
 from modal.comparison import Comparison, compare_results
 from modal.comparison_source import summary_of
-from modal.comparison_words import headline, pair_sentence
+from modal.comparison_words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification import Identification
 from modal.pipeline import identify
+from modal.report.comparison_writing import write_comparison
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record
@@ -167,7 +168,7 @@ def summary(comparison: Comparison) -> str:
         comparison: of before and after.
     """
     best, second = suspects(comparison)[:2]
-    lines = [headline(comparison), *(f"  {pair_sentence(pair)}" for pair in comparison.pairs)]
+    lines = [comparison_headline(comparison), *(f"  {pair_sentence(pair)}" for pair in comparison.pairs)]
     lines.append(
         f"joint {best.joint + 1} lost {100 * best.loss:.2f} ± {196 * best.loss_std:.2f} % of its stiffness; hidden: "
         f"joint {LOOSENED + 1}, {100 * LOSS:.2f} %"
@@ -202,8 +203,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> Sequence[str]:
     """The comparison as pages and both results, a sentence a file, or why there are none."""
-    from modal.report.comparison_writing import write_comparison
-
     try:
         paths = [write_comparison(comparison, folder).html]
         paths += [result.save(folder / f"{name}.npz") for name, result in (("before", before), ("after", after))]

@@ -51,6 +51,7 @@ from modal.examples.struck_mass_models import (
     step_response,
     truncated_model,
 )
+from modal.examples.struck_mass_plot import write_pictures
 from modal.extraction import extract_modes
 from modal.mode import ModalModel
 from okid.arrays import FloatArray, frozen
@@ -223,8 +224,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if len(given) != 1:
         print("usage: python -m modal.examples.struck_mass FOLDER", file=sys.stderr)
         return 2
-    from modal.examples.struck_mass_plot import write_pictures
-
     truth = StruckMass()
     studies = []
     for size in (10, 25, 50, 100):

@@ -28,6 +28,7 @@ from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification import Identification
 from modal.pipeline import identify
+from modal.report.writing import write_report
 from modal.specification import Specification, read_specification
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
@@ -176,8 +177,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _written(folder: Path, record: Record, result: Identification, specification: Specification) -> Sequence[str]:
     """Report, measured file and test file, a sentence a file, or why there are none."""
-    from modal.report.writing import write_report
-
     try:
         paths = [*write_report(result, folder, specification=specification)]
     except IdentificationError as error:

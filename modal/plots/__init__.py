@@ -1,23 +1,23 @@
-"""Pictures of a result: each function takes frozen types and returns a matplotlib Figure, nothing is shown or saved.
+"""Pictures of a result: each function takes frozen types and returns a `Chart`, which is numbers; `svg_text` draws it.
 
-matplotlib lives behind this package alone, by its object interface; `pyplot` and its global state are never touched.
+No plotting library: a page needs lines, areas and words as SVG, in colours that it exchanges itself.
 """
 
+from modal.plots.charts import Notes, chart_text
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
+from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
 from modal.plots.responses import frequency_responses, markov_parameters, output_spectra
 from modal.plots.shapes import assurance_matrix, geometry_picture, mode_shapes, shape_complexity
-from modal.plots.style import DARK, LIGHT, Theme, house_style
 from modal.plots.vector import svg_text
 
 __all__ = [
-    "DARK",
-    "LIGHT",
-    "Theme",
+    "Chart",
+    "Notes",
     "assurance_matrix",
+    "chart_text",
     "frequency_responses",
     "geometry_picture",
-    "house_style",
     "markov_parameters",
     "measured_against_simulated",
     "mode_shapes",

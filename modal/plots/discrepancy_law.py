@@ -3,21 +3,18 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modal.discrepancy.diagnosis import LawCurve
 from modal.names import plot_label
-from modal.plots.style import LIGHT, Theme, head, key, new_panels
+from modal.plots.layout import Chart, row_of
+from modal.plots.panels import Panel
+from modal.plots.style import NINETY_FIVE
 from modal.report.discrepancy_values import effect_text, law_against, law_gives
 
-__all__ = ["law_curves"]
-
-NINETY_FIVE = 1.96
-"""Standard deviations of a 95 % interval."""
+__all__ = ["draw_laws"]
 
 
-def law_curves(laws: Sequence[LawCurve], *, theme: Theme = LIGHT) -> Figure:
+def draw_laws(laws: Sequence[LawCurve]) -> Chart:
     """Each law with its 95 % band, over the force in bins of the motion that the data give free of any law.
 
     A law with memory has no single force at a motion: it is drawn as the loop that it ran through along the loudest
@@ -25,46 +22,32 @@ def law_curves(laws: Sequence[LawCurve], *, theme: Theme = LIGHT) -> Figure:
 
     Args:
         laws: of the found effects.
-        theme: colours.
     """
-    figure, panels = new_panels(
-        len(laws), most_columns=2, width=10.4 if len(laws) > 1 else 6.4, height=3.6, theme=theme
-    )
-    for axis, law in zip(panels, laws, strict=True):
-        _law(axis, law, theme)
+    figure = row_of(len(laws), most_columns=2, width=10.4 if len(laws) > 1 else 6.4, height=3.6)
+    for panel, law in zip(figure.panels, laws, strict=True):
+        _law(panel, law)
     return figure
 
 
-def _law(axis: Axes, law: LawCurve, theme: Theme) -> None:
+def _law(panel: Panel, law: LawCurve) -> None:
     if law.loop_motion.size:
-        axis.plot(law.loop_motion, law.loop_force, color=theme.system, lw=1.4, label="law as found, along the record")
-        axis.plot(law.motion, law.force, "--", color=theme.muted, lw=1.2, label="loaded from rest")
+        panel.line(law.loop_motion, law.loop_force, "system", width=1.4, label="law as found, along the record")
+        panel.line(law.motion, law.force, "muted", dash="dashed", label="loaded from rest")
     else:
         width = NINETY_FIVE * law.deviation
         low, high = law.force - width, law.force + width
-        axis.fill_between(law.motion, low, high, color=theme.system, alpha=0.22, lw=0, label="95 % of the law")
-        axis.plot(law.motion, law.force, color=theme.system, lw=1.8, label="law as found")
+        panel.area(law.motion, low, high, "system", opacity=0.22, label="95 % of the law")
+        panel.line(law.motion, law.force, "system", width=1.8, label="law as found")
     if law.points_motion.size:
-        axis.errorbar(
-            law.points_motion,
-            law.points_force,
-            yerr=NINETY_FIVE * law.points_deviation,
-            fmt="o",
-            ms=4.2,
-            mew=0,
-            elinewidth=1.0,
-            color=theme.measured,
-            label="from the data, 95 %",
-            zorder=4,
-        )
-    axis.axhline(0.0, color=theme.muted, lw=0.8)
+        panel.bars(law.points_motion, law.points_force, NINETY_FIVE * law.points_deviation, "measured")
+        panel.dots(law.points_motion, law.points_force, "measured", dot=4.2, label="from the data, 95 %")
+    panel.across(0.0, "muted", width=0.8)
     if law.motion.size and law.motion.min() < 0.0 < law.motion.max():
-        axis.axvline(0.0, color=theme.muted, lw=0.8)
-    axis.set_xlabel(plot_label(law_against(law), limit=40))
-    axis.set_ylabel(plot_label(law_gives(law), limit=44))
-    axis.set_ylim(*_span(law))
-    head(axis, f"{effect_text(law.effect)} at {plot_label(law.where)}", theme=theme, where="left")
-    key(axis, theme=theme, where="best")
+        panel.upright(0.0, "muted", width=0.8)
+    panel.x.label, panel.y.label = plot_label(law_against(law), limit=40), plot_label(law_gives(law), limit=44)
+    panel.y.limits = _span(law)
+    panel.head = f"{effect_text(law.effect)} at {plot_label(law.where)}"
+    panel.key = "best"
 
 
 def _span(law: LawCurve) -> tuple[float, float]:

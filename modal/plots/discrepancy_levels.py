@@ -3,70 +3,52 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modal.names import plot_label
-from modal.plots.style import LIGHT, Theme, head, key, new_figure
+from modal.plots.histories import APART as ROLES
+from modal.plots.layout import Chart, grid_of
+from modal.plots.panels import Panel
+from modal.plots.style import NINETY_FIVE, Role
 from modal.report.discrepancy_levels import LevelLine
 from okid.arrays import FloatArray
 
 __all__ = ["modes_against_level"]
 
-NINETY_FIVE = 1.96
 APART = 0.012
-"""Of the width, by which the bars of two modes stand apart."""
+"""Stand the bars of two modes apart by this share of the level."""
 
 
-def modes_against_level(lines: Sequence[LevelLine], *, theme: Theme = LIGHT) -> Figure:
+def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
     """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
 
     Args:
         lines: from `modal.report.discrepancy_levels.level_lines`.
-        theme: colours.
     """
     damped = [line for line in lines if np.isfinite(line.damping).any()]
-    n_panels = 2 if damped else 1
-    figure, axes = new_figure(1, n_panels, size=(10.4, 3.1), theme=theme)
-    colours = (theme.measured, theme.model, theme.system, theme.residual, theme.doubtful)
+    figure = grid_of(1, 2 if damped else 1, size=(10.4, 3.1))
     for place, line in enumerate(lines):
-        colour, shift = colours[place % len(colours)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
-        _bars(axes[0][0], line, line.change, line.change_std, colour=colour, shift=shift)
-        if n_panels > 1 and np.isfinite(line.damping).any():
-            _bars(axes[0][1], line, line.damping, line.damping_std, colour=colour, shift=shift)
-    axes[0][0].axhline(0.0, color=theme.muted, lw=0.8)
-    for axis, title in zip(axes[0], ("change of frequency [%]", "damping ratio [%]"), strict=False):
-        axis.set_xscale("log")
-        _ticks(axis, lines)
-        axis.set_xlabel("level of the excitation, relative to the loudest record")
-        head(axis, title, theme=theme, where="left")
-    if n_panels > 1:
-        axes[0][1].set_ylim(bottom=min(0.0, axes[0][1].get_ylim()[0]))
-    key(axes[0][0], theme=theme, where="best")
+        role, shift = ROLES[place % len(ROLES)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
+        _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
+        if line in damped:
+            _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)
+    for panel, title in zip(figure.panels, ("change of frequency [%]", "damping ratio [%]"), strict=False):
+        panel.across(0.0, "muted", width=0.8)  # a damping ratio is seen from nothing
+        panel.x.ticks = _ticks(lines)
+        panel.x.log, panel.x.margin = True, 0.08
+        panel.x.label = "level of the excitation, relative to the loudest record"
+        panel.head = title
+    figure.panels[0].key = "best"
     return figure
 
 
-def _bars(
-    axis: Axes, line: LevelLine, values: FloatArray, deviations: FloatArray, *, colour: str, shift: float
-) -> None:
-    axis.errorbar(
-        line.levels * shift,
-        values,
-        yerr=NINETY_FIVE * np.nan_to_num(deviations),
-        fmt="-o",
-        ms=5.0,
-        mew=0,
-        lw=1.4,
-        elinewidth=1.0,
-        capsize=2.5,
-        color=colour,
-        label=plot_label(line.name),
-    )
+def _bars(panel: Panel, points: tuple[FloatArray, FloatArray, FloatArray], role: Role, name: str) -> None:
+    """Draw (n,) places, values and their standard deviations."""
+    levels, values, deviations = points
+    panel.bars(levels, values, NINETY_FIVE * np.nan_to_num(deviations), role)
+    panel.line(levels, values, role, width=1.4, dot=5.0, label=plot_label(name))
 
 
-def _ticks(axis: Axes, lines: Sequence[LevelLine]) -> None:
+def _ticks(lines: Sequence[LevelLine]) -> list[tuple[float, str]]:
     """One at each level: there are few, and nothing is known between them."""
     levels = sorted({level for line in lines for level in line.levels.tolist()})
-    axis.set_xticks(levels, [f"{level:.2g}" for level in levels])
-    axis.set_xticks([], minor=True)
-    axis.margins(x=0.08)
+    return [(level, f"{level:.2g}") for level in levels]

@@ -1,18 +1,23 @@
 """Over time: what was measured, what the model says from the inputs alone, and whether what is left is white."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from modal.names import plot_label
-from modal.plots.style import LIGHT, Theme, envelope, head, new_figure
-from modal.report.words import fit_text
+from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.panels import Panel
+from modal.plots.style import Role, envelope
+from modal.wording import fit_text
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = ["measured_against_simulated", "residual_autocorrelation"]
+__all__ = ["mark_moment", "measured_against_simulated", "residual_autocorrelation"]
+
+APART: Final[tuple[Role, ...]] = ("measured", "model", "system", "residual", "doubtful", "muted")
+"""Draw outputs and modes that stand side by side in these colours, in turn."""
 
 
 def measured_against_simulated(
@@ -22,8 +27,7 @@ def measured_against_simulated(
     outputs: Sequence[int] | None = None,
     fits: FloatArray | None = None,
     detail: float | None = None,
-    theme: Theme = LIGHT,
-) -> Figure:
+) -> Chart:
     """One row an output: the whole record on the left, the strongest moment of it on the right.
 
     Args:
@@ -32,60 +36,60 @@ def measured_against_simulated(
         outputs: which outputs, all unless given.
         fits: (n_outputs,) written beside each.
         detail: length of the window on the right [s], a twelfth of the record unless given.
-        theme: colours.
     """
     chosen = range(measured.n_outputs) if outputs is None else outputs
-    figure, axes = new_figure(len(chosen), 2, size=(10.4, 0.5 + 1.45 * len(chosen)), theme=theme, ratios=(2.1, 1.0))
+    figure = grid_of(len(chosen), 2, size=(10.4, 0.5 + 1.45 * len(chosen)), across=(2.1, 1.0))
     window = _strongest(measured, detail)
     time = measured.time
     modelled = "model, from the inputs alone" if measured.n_inputs else "model, one step ahead"
-    for row, (output, (whole, part)) in enumerate(zip(chosen, axes, strict=True)):
-        signals = (
-            (measured.outputs[:, output], theme.measured, "measured", 2.4, 0.6),
-            (simulated.outputs[:, output], theme.model, modelled, 0.9, 1.0),
+    for row, (output, whole, part) in enumerate(zip(chosen, figure.panels[::2], figure.panels[1::2], strict=True)):
+        signals: tuple[tuple[FloatArray, Role, str, float, float], ...] = (
+            (measured.outputs[:, output], "measured", "measured", 2.4, 0.6),
+            (simulated.outputs[:, output], "model", modelled, 0.9, 1.0),
         )
-        for values, colour, label, width, alpha in signals:
-            whole.plot(*envelope(time, values), color=colour, lw=width * 0.75, alpha=alpha, label=label)
-            part.plot(time[window], values[window], color=colour, lw=width, alpha=alpha)
+        for values, role, label, width, opacity in signals:
+            whole.line(*envelope(time, values), role, width=width * 0.75, opacity=opacity, label=label)
+            part.line(time[window], values[window], role, width=width, opacity=opacity)
         name = plot_label(measured.output_names[output])
         unit = plot_label(measured.output_units[output], limit=12)
-        fit = "" if fits is None or not np.isfinite(fits[output]) else f"   fit {fit_text(fits[output])}"
-        head(whole, f"{name}{f' [{unit}]' if unit else ''}{fit}", theme=theme, where="left")
-        whole.axvspan(time[window][0], time[window][-1], color=theme.muted, alpha=0.10, lw=0)
-        whole.set_xlim(time[0], time[-1])
-        part.set_xlim(time[window][0], time[window][-1])
-        for axis in (whole, part):
-            axis.tick_params(labelbottom=row == len(chosen) - 1)
-    axes[-1][0].set_xlabel("time [s]")
-    axes[-1][1].set_xlabel("time [s], the strongest moment")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside upper right", ncols=2, frameon=False, fontsize=8.5, labelcolor=theme.muted
-    )
+        fit = "" if fits is None or not np.isfinite(fits[output]) else f", fit {fit_text(fits[output])}"
+        whole.head = f"{name}{f' [{unit}]' if unit else ''}{fit}"
+        mark_moment(whole, part, time, window)
+        for panel in (whole, part):
+            panel.x.labelled = row == len(chosen) - 1
+    figure.panels[-2].x.label = "time [s]"
+    figure.panels[-1].x.label = "time [s], the strongest moment"
+    figure.key = Key(panel=figure.panels[0])
     return figure
 
 
+def mark_moment(whole: Panel, part: Panel, time: FloatArray, window: slice) -> None:
+    """Show all of the time in one panel and a moment of it in the other, and where the moment lies in the first."""
+    moment = time[window]
+    whole.x.limits, part.x.limits = (float(time[0]), float(time[-1])), (float(moment[0]), float(moment[-1]))
+    whole.box_of(part.x.limits, (-np.inf, np.inf), "muted", opacity=0.10)
+
+
 def residual_autocorrelation(
-    residuals: ResidualCheck, *, output_names: Sequence[str] = (), n_outputs: int = 8, theme: Theme = LIGHT
-) -> Figure:
+    residuals: ResidualCheck, *, output_names: Sequence[str] = (), n_outputs: int = 8
+) -> Chart:
     """Autocorrelation of the one-step residual of each output, with the band in which white noise would stay."""
-    figure, axes = new_figure(1, 1, size=(10.4, 2.7), theme=theme)
-    axis = axes[0][0]
+    figure = grid_of(1, 1, size=(10.4, 2.9))
+    panel = figure.panels[0]
     lags = np.arange(residuals.autocorrelation.shape[0])
     shown = min(n_outputs, residuals.autocorrelation.shape[1])
-    colours = (theme.measured, theme.model, theme.system, theme.residual, theme.doubtful, theme.muted)
+    limit = residuals.confidence_limit
+    panel.box_of((-np.inf, np.inf), (-limit, limit), "muted", opacity=0.16, label="95 % of white noise")
+    panel.across(0.0, "muted", width=0.8)
     for output in range(shown):
         name = plot_label(output_names[output]) if output_names else f"output {output}"
         offset = 0.7 * (output - (shown - 1) / 2) / shown
         values = residuals.autocorrelation[1:, output]
-        axis.vlines(lags[1:] + offset, 0, values, color=colours[output % 6], lw=1.4, label=name)
-    limit = residuals.confidence_limit
-    axis.axhspan(-limit, limit, color=theme.muted, alpha=0.16, lw=0, label="95 % of white noise")
-    axis.axhline(0, color=theme.muted, lw=0.8)
-    axis.set_xlabel("lag [samples]")
-    axis.set_ylabel("autocorrelation")
-    axis.set_xlim(0.3, lags[-1] + 0.7)
-    axis.legend(frameon=False, fontsize=8.5, labelcolor=theme.muted, loc="upper right", ncols=4)
+        foot, tip = (np.stack([lags[1:] + offset, ends], axis=-1) for ends in (np.zeros_like(values), values))
+        panel.segments(np.stack([foot, tip], axis=1), APART[output % len(APART)], width=1.4, label=name)
+    panel.x.label, panel.y.label = "lag [samples]", "autocorrelation"
+    panel.x.limits = (0.3, float(lags[-1]) + 0.7)
+    figure.key = Key(panel=panel)
     return figure
 
 

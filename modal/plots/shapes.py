@@ -3,32 +3,37 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modal.geometry import Geometry
 from modal.mode import Mode
 from modal.names import plot_label
 from modal.placement import at_rest, placed
+from modal.plots.layout import Chart, grid_of, row_of
+from modal.plots.panels import Panel
 from modal.plots.structure import draw_lines, draw_surfaces, frame_of, place_labels
-from modal.plots.style import LIGHT, Theme, head, new_figure, new_panels
-from modal.report.words import hertz
+from modal.plots.style import Role
 from modal.scene import Scene, scene_of
 from modal.sticks import stated_dofs
+from modal.wording import hertz
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["assurance_matrix", "geometry_picture", "mode_shapes", "shape_complexity"]
 
 MOST_COLUMNS = 6
+MOST_NAMES = 24
+"""Stand so many panels in a row and so many names of outputs beside a stick."""
+LEAST_IMAGINARY = 0.05
+"""Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
 WIDTH = 10.4
 TALLEST = 4.2
-"""Inches: a page shows a structure about 3.5 inches tall; drawn much taller, its names would shrink beyond reading."""
+"""Draw at most so tall [in]: a page shows a structure about 3.5 inches tall, and smaller names cannot be read."""
 ARROW = 0.24
-"""Length of a sensor's arrow, in half the largest extent."""
+"""Draw a sensor's arrow this long, in half the largest extent."""
 MOST_ARROWS = 300
 MOST_DOTS = 1000
 MOST_NAMED = 120
-"""Arrows, dots and names that one picture can show."""
+MOST_LARGE = 40
+"""Show at most so many arrows, dots, names and large dots in one picture."""
 
 
 def mode_shapes(
@@ -38,8 +43,7 @@ def mode_shapes(
     output_units: Sequence[str] = (),
     geometry: Geometry | None = None,
     title: str = "",
-    theme: Theme = LIGHT,
-) -> Figure:
+) -> Chart:
     """Every mode on the geometry, at rest and at both ends of its motion, all seen from the same side.
 
     A shape is turned to its best real phase. Without a geometry, and where the names state no nodes, it is a stick
@@ -51,13 +55,12 @@ def mode_shapes(
         output_units: of the channels; all alike unless given.
         geometry: where they are.
         title: above all.
-        theme: colours.
 
     Raises:
         InvalidDataError: no output has a place in the geometry.
     """
     if geometry is None and not stated_dofs(output_names):
-        return _in_a_row(modes, output_names=output_names, title=title, theme=theme)
+        return _in_a_row(modes, output_names=output_names, title=title)
     scene = scene_of(placed(geometry, output_names, output_units))
     motions = [scene.motion(mode).real for mode in modes]
     rest = scene.positions
@@ -65,28 +68,25 @@ def mode_shapes(
     most = _columns(frame.aspect)
     n_columns = -(-max(len(modes), 1) // -(-max(len(modes), 1) // most))  # rows of equal length
     height = WIDTH / n_columns * frame.aspect + 0.25
-    figure, axes = new_panels(len(modes), most_columns=n_columns, width=WIDTH, height=height, theme=theme)
-    for axis, mode, motion in zip(axes, modes, motions, strict=True):
-        colour = theme.verdict(mode.verdict)
-        draw_surfaces(axis, scene, rest + motion, colour=colour, alpha=0.16)
-        draw_lines(axis, scene, rest, colour=theme.muted, width=0.7, alpha=0.75)
-        draw_lines(axis, scene, rest - motion, colour=colour, width=0.8, alpha=0.45)
-        draw_lines(axis, scene, rest + motion, colour=colour, width=1.8, alpha=1.0)
-        _draw_points(axis, scene, rest + motion, theme=theme, colour=colour)
-        frame.put(axis)
-        head(axis, f"{hertz(mode.frequency)} Hz", theme=theme, where="center")
-    if title:
-        figure.suptitle(plot_label(title, limit=80), color=theme.ink, fontsize=10)
+    figure = row_of(len(modes), most_columns=n_columns, width=WIDTH, height=height)
+    for panel, mode, motion in zip(figure.panels, modes, motions, strict=False):
+        draw_surfaces(panel, scene, rest + motion, mode.verdict, opacity=0.16)
+        draw_lines(panel, scene, rest, "muted", width=0.7, opacity=0.75)
+        draw_lines(panel, scene, rest - motion, mode.verdict, width=0.8, opacity=0.45)
+        draw_lines(panel, scene, rest + motion, mode.verdict, width=1.8, opacity=1.0)
+        _draw_points(panel, scene, rest + motion, mode.verdict)
+        frame.put(panel)
+        panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
+    figure.title = plot_label(title, limit=80)
     return figure
 
 
-def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = (), theme: Theme = LIGHT) -> Figure:
+def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) -> Chart:
     """The structure at rest: nodes with their names, lines, surfaces, and an arrow for each sensor.
 
     Args:
         geometry: what to draw.
         output_names: channels whose sensors are drawn; those of the geometry's own sensors unless given.
-        theme: colours.
 
     Raises:
         InvalidDataError: output names were given, and none of them has a place in the geometry.
@@ -98,20 +98,17 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = (), th
     frame = frame_of(scene, [rest, *((tail + arrow)[np.newaxis] for tail, arrow in arrows)])
     width = float(np.clip(4.2 / frame.aspect, 2.6, 7.5))
     height = min(width * frame.aspect, TALLEST)
-    figure, axes = new_figure(1, 1, size=(width, height), theme=theme)
-    axis = axes[0][0]
-    draw_surfaces(axis, scene, rest, colour=theme.measured, alpha=0.12)
-    draw_lines(axis, scene, rest, colour=theme.muted, width=1.3, alpha=1.0)
-    for tail, arrow in arrows[:MOST_ARROWS]:
-        start, end = scene.eye.seen(np.array([tail, tail + arrow]))
-        axis.annotate(
-            "", xy=end, xytext=start, arrowprops={"arrowstyle": "-|>", "color": theme.model, "lw": 1.3, "shrinkA": 0}
-        )
-    _draw_points(axis, scene, rest, theme=theme, colour=theme.measured)
-    frame.put(axis)
+    figure = grid_of(1, 1, size=(width, height))
+    panel = figure.panels[0]
+    draw_surfaces(panel, scene, rest, "measured", opacity=0.12)
+    draw_lines(panel, scene, rest, "muted", width=1.3, opacity=1.0)
+    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[:MOST_ARROWS]]
+    panel.segments(ends, "model", width=1.3, arrows=True)
+    _draw_points(panel, scene, rest, "measured")
+    frame.put(panel)
     if geometry.n_nodes <= MOST_NAMED:
         texts = [plot_label(name, limit=12) for name in geometry.node_names]
-        place_labels(axis, frame, scene.eye.seen(rest), texts, panel=(width, height), theme=theme)
+        place_labels(panel, frame, scene.eye.seen(rest), texts, size=(width, height))
     return figure
 
 
@@ -123,97 +120,83 @@ def _columns(aspect: float) -> int:
     return 3
 
 
-def _draw_points(axis: Axes, scene: Scene, positions: FloatArray, *, theme: Theme, colour: str) -> None:
+def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) -> None:
     """Measured nodes as dots, those known to stand still as squares."""
     seen = scene.eye.seen(positions)
     measured = sorted({one.node for one in scene.placement.sensors if one is not None})
     if len(measured) <= MOST_DOTS:
-        axis.plot(*seen[measured].T, "o", color=colour, ms=4.0 if len(measured) <= 40 else 2.5)
+        panel.dots(seen[measured, 0], seen[measured, 1], role, dot=5.0 if len(measured) <= MOST_LARGE else 3.5)
     fixed = list(scene.placement.geometry.fixed)
     if 0 < len(fixed) <= MOST_DOTS:
-        axis.plot(*seen[fixed].T, "s", color=theme.muted, ms=4.5)
+        panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
 
 
-def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str, theme: Theme) -> Figure:
+def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
-    figure, axes = new_panels(len(modes), most_columns=MOST_COLUMNS, width=10.4, height=height, theme=theme)
+    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=height)
     place = np.arange(1, len(output_names) + 1)
-    for index, (axis, mode) in enumerate(zip(axes, modes, strict=True)):
+    labels = [(float(tick), plot_label(output_names[tick - 1], limit=14)) for tick in place.tolist()]
+    for index, (panel, mode) in enumerate(zip(figure.panels, modes, strict=False)):
         shape = _best_phase(mode.shape)
-        colour = theme.verdict(mode.verdict)
-        axis.axvline(0, color=theme.muted, lw=0.9, ls=(0, (4, 3)))
-        axis.fill_betweenx(place, -shape.real, shape.real, color=colour, alpha=0.10, lw=0)
-        axis.plot(-shape.real, place, color=colour, lw=0.8, alpha=0.4)
-        axis.plot(shape.real, place, "-o", color=colour, lw=1.8, ms=5)
-        if np.abs(shape.imag).max() > 0.05:
-            axis.plot(shape.imag, place, ":", color=theme.muted, lw=1.1)
-        head(axis, f"{hertz(mode.frequency)} Hz", theme=theme, where="center")
-        axis.set_xlim(-1.18, 1.18)
-        axis.set_ylim(0.4, len(output_names) + 0.6)
-        axis.set_xticks([-1, 0, 1])
-        axis.grid(visible=False)
-        axis.spines["left"].set_visible(False)
-        axis.set_yticks(place if len(place) <= 24 else place[:: -(-len(place) // 24)])
-        labels = [plot_label(output_names[int(tick) - 1], limit=14) for tick in axis.get_yticks()]
-        axis.set_yticklabels(labels if index % MOST_COLUMNS == 0 else [])
-    if title:
-        figure.suptitle(plot_label(title, limit=80), color=theme.ink, fontsize=10)
+        sides = np.stack([shape.real, place], axis=-1), np.stack([-shape.real, place], axis=-1)[::-1]
+        panel.upright(0.0, "muted", width=0.9, dash="dashed")
+        panel.polygons([np.concatenate(sides)], mode.verdict, opacity=0.10)
+        panel.line(-shape.real, place, mode.verdict, width=0.8, opacity=0.4)
+        panel.line(shape.real, place, mode.verdict, width=1.8, dot=6.0)
+        if np.abs(shape.imag).max() > LEAST_IMAGINARY:
+            panel.line(shape.imag, place, "muted", width=1.1, dash="dotted")
+        panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
+        panel.x.limits, panel.y.limits = (-1.18, 1.18), (0.4, len(output_names) + 0.6)
+        panel.x.ticks = [(-1.0, "−1"), (0.0, "0"), (1.0, "1")]
+        panel.y.ticks = labels[:: -(-len(labels) // MOST_NAMES)]
+        panel.y.labelled, panel.edges = index % MOST_COLUMNS == 0, "below"
+        panel.x.grid = panel.y.grid = False
+    figure.title = plot_label(title, limit=80)
     return figure
 
 
-def shape_complexity(modes: Sequence[Mode], *, theme: Theme = LIGHT) -> Figure:
+def shape_complexity(modes: Sequence[Mode]) -> Chart:
     """Every shape component as a phasor, greatest 1: a real mode lies on one line."""
-    figure, axes = new_panels(len(modes), most_columns=MOST_COLUMNS, width=10.4, height=2.1, theme=theme)
+    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=2.1)
     circle = np.exp(2j * np.pi * np.linspace(0, 1, 97))
-    for axis, mode in zip(axes, modes, strict=True):
-        colour = theme.verdict(mode.verdict)
-        axis.plot(circle.real, circle.imag, color=theme.grid, lw=0.9)
-        axis.plot([-1, 1], [0, 0], color=theme.grid, lw=0.7)
-        axis.plot([0, 0], [-1, 1], color=theme.grid, lw=0.7)
-        for component in _best_phase(mode.shape):
-            axis.plot([0, component.real], [0, component.imag], color=colour, lw=1.4)
-            axis.plot(component.real, component.imag, "o", color=colour, ms=3.6)
-        axis.set_aspect("equal")
-        axis.set_xlim(-1.12, 1.12)
-        axis.set_ylim(-1.12, 1.12)
-        axis.set_axis_off()
+    for panel, mode in zip(figure.panels, modes, strict=False):
+        tips = np.stack([(shape := _best_phase(mode.shape)).real, shape.imag], axis=-1)
+        panel.line(circle.real, circle.imag, "grid", width=0.9)
+        panel.segments([[[-1, 0], [1, 0]], [[0, -1], [0, 1]]], "grid", width=0.7)
+        panel.segments(np.stack([np.zeros_like(tips), tips], axis=1), mode.verdict, width=1.4)
+        panel.dots(tips[:, 0], tips[:, 1], mode.verdict, dot=4.6)
+        panel.equal, panel.frame = True, False
+        panel.x.limits = panel.y.limits = (-1.12, 1.12)
         spread = f"mean deviation {mode.mpd:.0f}°" if np.isfinite(mode.mpd) else ""
-        head(axis, f"{hertz(mode.frequency)} Hz\n{spread}".strip(), theme=theme, where="center")
+        panel.head, panel.centred = f"{hertz(mode.frequency)} Hz\n{spread}".strip(), True
     return figure
 
 
-def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float], *, theme: Theme = LIGHT) -> Figure:
+def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float]) -> Chart:
     """Modal assurance of each pair of shapes, as depth of colour and as a number.
 
     Args:
         matrix: (n_modes, n_modes) in [0, 1].
         frequencies: (n_modes,) [Hz] to name the modes by.
-        theme: colours.
     """
     n_modes = len(frequencies)
     side = float(np.clip(0.55 * n_modes + 1.3, 2.6, 7.5))
-    figure, axes = new_figure(1, 1, size=(side + 0.3, side), theme=theme)
-    axis = axes[0][0]
+    figure = grid_of(1, 1, size=(side + 0.3, side))
+    panel = figure.panels[0]
     for row in range(n_modes):
         for column in range(n_modes):
             value = float(np.clip(matrix[row, column], 0.0, 1.0))
-            axis.fill_between(
-                [column - 0.47, column + 0.47], row - 0.47, row + 0.47, alpha=0.75 * value, color=theme.measured, lw=0
-            )
+            x, y = ((place - 0.47, place + 0.47) for place in (column, row))
+            panel.box_of(x, y, "measured", opacity=0.75 * value)
             if n_modes <= 16:
                 number = f"{value:.2f}".removeprefix("0") if value < 0.995 else "1"
-                axis.text(column, row, number, ha="center", va="center", fontsize=8, color=theme.ink)
-    labels = [hertz(frequency) for frequency in frequencies]
-    axis.set_xticks(range(n_modes), labels, rotation=90 if n_modes > 6 else 0)
-    axis.set_yticks(range(n_modes), labels)
-    axis.set_xlim(-0.5, n_modes - 0.5)
-    axis.set_ylim(n_modes - 0.5, -0.5)
-    axis.set_xlabel("mode [Hz]")
-    axis.set_ylabel("mode [Hz]")
-    axis.grid(visible=False)
-    for spine in axis.spines.values():
-        spine.set_visible(False)
-    axis.set_aspect("equal")
+                panel.word(column, row, number, "ink", size=8, anchor="middle", shift=(0.0, 8 / 3))
+    panel.x.ticks = panel.y.ticks = [(float(place), hertz(one)) for place, one in enumerate(frequencies)]
+    panel.x.upright, panel.equal = n_modes > 6, True
+    panel.x.limits, panel.y.limits = (-0.5, n_modes - 0.5), (n_modes - 0.5, -0.5)
+    panel.x.label = panel.y.label = "mode [Hz]"
+    panel.x.grid = panel.y.grid = False
+    panel.edges = "none"
     return figure
 
 

@@ -1,141 +1,78 @@
-"""Colours by meaning, the same in every picture, and axes with nothing on them that says nothing."""
+"""Colours by meaning, the same in every picture, and the sizes of letters and lines."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from okid.arrays import FloatArray
 
-__all__ = ["DARK", "LIGHT", "Theme", "envelope", "head", "house_style", "key", "new_figure", "new_panels", "style_axes"]
+__all__ = ["COLOURS", "NINETY_FIVE", "STYLE", "Role", "envelope", "text_width"]
+
+Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
+"""What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
+says, what is left over, and modes that are of the system, may be, and are not."""
+
+COLOURS: Final[dict[Role, str]] = {
+    "paper": "#ffffff",
+    "ink": "#1c2430",
+    "muted": "#667080",
+    "grid": "#e1e5ea",
+    "measured": "#2b6cd4",
+    "model": "#e2761b",
+    "residual": "#c63c4d",
+    "system": "#12875c",
+    "doubtful": "#b67a12",
+    "noise": "#a3abb5",
+}
+"""Draw in these on light paper; a page exchanges each for its own by name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Theme:
-    """One colour a meaning, as #rrggbb; all different, so that a page can exchange each for its own.
+@dataclass(frozen=True, slots=True)
+class Style:
+    """Sizes in points, 1/72 inch.
 
     Attributes:
-        paper: background.
-        ink: text and axes.
-        muted: text of second rank.
-        grid: lines behind the data.
-        measured: what was measured.
-        model: what the model says.
-        residual: what is left over.
-        system: modes of the system.
-        doubtful: modes that may be.
-        noise: modes that are not.
+        tick: letters of ticks and keys.
+        label: letters of the names of axes.
+        head: letters above a panel.
+        line: height of a line of words over the size of its letters.
+        grid: width of grid and axes.
+        gap: between words and what they stand beside.
+        sample: length of the piece of line in a key.
+        margin: share of the range of the data that stays free at both ends of an axis.
+        across: least distance of ticks along, wide enough for a number.
+        down: least distance of ticks upwards.
+        ground: opacity of the paper behind a key.
     """
 
-    paper: str
-    ink: str
-    muted: str
-    grid: str
-    measured: str
-    model: str
-    residual: str
-    system: str
-    doubtful: str
-    noise: str
-
-    def verdict(self, verdict: str) -> str:
-        """Colour of "system", "doubtful" or "noise"."""
-        return {"system": self.system, "doubtful": self.doubtful}.get(verdict, self.noise)
+    tick: float = 8.5
+    label: float = 9.0
+    head: float = 9.5
+    line: float = 1.25
+    grid: float = 0.7
+    gap: float = 4.0
+    sample: float = 18.0
+    margin: float = 0.05
+    across: float = 36.0
+    down: float = 25.0
+    ground: float = 0.85
 
 
-LIGHT = Theme(
-    paper="#ffffff",
-    ink="#1c2430",
-    muted="#667080",
-    grid="#e1e5ea",
-    measured="#2b6cd4",
-    model="#e2761b",
-    residual="#c63c4d",
-    system="#12875c",
-    doubtful="#b67a12",
-    noise="#a3abb5",
-)
-DARK = Theme(
-    paper="#0d0e11",
-    ink="#e8ebf0",
-    muted="#98a2b0",
-    grid="#2a2f38",
-    measured="#569cff",
-    model="#ffa04d",
-    residual="#f06060",
-    system="#48cf8c",
-    doubtful="#f5c454",
-    noise="#70747e",
-)
+NINETY_FIVE: Final = 1.96
+"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
+
+STYLE: Final = Style()
+"""Draw every picture in these sizes."""
+
+_WIDTHS: Final = (("iljtfrI|!.,:;'()[] ·", 0.38), ("mwMW@%—…", 0.92), ("ABCDEFGHKNOPQRUVXYZ&+±−=<>≥≤→", 0.72))
+"""Take letters as this wide, as a share of their size: those of the widest of the usual fonts of browsers."""
 
 
-@contextmanager
-def house_style() -> Iterator[None]:
-    """Within it matplotlib forgets the user's own settings, so that the same result gives the same bytes."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        yield
-
-
-def new_figure(
-    n_rows: int, n_columns: int, *, size: tuple[float, float], theme: Theme, ratios: tuple[float, ...] | None = None
-) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of `size` inches and its axes, styled: `n_rows` lists of `n_columns`."""
-    figure = Figure(figsize=size, layout="constrained", facecolor=theme.paper)
-    axes = figure.subplots(n_rows, n_columns, squeeze=False, width_ratios=ratios)
-    for axis in axes.flat:
-        style_axes(axis, theme)
-    return figure, axes.tolist()
-
-
-def new_panels(
-    n_panels: int, *, most_columns: int, width: float, height: float, theme: Theme
-) -> tuple[Figure, list[Axes]]:
-    """As many panels as are asked for, `most_columns` in a row of `height` inches."""
-    n_columns = min(most_columns, max(1, n_panels))
-    n_rows = max(1, -(-n_panels // n_columns))
-    figure, axes = new_figure(n_rows, n_columns, size=(width, 0.3 + height * n_rows), theme=theme)
-    panels = [axis for row in axes for axis in row]
-    for idle in panels[n_panels:]:
-        idle.set_visible(False)
-    return figure, panels[:n_panels]
-
-
-def style_axes(axis: Axes, theme: Theme) -> None:
-    """Thin ink on the left and below, a light grid behind the data."""
-    axis.set_facecolor("none")
-    axis.set_axisbelow(True)
-    axis.grid(visible=True, color=theme.grid, linewidth=0.7)
-    axis.tick_params(which="both", labelsize=8.5, colors=theme.muted, left=False, bottom=False)
-    for side, spine in axis.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(theme.grid)
-    axis.xaxis.label.set(color=theme.ink, fontsize=9)
-    axis.yaxis.label.set(color=theme.ink, fontsize=9)
-
-
-def head(axis: Axes, text: str, *, theme: Theme, where: Literal["left", "center"]) -> None:
-    """A line of words above the axes."""
-    axis.set_title(text, loc=where, color=theme.ink, fontsize=9.5)
-
-
-def key(axis: Axes, *, theme: Theme, where: str, columns: int = 1) -> None:
-    """What each line is, on a ground that keeps it readable where lines pass behind."""
-    axis.legend(
-        loc=where,
-        ncols=columns,
-        fontsize=8.5,
-        labelcolor=theme.muted,
-        facecolor=theme.paper,
-        edgecolor="none",
-        framealpha=0.85,
-        borderpad=0.3,
-    )
+def text_width(text: str, size: float) -> float:
+    """About how wide a line of words is [pt], on the safe side: the reader's browser has the font, not we."""
+    kinds = {letter: width for letters, width in _WIDTHS for letter in letters}
+    return size * sum(kinds.get(letter, 0.62) for letter in text)
 
 
 def envelope(time: FloatArray, values: FloatArray, *, n_points: int = 1200) -> tuple[FloatArray, FloatArray]:

@@ -1,81 +1,277 @@
 """A figure as text to be put into a page: the same bytes for the same figure, and colours that the page decides."""
 
-import io
+import html
 import re
-import warnings
-from dataclasses import asdict
+from collections.abc import Sequence
 
-import matplotlib as mpl
-from matplotlib.figure import Figure
+import numpy as np
 
 from modal.names import visible
-from modal.plots.style import LIGHT
+from modal.plots.layout import Chart, Key
+from modal.plots.marks import Area, Curve, Mark, Segments, runs
+from modal.plots.panels import Panel
+from modal.plots.style import COLOURS, STYLE, Role, text_width
+from okid.arrays import FloatArray
 
-__all__ = ["svg_text"]
+__all__ = ["line_identity", "page_of", "svg_text"]
 
-_ROLES = {colour: role for role, colour in asdict(LIGHT).items()}
-_COLOUR = re.compile(r"\b(fill|stroke): (#[0-9a-f]{6})\b")
-_IDLE_ID = re.compile(r' id="[a-zA-Z0-9.]+_[0-9]+"')
-_FONT = re.compile(r"font: (?:(?:normal|oblique|italic) )?(?:(\d+|bold) )?(\d+(?:\.\d+)?)px [^;\"]*")
-_BARE_LINE = re.compile(r'<path d="([^"]*)" ((?:clip-path="[^"]*" )?style="fill: none;[^"]*")/>\s*')
-_LONG_NUMBER = re.compile(r"(?<=[ \d-])(\d+\.\d{2})\d+")
+_DASHES = {"": "", "dashed": "4 3", "dotted": "1 2.2"}
+_ARROW = 7.0
+"""Draw the head of an arrow this long [pt]."""
 
 
-def svg_text(figure: Figure, *, name: str, description: str) -> str:
-    """One `<svg>` element; every colour of the light theme becomes `var(--role, colour)`.
+def svg_text(figure: Chart, *, name: str, description: str) -> str:
+    """One `<svg>` element; every colour is `var(--role, colour)`.
 
     Args:
-        figure: drawn in the light theme.
-        name: identifies the picture within the page, so that no two pictures share a clip path.
+        figure: to draw.
+        name: identifies the picture within the page, so that no two pictures share a clip path or a line.
         description: what a screen reader says.
     """
-    file = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": f"modal-report {name}"}), warnings.catch_warnings():
-        # The reader's browser has fonts that this machine lacks; text stays text.
-        warnings.filterwarnings("ignore", message=r"Glyph \d+ .* missing from", category=UserWarning)
-        warnings.filterwarnings("ignore", message=r"Matplotlib currently does not support", category=UserWarning)
-        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r' xmlns:xlink="[^"]*"| xmlns="[^"]*"', "", text).replace("xlink:href", "href")
-    text = _IDLE_ID.sub("", text)
-    text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r"(?<= d=\")[^\"]*", lambda path: _short_path(path.group()), text)
-    text = _joined(text)
-    text = _FONT.sub(_size_only, text)
-    text = _COLOUR.sub(_variable, text)
-    return text.replace("<svg ", f'<svg role="img" aria-label="{_attribute(visible(description))}" ', 1)
+    figure.arrange()
+    said, size = html.escape(visible(description)), f"{figure.width:.6g} {figure.height:.6g}"
+    parts = [f'<svg role="img" aria-label="{said}" viewBox="0 0 {size}">']
+    for number, panel in enumerate(figure.panels):
+        parts += _panel(panel, name, number)
+    if figure.title:
+        parts.append(
+            _words(figure.width / 2, STYLE.head + STYLE.gap, figure.title, "ink", size=STYLE.head, anchor="middle")
+        )
+    if figure.key is not None:
+        parts += _outer_key(figure, figure.key)
+    return "\n".join([*parts, "</svg>"])
 
 
-def _short_path(path: str) -> str:
-    """Two decimals, and no line end between the steps."""
-    return re.sub(r"\s*\n\s*", "", _LONG_NUMBER.sub(r"\1", path)).strip()
+def page_of(svg: str) -> str:
+    """A picture as a file of its own, on paper and in a usual font."""
+    opening = '<svg xmlns="http://www.w3.org/2000/svg" style="background: #ffffff; font-family: sans-serif" '
+    return svg.replace("<svg ", opening, 1) + "\n"
 
 
-def _joined(text: str) -> str:
-    """Unfilled lines of one style that follow one another as one path: a mesh of 3000 of them is a tenth as long."""
-    parts: list[str] = []
-    end, style = 0, ""
-    for line in _BARE_LINE.finditer(text):
-        if parts and line.start() == end and line.group(2) == style:
-            parts[-1] += line.group(1)
-        else:
-            parts += [*([f'" {style}/>\n'] if style else []), text[end : line.start()], f'<path d="{line.group(1)}']
-        end, style = line.end(), line.group(2)
-    return "".join([*parts, f'" {style}/>\n' if style else "", text[end:]])
+def line_identity(name: str, panel: int, number: int) -> str:
+    """How a line is called in its page: by picture, panel and place among the lines of the panel."""
+    return f"{_slug(name)}-p{panel}-s{number}"
 
 
-def _variable(match: re.Match[str]) -> str:
-    kind, colour = match.groups()
-    role = _ROLES.get(colour)
-    return f"{kind}: var(--{role}, {colour})" if role else match.group()
+def _slug(name: str) -> str:
+    return re.sub(r"[^a-z]+", "-", name.lower())
 
 
-def _size_only(match: re.Match[str]) -> str:
-    weight, size = match.groups()
-    return (f"font-weight: {weight}; " if weight else "") + f"font-size: {size}px"
+def _panel(panel: Panel, name: str, number: int) -> list[str]:
+    left, top, width, height = panel.box
+    clip = f"{_slug(name)}-c{number}"
+    room = f'x="{left:.2f}" y="{top - 1:.2f}" width="{width:.2f}" height="{height + 2:.2f}"'
+    parts = [f'<clipPath id="{clip}"><rect {room}/></clipPath>'] if panel.frame else []
+    if panel.frame:
+        parts += _axes(panel)
+    parts.append(f'<g clip-path="url(#{clip})">' if panel.frame else "<g>")
+    areas = [mark for mark in panel.marks if isinstance(mark, Area)]
+    parts += [_area(panel, area) for area in areas]
+    lines = 0
+    for mark in panel.marks:
+        if isinstance(mark, Segments):
+            parts.append(_segments(panel, mark))
+        elif isinstance(mark, Curve):
+            shown = _line(panel, mark)
+            tagged = mark.label or mark.follows
+            parts.append(f'<g id="{line_identity(name, number, lines)}">{shown}</g>' if tagged else shown)
+            lines += 1
+    parts.append("</g>")
+    parts += _said(panel)
+    if panel.key is not None and panel.keyed:
+        parts += _inner_key(panel)
+    return parts
 
 
-def _attribute(text: str) -> str:
-    return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;").replace(">", "&gt;")
+def _axes(panel: Panel) -> list[str]:
+    """Grid, the lines on the left and below, ticks and names."""
+    left, top, width, height = panel.box
+    bottom, middle = top + height, top + 0.5 * height
+    x_ticks, y_ticks = _seen(panel, panel.x_ticks(), 0), _seen(panel, panel.y_ticks(), 1)
+    grid = [f"M{x:.2f} {top:.2f}v{height:.2f}" for x, _ in x_ticks if panel.x.grid]
+    grid += [f"M{left:.2f} {y:.2f}h{width:.2f}" for y, _ in y_ticks if panel.y.grid]
+    edges = {
+        "both": f"M{left:.2f} {top:.2f}v{height:.2f}h{width:.2f}",
+        "below": f"M{left:.2f} {bottom:.2f}h{width:.2f}",
+        "none": "",
+    }
+    parts = [_path("".join([*grid, edges[panel.edges]]), "grid", STYLE.grid)]
+    low = bottom + STYLE.gap
+    if panel.x.labelled:
+        for x, text in x_ticks:
+            if panel.x.upright:
+                parts.append(_words(x, low, text, panel.x.role, size=STYLE.tick, anchor="end", turned=True))
+                continue
+            for line, words in enumerate(text.split("\n")):
+                down = low + STYLE.tick * (1.0 + STYLE.line * line)
+                parts.append(_words(x, down, words, panel.x.role, size=STYLE.tick, anchor="middle"))
+    if panel.y.labelled:
+        across = left - STYLE.gap
+        parts += [
+            _words(across, y + STYLE.tick / 3, text, panel.y.role, size=STYLE.tick, anchor="end") for y, text in y_ticks
+        ]
+    if panel.x.label:
+        texts = [text for _, text in x_ticks] if panel.x.labelled else []
+        deep = STYLE.line * STYLE.tick * max([1 + text.count("\n") for text in texts], default=0)
+        if panel.x.upright:
+            deep = max([text_width(text, STYLE.tick) for text in texts], default=0.0)
+        parts.append(
+            _words(left + width / 2, low + deep + STYLE.label, panel.x.label, "ink", size=STYLE.label, anchor="middle")
+        )
+    if panel.y.label:
+        wide = max([text_width(text, STYLE.tick) for _, text in y_ticks], default=0.0) if panel.y.labelled else 0.0
+        across = left - 2.0 * STYLE.gap - wide
+        parts.append(_words(across, middle, panel.y.label, "ink", size=STYLE.label, anchor="middle", turned=True))
+    return parts
+
+
+def _seen(panel: Panel, ticks: Sequence[tuple[float, str]], side: int) -> list[tuple[float, str]]:
+    """(place in the figure, text) of the ticks within the limits."""
+    low, high = sorted((panel.x if side == 0 else panel.y).limits or (0.0, 1.0))
+    inside = [(value, text) for value, text in ticks if low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high)]
+    values = np.array([value for value, _ in inside])
+    places = panel.place(np.stack([values, values], axis=-1))[:, side]
+    return [(float(place), text) for place, (_, text) in zip(places, inside, strict=True)]
+
+
+def _said(panel: Panel) -> list[str]:
+    """The head, and the words at their places."""
+    left, top, width, _ = panel.box
+    parts = []
+    lines = panel.head.split("\n") if panel.head else []
+    for number, text in enumerate(reversed(lines)):
+        up = top - STYLE.gap - STYLE.line * (STYLE.head * number + STYLE.tick * panel.rows_above)
+        at, anchor = (left + width / 2, "middle") if panel.centred else (left, "start")
+        parts.append(_words(at, up, text, "ink", size=STYLE.head, anchor=anchor))
+    for word in panel.words:
+        x, y = panel.place(np.array([word.x, word.y])) + word.shift
+        y = top + word.shift[1] if np.isinf(word.y) else y
+        parts.append(_words(x, y, word.text, word.role, size=word.size, anchor=word.anchor))
+    return parts
+
+
+def _line(panel: Panel, line: Curve) -> str:
+    places = panel.place(line.corners)
+    parts = []
+    if line.width:
+        strips = "".join(_strip(places[first:behind]) for first, behind in runs(places))
+        parts.append(_path(strips, line.role, line.width, opacity=line.opacity, dash=_DASHES[line.dash]))
+    if line.dot:
+        seen = places[np.isfinite(places).all(axis=1)]
+        parts.append(_dots(seen, line.role, line.dot, square=line.square, opacity=line.opacity))
+    return "".join(parts)
+
+
+def _dots(places: FloatArray, role: Role, size: float, *, square: bool, opacity: float = 1.0) -> str:
+    """Dots as pieces of no length with round or square ends: all of them are one short path."""
+    dots = "".join([f"M{x:.2f} {y:.2f}h0" for x, y in places.tolist()])
+    return _path(dots, role, size, opacity=opacity, cap="square" if square else "round")
+
+
+def _strip(places: FloatArray) -> str:
+    return "M" + "L".join([f"{x:.2f} {y:.2f}" for x, y in places.tolist()])
+
+
+def _area(panel: Panel, area: Area) -> str:
+    places = [panel.place(polygon) for polygon in area.polygons]
+    one = len(places) > 1 and area.opacity < 1  # pale faces that lie over each other are darker there
+    paths = [_strip(corners) + "z" for corners in places]
+    return "\n".join(_filled(path, area.role, area.opacity) for path in (paths if one else ["".join(paths)]))
+
+
+def _segments(panel: Panel, segments: Segments) -> str:
+    places = panel.place(segments.ends)
+    text = "".join([f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for (a, b), (c, d) in places.tolist()])
+    drawn = _path(text, segments.role, segments.width, opacity=segments.opacity)
+    if not segments.arrows:
+        return drawn
+    heads = []
+    for start, end in places:
+        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+        side = 0.4 * _ARROW * np.array([-along[1], along[0]])
+        heads.append(_strip(np.array([end, end - _ARROW * along + side, end - _ARROW * along - side])) + "z")
+    return drawn + _filled("".join(heads), segments.role, segments.opacity)
+
+
+def _inner_key(panel: Panel) -> list[str]:
+    """What each line is, on a ground that keeps it readable where lines pass behind."""
+    left, top, width, height = panel.box
+    marks = panel.keyed
+    row = STYLE.line * STYLE.tick
+    wide = STYLE.sample + 3 * STYLE.gap + max(text_width(mark.label, STYLE.tick) for mark in marks)
+    high = row * len(marks) + STYLE.gap
+    corners = {
+        f"{down} {side}": (x, y)
+        for down, y in (("upper", top + STYLE.gap), ("lower", top + height - high - STYLE.gap))
+        for side, x in (("right", left + width - wide - STYLE.gap), ("left", left + STYLE.gap))
+    }
+    x, y = corners[_emptiest(panel, corners, (wide, high)) if panel.key == "best" else str(panel.key)]
+    ground = f"M{x:.2f} {y:.2f}h{wide:.2f}v{high:.2f}h{-wide:.2f}z"
+    parts = [_filled(ground, "paper", STYLE.ground)]
+    for number, mark in enumerate(marks):
+        parts += _entry(mark, x + STYLE.gap, y + STYLE.gap / 2 + row * (number + 0.5))
+    return parts
+
+
+def _emptiest(panel: Panel, corners: dict[str, tuple[float, float]], size: tuple[float, float]) -> str:
+    """The corner in which the fewest points lie."""
+    points = panel.place(np.concatenate([mark.corners for mark in panel.marks]))
+    inside = {
+        where: int((((points >= corner) & (points <= np.add(corner, size))).all(axis=1)).sum())
+        for where, corner in corners.items()
+    }
+    return min(inside, key=lambda where: inside[where])
+
+
+def _outer_key(figure: Chart, key: Key) -> list[str]:
+    marks = key.panel.keyed
+    widths = [STYLE.sample + 5 * STYLE.gap + text_width(mark.label, STYLE.tick) for mark in marks]
+    free = figure.width - sum(widths)
+    x = free / 2 if key.below else free - STYLE.gap
+    y = figure.height - STYLE.tick if key.below else STYLE.tick
+    parts = []
+    if key.title:
+        title = y - STYLE.line * STYLE.tick
+        parts.append(_words(figure.width / 2, title, key.title, "muted", size=STYLE.tick, anchor="middle"))
+    for mark, width in zip(marks, widths, strict=True):
+        parts += _entry(mark, x, y)
+        x += width
+    return parts
+
+
+def _entry(mark: Mark, x: float, y: float) -> list[str]:
+    """A sample of the line, dot or area, and its name; centred on the height `y`."""
+    end, middle = x + STYLE.sample, x + STYLE.sample / 2
+    parts = []
+    if isinstance(mark, Area):
+        high = 0.7 * STYLE.tick
+        parts.append(_filled(f"M{x:.2f} {y - high / 2:.2f}H{end:.2f}v{high:.2f}H{x:.2f}z", mark.role, mark.opacity))
+    elif mark.width:
+        dash = _DASHES[mark.dash] if isinstance(mark, Curve) else ""
+        parts.append(_path(f"M{x:.2f} {y:.2f}H{end:.2f}", mark.role, mark.width, opacity=mark.opacity, dash=dash))
+    if isinstance(mark, Curve) and mark.dot:
+        parts.append(_dots(np.array([[middle, y]]), mark.role, mark.dot, square=mark.square))
+    return [*parts, _words(end + STYLE.gap, y + STYLE.tick / 3, mark.label, "muted", size=STYLE.tick, anchor="start")]
+
+
+def _colour(role: Role) -> str:
+    return f"var(--{role}, {COLOURS[role]})"
+
+
+def _path(path: str, role: Role, width: float, *, opacity: float = 1.0, dash: str = "", cap: str = "") -> str:
+    style = f"fill: none; stroke: {_colour(role)}; stroke-width: {width:g}; stroke-linejoin: round"
+    style += (f"; stroke-opacity: {opacity:g}" if opacity < 1 else "") + (f"; stroke-dasharray: {dash}" if dash else "")
+    return f'<path d="{path}" style="{style}{f"; stroke-linecap: {cap}" if cap else ""}"/>'
+
+
+def _filled(path: str, role: Role, opacity: float) -> str:
+    return f'<path d="{path}" style="fill: {_colour(role)}; fill-opacity: {opacity:g}"/>'
+
+
+def _words(
+    x: float, y: float, text: str, role: Role, *, size: float, anchor: str = "start", turned: bool = False
+) -> str:
+    turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if turned else ""
+    where = f"; text-anchor: {anchor}" if anchor != "start" else ""
+    style = f"font-size: {size:g}px; fill: {_colour(role)}{where}"
+    return f'<text x="{x:.2f}" y="{y:.2f}"{turn} style="{style}">{html.escape(visible(text))}</text>'

@@ -11,7 +11,7 @@ from okid.arrays import CHUNK_VALUES, FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling
 
-__all__ = ["MOST_SPANS", "Channel", "channels_of", "named", "percent", "spoken", "when", "where_found"]
+__all__ = ["MOST_SPANS", "Channel", "channels_of", "named", "spoken", "when", "where_found"]
 
 MOST_SPANS = 200
 """Places that a finding lists; its sentence counts all of them."""
@@ -123,18 +123,6 @@ def named(names: str | Iterable[str]) -> str:
     if len(shown) > 4:
         return f"{', '.join(shown[:4])} and {len(shown) - 4} more"
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
-
-
-def percent(share: float) -> str:
-    """A share in per cent, to two digits.
-
-    Example:
-        >>> percent(0.0312), percent(1.0), percent(0.9996), percent(3e-7)
-        ('3.1 %', '100 %', '99.9 %', '3e-05 %')
-    """
-    if 0.99 < share < 1.0:
-        return f"{min(99.9, 100 * share):.1f} %"
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def spoken(number: float) -> str:

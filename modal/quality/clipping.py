@@ -9,8 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, where_found
+from modal.quality.channel import MOST_SPANS, Channel, named, where_found
 from modal.quality.findings import Finding, Span
+from modal.wording import percent
 from okid.arrays import FloatArray
 from okid.rows import runs_of
 

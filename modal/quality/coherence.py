@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.quality.channel import named, percent, spoken
+from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.quality.pulse import best_pulse, whole_rows
 from modal.synthesis import MeasuredFrf
+from modal.wording import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import named, percent, spoken
+from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.synthesis import AveragedSpectra, MeasuredFrf
 from okid.arrays import TINY
+from modal.wording import percent
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
 from okid.record import Record

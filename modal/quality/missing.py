@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, when, where_found
+from modal.quality.channel import MOST_SPANS, Channel, named, spoken, when, where_found
 from modal.quality.findings import Finding
+from modal.wording import percent
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
 

@@ -9,8 +9,9 @@ References:
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, percent, where_found
+from modal.quality.channel import Channel, named, where_found
 from modal.quality.findings import Finding
+from modal.wording import percent
 
 __all__ = ["resolution_findings", "resolution_of"]
 

@@ -21,9 +21,10 @@ from modal.drift import (
     slow_functions,
     without_drift,
 )
-from modal.quality.channel import named, percent
+from modal.quality.channel import named
 from modal.quality.findings import Finding
 from modal.quality.pulse import best_pulse, predicted_outputs
+from modal.wording import percent
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import named, percent, spoken
+from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding
+from modal.wording import percent
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.whiteness import centred, whiteness

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, percent, spoken, where_found
+from modal.quality.channel import MOST_SPANS, Channel, named, spoken, where_found
 from modal.quality.findings import Finding, Level
+from modal.wording import percent
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["sharp_samples", "spike_findings"]

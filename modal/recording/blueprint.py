@@ -9,30 +9,33 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from modal.identification import Identification
-from modal.recording.evidence import Evidence
-from modal.recording.figure import Pane
+from modal.recording.evidence import Gathered
+from modal.recording.fit_blueprint import fit_page
+from modal.recording.modes_blueprint import modes_page
 from modal.recording.order_page import ORDER_FIT, SINGULAR_VALUES, STABILISATION
 from modal.recording.order_scrub import ORDER_TEXT
-from modal.recording.palette import BACKGROUND
 from modal.recording.plan import Plan
+from modal.recording.record_blueprint import record_page
 from modal.recording.series import TIMELINE
 from modal.recording.shapes import PERIODS
 from modal.recording.tracks import Span
+from modal.recording.validation_blueprint import validation_page
+from modal.recording.views import document_view, plot_view
 
 if TYPE_CHECKING:
     import rerun.blueprint
 
-__all__ = ["blueprint", "document_view", "plot_view", "series_view", "show_whole_record", "whole_blueprint"]
+__all__ = ["blueprint", "show_whole_record", "whole_blueprint"]
 
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
 
 SECONDS_A_PERIOD: Final = 2.0
 ORDERS_A_SECOND: Final = 4.0
-"""How the oscillating shapes and the growing order play."""
+"""Play the oscillating shapes and the growing order so fast."""
 
 
-def blueprint(identification: Identification, plan: Plan, evidence: Evidence) -> "rerun.blueprint.Blueprint":
+def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
     """The whole layout for one identification."""
     return whole_blueprint(_pages(identification, plan, evidence), plan)
 
@@ -59,13 +62,7 @@ def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Bluepr
     )
 
 
-def _pages(identification: Identification, plan: Plan, evidence: Evidence) -> list[Any]:
-    # they take their views from this module
-    from modal.recording.fit_blueprint import fit_page
-    from modal.recording.modes_blueprint import modes_page
-    from modal.recording.record_blueprint import record_page
-    from modal.recording.validation_blueprint import validation_page
-
+def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> list[Any]:
     pages = [
         record_page(identification.records, plan.data, evidence.quality),
         fit_page(identification, plan),
@@ -75,19 +72,6 @@ def _pages(identification: Identification, plan: Plan, evidence: Evidence) -> li
     ]
     show_whole_record(pages[0], plan)
     return pages
-
-
-def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
-    """The view of series over time, linked with all others."""
-    import rerun.blueprint as rrb
-
-    return rrb.TimeSeriesView(
-        origin=origin,
-        contents=[f"+ {path if path.startswith('$') else '/' + path}" for path in contents],
-        name=name,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        plot_legend=rrb.PlotLegend("RightTop", visible=legend),
-    )
 
 
 def show_whole_record(page: Any, plan: Span) -> None:
@@ -119,22 +103,3 @@ def _order_page(identification: Identification) -> Any:
         column_shares=[1.0, 1.75, 0.75],
         name="Order",
     )
-
-
-def plot_view(pane: Pane, name: str) -> Any:
-    """The view of a drawn plot, in the shape of its pane."""
-    import rerun.blueprint as rrb
-
-    return rrb.Spatial2DView(
-        origin=pane.path,
-        name=name,
-        background=rrb.Background(BACKGROUND),
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, pane.width), y_range=(0.0, pane.height)),
-    )
-
-
-def document_view(path: str, name: str) -> Any:
-    """The view of words."""
-    import rerun.blueprint as rrb
-
-    return rrb.TextDocumentView(origin=path, name=name)

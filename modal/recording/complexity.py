@@ -10,6 +10,7 @@ import numpy as np
 from modal.complexity import phasors
 from modal.mode import Mode
 from modal.recording.figure import Pane
+from modal.recording.names import label
 from modal.recording.palette import BLUE, FRAME, GRID, ORANGE, PALE
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
@@ -117,8 +118,6 @@ def _strips(
 
 def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
     import rerun as rr
-
-    from modal.recording.names import label
 
     points = rr.Points2D(
         places,

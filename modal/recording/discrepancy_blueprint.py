@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.recording.blueprint import document_view, plot_view, series_view, show_whole_record
+from modal.recording.blueprint import show_whole_record
 from modal.recording.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
 from modal.recording.discrepancy_page import (
     GAP_TEXT,
@@ -17,8 +17,9 @@ from modal.recording.discrepancy_page import (
 from modal.recording.discrepancy_plan import DiscrepancyPlan
 from modal.recording.discrepancy_series import diagnosis_tables
 from modal.recording.discrepancy_steps import STEP_GAP, STEP_PARTS, STEP_SPECTRUM, STEP_TEXT
-from modal.recording.names import label, with_unit
+from modal.recording.names import label, name_with_unit
 from modal.recording.series import TIMELINE
+from modal.recording.views import document_view, plot_view, series_view
 
 if TYPE_CHECKING:
     import rerun.blueprint
@@ -119,7 +120,7 @@ def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
     first = diagnosis.held_out[0]
     views = [
         series_view(
-            f"{plan.output_paths[i]}/run", with_unit(first.output_names[i], first.output_units[i]), ["$origin/**"]
+            f"{plan.output_paths[i]}/run", name_with_unit(first.output_names[i], first.output_units[i]), ["$origin/**"]
         )
         for i in plan.shown_outputs
     ]
@@ -146,7 +147,7 @@ def _in_front(plan: DiscrepancyPlan) -> list[int]:
 
 def _gap_view(diagnosis: Diagnosis, plan: DiscrepancyPlan, output: int) -> Any:
     first = diagnosis.held_out[0]
-    name = with_unit(first.output_names[output], first.output_units[output])
+    name = name_with_unit(first.output_names[output], first.output_units[output])
     return series_view(f"{plan.output_paths[output]}/gap", f"Measured minus simulated: {name}", ["$origin/**"])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.gap import Gap
-from modal.recording.levels import Stretch, row_budget
+from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts
 from modal.recording.plan import SHOWN_OUTPUTS
 from modal.recording.tracks import laid_out, stored_levels
@@ -51,7 +51,7 @@ class DiscrepancyPlan:
     record: int
     starts: tuple[float, ...]
     stops: tuple[float, ...]
-    levels: tuple[tuple[Stretch, ...], ...]
+    levels: tuple[tuple[StoredStretch, ...], ...]
 
     @property
     def start(self) -> float:

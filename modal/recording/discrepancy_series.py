@@ -8,7 +8,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.recording.discrepancy_plan import DiscrepancyPlan
-from modal.recording.names import with_unit
+from modal.recording.names import name_with_unit
 from modal.recording.palette import BLUE, GOLD, GREEN, GREY, RED, Colour
 from modal.recording.series import TIMELINE, log_series, time_axis
 from modal.recording.tables import log_table
@@ -18,7 +18,7 @@ from modal.report.discrepancy_values import effects_text, times_floor
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["STAGE_COLOURS", "Table", "diagnosis_tables", "log_histories", "log_tables", "stage_part"]
+__all__ = ["STAGE_COLOURS", "NumberTable", "diagnosis_tables", "log_histories", "log_tables", "stage_part"]
 
 STAGE_COLOURS: Final[dict[str, Colour]] = {"before": RED, "linear": GOLD, "after": GREEN}
 
@@ -36,7 +36,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
     first = diagnosis.held_out[0]
     for output, path in enumerate(plan.output_paths):
         measured = [record.outputs[:, output] for record in diagnosis.held_out]
-        name = with_unit(first.output_names[output], first.output_units[output])
+        name = name_with_unit(first.output_names[output], first.output_units[output])
         log_series(
             recording,
             f"{path}/run/0_measured",
@@ -75,7 +75,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Table:
+class NumberTable:
     """One table of a diagnosis.
 
     Attributes:
@@ -98,13 +98,13 @@ class Table:
         return max((len(values) for values in self.columns.values()), default=0)
 
 
-def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[Table, ...]:
+def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[NumberTable, ...]:
     """Every table that has rows, each on a timeline that counts them from 1; steps count from 0."""
     limits = _fields(diagnosis.detection_limits, _LIMIT)
     made = (
         _table("findings", "Parameters found", "parameter", _findings(diagnosis)),
         _table("evidence", "Evidence", "finding", _evidence(diagnosis)),
-        Table(path="discrepancy/steps", title="Steps", timeline="step", first=0, columns=_steps(diagnosis)),
+        NumberTable(path="discrepancy/steps", title="Steps", timeline="step", first=0, columns=_steps(diagnosis)),
         _table("hypotheses", "Hypotheses", "hypothesis", _hypotheses(diagnosis)),
         _table("gaps", "Gap by record and output", "gap", _gaps(diagnosis)),
         _table("parts", "Gap by part", "part", _parts(plan)),
@@ -122,8 +122,8 @@ def log_tables(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: D
         log_table(recording, table.path, table.timeline, index, table.columns)
 
 
-def _table(name: str, title: str, timeline: str, columns: Columns) -> Table:
-    return Table(path=f"discrepancy/{name}", title=title, timeline=timeline, first=1, columns=columns)
+def _table(name: str, title: str, timeline: str, columns: Columns) -> NumberTable:
+    return NumberTable(path=f"discrepancy/{name}", title=title, timeline=timeline, first=1, columns=columns)
 
 
 _CALIBRATED = ("name", "unit", "nominal", "value", "std", "at_bound")

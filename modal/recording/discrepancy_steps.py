@@ -13,7 +13,7 @@ from modal.recording.discrepancy_plan import DiscrepancyPlan
 from modal.recording.discrepancy_words import step_document
 from modal.recording.figure import Figure, Pane
 from modal.recording.levels import bucket_length, positions, reduced
-from modal.recording.names import label, with_unit
+from modal.recording.names import label, name_with_unit
 from modal.recording.palette import DIM_BLUE, GREEN, GREY, ORANGE, PALE, Colour
 from modal.recording.series import TIMELINE
 from modal.report.discrepancy_spectra import gap_density
@@ -56,7 +56,7 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     curves = [reduced(gap.residuals[plan.record][:, plan.output], bucket) for gap in plan.step_gaps]
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
     reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
-    name = with_unit(record.output_names[plan.output], record.output_units[plan.output])
+    name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
     figure = Figure(
         recording=recording,
         pane=STEP_GAP,

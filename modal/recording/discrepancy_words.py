@@ -26,7 +26,7 @@ MOST_ROWS = 40
 def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
     """The verdict, the numbers found, before and after, what it cannot be told from, and what to do next."""
     judgement = words.judge_diagnosis(diagnosis)
-    parts = [f"### {cell(words.headline(diagnosis))}", f"**{judgement.label}.**"]
+    parts = [f"### {cell(words.diagnosis_headline(diagnosis))}", f"**{judgement.label}.**"]
     parts += [f"**Read this:** {cell(warning)}" for warning in words.read_first(diagnosis)]
     if diagnosis.findings:
         parts.append(_parameters(diagnosis.findings))
@@ -34,7 +34,7 @@ def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
     runners_up = [words.runner_up_sentence(finding) for finding in diagnosis.findings if finding.runner_up]
     parts += bullets(judgement.reasons, runners_up)
     parts += ["**Next**", *bullets(words.next_sentences(diagnosis))]
-    limits = words.limits_sentence(diagnosis)
+    limits = words.hidden_sentence(diagnosis)
     return "\n\n".join([*parts, *([cell(limits)] if limits else [])])
 
 

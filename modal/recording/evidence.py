@@ -15,7 +15,7 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
 
-__all__ = ["Evidence", "gather", "response_of"]
+__all__ = ["Gathered", "gather", "response_of"]
 
 LONGEST_SEGMENT: Final = 8192
 """Samples a segment: 4096 lines are more than a screen shows, and long segments cost time without end."""
@@ -28,7 +28,7 @@ MOST_NUMBERS: Final = 300_000
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Evidence:
+class Gathered:
     """What speaks for or against a model, beside the model.
 
     Attributes:
@@ -54,7 +54,7 @@ class Evidence:
     model_density: FloatArray
 
 
-def gather(identification: Identification, quality: DataQuality | None = None) -> Evidence:
+def gather(identification: Identification, quality: DataQuality | None = None) -> Gathered:
     """Look at the records of an identification.
 
     Args:
@@ -74,7 +74,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
             fine = np.where(np.isfinite(fine), fine, np.nan)
         quality = quality or check_quality(identification.records)
     frequencies = quality.frequencies[quality.frequencies <= 0.5 / identification.realisation.dt * (1 + 1e-9)]
-    return Evidence(
+    return Gathered(
         quality=quality,
         measured=measured,
         synthesised=fine[::step],

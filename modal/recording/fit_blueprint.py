@@ -5,11 +5,11 @@ from typing import Any, Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.recording.blueprint import document_view, plot_view, series_view
 from modal.recording.fit_page import FIT_TEXT, MARKOV, WHITENESS
-from modal.recording.names import label, with_unit
+from modal.recording.names import label, name_with_unit
 from modal.recording.plan import SHOWN_INPUTS, DataPlan, Plan
-from modal.report.words import fit_text
+from modal.recording.views import document_view, plot_view, series_view
+from modal.wording import fit_text
 
 __all__ = ["fit_page", "inputs_view", "run_view"]
 
@@ -48,7 +48,7 @@ def run_view(identification: Identification, plan: Plan, output: int, *, legend:
     """One output over the whole time: measured under predicted and simulated."""
     fit = identification.fit.cross_validated[output]
     first = identification.records[0]
-    name = with_unit(first.output_names[output], first.output_units[output])
+    name = name_with_unit(first.output_names[output], first.output_units[output])
     title = f"{name}: fit {fit_text(fit)}" if np.isfinite(fit) else name
     return series_view(plan.fit_paths[output], title, _lines(plan, output), legend=legend)
 

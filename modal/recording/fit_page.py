@@ -13,7 +13,7 @@ from modal.recording.palette import BLUE, CYCLE, GREY, ORANGE, PALE, RED, Colour
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import log_table
-from modal.recording.words import fit_text
+from modal.recording.words import fit_page_text
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def log_fit_page(identification: Identification, recording: "rerun.RecordingStre
     times = time_axis(identification.records, plan.data)
     for output, path in enumerate(plan.fit_paths):
         _log_output(identification, recording, plan, times=times, output=output, path=path)
-    document = rr.TextDocument(fit_text(identification, plan), media_type=rr.MediaType.MARKDOWN)
+    document = rr.TextDocument(fit_page_text(identification, plan), media_type=rr.MediaType.MARKDOWN)
     recording.log(FIT_TEXT, document, static=True, strict=True)
     _log_numbers(identification, recording)
     _log_markov(identification, recording)

@@ -21,7 +21,7 @@ from okid.arrays import FloatArray
 __all__ = [
     "BYTES_PER_RECORDING",
     "SAMPLES_PER_SERIES",
-    "Stretch",
+    "StoredStretch",
     "bucket_length",
     "places",
     "positions",
@@ -75,7 +75,7 @@ def bucket_length(n_samples: int, budget: int) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class StoredStretch:
     """Samples of a record that are stored at one level of detail.
 
     Attributes:
@@ -89,7 +89,7 @@ class Stretch:
     bucket: int
 
 
-def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[Stretch, ...]:
+def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[StoredStretch, ...]:
     """How a record is stored: whole where the budget allows, else its start and what lies `around`, and buckets.
 
     Args:
@@ -102,30 +102,30 @@ def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tup
         [(0, 1000, 1), (1000, 49500, 33), (49500, 50500, 1), (50500, 100000, 33)]
     """
     if n_samples <= budget:
-        return (Stretch(start=0, stop=n_samples, bucket=1),)
+        return (StoredStretch(start=0, stop=n_samples, bucket=1),)
     length = min(LONGEST_DETAIL, budget // DETAIL_SHARE)
     middles = [length // 2, *around][:2]
     details = sorted({min(max(0, middle - length // 2), n_samples - length) for middle in middles})
     # six rows to spare: each stretch of buckets may end in one that is not full
     bucket = bucket_length(n_samples - length * len(details), budget - length * len(details) - 6)
-    found: list[Stretch] = []
+    found: list[StoredStretch] = []
     at = 0
     for start in details:
         if start > at:
-            found.append(Stretch(start=at, stop=start, bucket=bucket))
-        found.append(Stretch(start=max(start, at), stop=start + length, bucket=1))
+            found.append(StoredStretch(start=at, stop=start, bucket=bucket))
+        found.append(StoredStretch(start=max(start, at), stop=start + length, bucket=1))
         at = start + length
     if at < n_samples:
-        found.append(Stretch(start=at, stop=n_samples, bucket=bucket))
+        found.append(StoredStretch(start=at, stop=n_samples, bucket=bucket))
     return tuple(found)
 
 
-def thinned(values: FloatArray, kept: Sequence[Stretch]) -> FloatArray:
+def thinned(values: FloatArray, kept: Sequence[StoredStretch]) -> FloatArray:
     """The values of a channel as stored: `reduced` over each stretch, one after the other."""
     return np.concatenate([reduced(values[part.start : part.stop], part.bucket) for part in kept])
 
 
-def places(kept: Sequence[Stretch]) -> FloatArray:
+def places(kept: Sequence[StoredStretch]) -> FloatArray:
     """Sample positions at which the values of `thinned` stand."""
     return np.concatenate([part.start + positions(part.stop - part.start, part.bucket) for part in kept])
 

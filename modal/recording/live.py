@@ -13,7 +13,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from modal.identification import Identification
+from modal.quality.check import check_quality
+from modal.recording.live_blueprint import live_blueprint
 from modal.recording.names import cell, label
+from modal.recording.plan import planned_data
+from modal.recording.record_page import log_record_page
 from modal.recording.relay import Relay
 from modal.recording.stream import APPLICATION, log_identification, strict_errors
 from modal.recording.viewer import HOST, PATIENCE, host_and_port, listens, open_viewer, speaks
@@ -101,10 +105,6 @@ def log_records(records: Sequence[Record], live: LiveRecording | None, *, qualit
         live: from `live_recording`.
         quality: of the records; found here unless given.
     """
-    from modal.quality.check import check_quality
-    from modal.recording.live_blueprint import live_blueprint
-    from modal.recording.plan import planned_data
-    from modal.recording.record_page import log_record_page
 
     def log(recording: LiveRecording) -> None:
         plan = planned_data(records, root=READ)

@@ -5,14 +5,15 @@ from typing import Any, Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.recording.blueprint import document_view, plot_view
 from modal.recording.complexity import complexity_pane
 from modal.recording.modes_page import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TABLE, MODES_TEXT, placement_in
 from modal.recording.palette import BACKGROUND
 from modal.recording.plan import Plan
 from modal.recording.shapes import shape_path
-from modal.report.words import damping_text, hertz, percent
+from modal.recording.views import document_view, plot_view
 from modal.scene import Scene, envelope_of, scene_of
+from modal.trust import damping_text
+from modal.wording import hertz, ratio_text
 from okid.arrays import FloatArray
 
 __all__ = ["modes_page"]
@@ -87,7 +88,7 @@ def _shape(plan: Plan, number: int, eye: Any) -> Any:
 
     mode = plan.modes[number - 1]
     resolved = mode.damping_resolved and mode.kind != "real"
-    damping = percent(mode.damping_ratio) if resolved else damping_text(mode).replace("not", "damping not")
+    damping = ratio_text(mode.damping_ratio) if resolved else damping_text(mode).replace("not", "damping not")
     title = f"Mode {number}: {hertz(mode.frequency)} Hz, {damping}"  # the interval stands in the table
     if mode.verdict != "system":
         title = f"{mode.verdict.capitalize()} {number}: {hertz(mode.frequency)} Hz"

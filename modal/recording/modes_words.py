@@ -13,7 +13,8 @@ from modal.placement import Placement
 from modal.recording.names import cell
 from modal.recording.plan import Plan
 from modal.recording.words import UNKNOWN, bullets, table
-from modal.report.words import damping_text, hertz, with_interval
+from modal.trust import damping_text
+from modal.wording import hertz, with_interval
 
 __all__ = ["modes_text"]
 

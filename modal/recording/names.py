@@ -10,7 +10,7 @@ from typing import Final
 
 from modal.names import escape_markdown, shorten, visible
 
-__all__ = ["cell", "drawable", "label", "path_parts", "with_unit"]
+__all__ = ["cell", "drawable", "label", "name_with_unit", "path_parts"]
 
 LONGEST_PART: Final = 64
 """Letters of a channel name that are kept in an entity path."""
@@ -59,11 +59,11 @@ def label(text: str, longest: int = 28) -> str:
     return shorten(" ".join(drawable(visible(text)).split()), longest) or "unnamed"
 
 
-def with_unit(name: str, unit: str, longest: int = 28) -> str:
+def name_with_unit(name: str, unit: str, longest: int = 28) -> str:
     """A name and its unit in brackets, where there is one.
 
     Example:
-        >>> with_unit("tip", "m/s^2")
+        >>> name_with_unit("tip", "m/s^2")
         'tip [m/s^2]'
     """
     return f"{label(name, longest)} [{label(unit, 12)}]" if unit else label(name, longest)

@@ -7,7 +7,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal.identification import Identification, OrderEvidence
 from modal.recording.axis import linear_axis, log_axis
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
 from modal.recording.order_scrub import (
     MODEL_ORDER,
@@ -19,7 +19,8 @@ from modal.recording.order_scrub import (
 from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
-from modal.report.words import hertz
+from modal.synthesis import frf
+from modal.wording import hertz
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ TEXT_WIDTH: Final = 52.0
 
 
 def log_order_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Evidence
+    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Gathered
 ) -> None:
     """Singular values, cross-validated fit against order, stabilisation diagram over the measured response."""
     evidence = identification.order_evidence
@@ -52,7 +53,7 @@ def log_order_page(
     _draw_stabilisation(identification, recording, plan, modelled=(frequencies, size), measured=measured)
 
 
-def _measured_size(identification: Identification, seen: Evidence) -> tuple[FloatArray, FloatArray] | None:
+def _measured_size(identification: Identification, seen: Gathered) -> tuple[FloatArray, FloatArray] | None:
     """Frequencies, and the root mean square over all pairs of channels of what was measured, by their scales.
 
     Of the responses; without inputs, of the square roots of the spectra.
@@ -73,8 +74,6 @@ def _response_size(identification: Identification, frequencies: FloatArray) -> F
 
     Where no input was measured, the gain and the residual take the place of B and of the input.
     """
-    from modal.synthesis import frf
-
     model, markov = identification.fitted_model or identification.realisation, identification.markov
     into = markov.input_scale
     if not markov.n_inputs:

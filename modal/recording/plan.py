@@ -15,7 +15,7 @@ import numpy as np
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.numbering import numbered
-from modal.recording.levels import Stretch, row_budget
+from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts
 from modal.recording.tracks import laid_out, stored_levels
 from okid.record import Record
@@ -67,7 +67,7 @@ class DataPlan:
     shifts: tuple[float, ...]
     starts: tuple[float, ...]
     stops: tuple[float, ...]
-    levels: tuple[tuple[Stretch, ...], ...]
+    levels: tuple[tuple[StoredStretch, ...], ...]
 
     @property
     def start(self) -> float:

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from modal.quality.findings import DataQuality
-from modal.recording.blueprint import document_view, plot_view, series_view
 from modal.recording.fit_blueprint import inputs_view
-from modal.recording.names import with_unit
+from modal.recording.names import name_with_unit
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan
 from modal.recording.record_page import OUTPUT_COLOURS, marked, marks_path, quality_path, spectra_pane
+from modal.recording.views import document_view, plot_view, series_view
 from okid.record import Record
 
 __all__ = ["record_page"]
@@ -48,7 +48,7 @@ def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
     first = records[0]
     views = []
     for i in plan.shown_outputs:
-        title = with_unit(first.output_names[i], first.output_units[i])
+        title = name_with_unit(first.output_names[i], first.output_units[i])
         view = series_view(plan.output_paths[i], title, ["$origin"], legend=False)
         view.visualizer_overrides[plan.output_paths[i]] = _thin(i)
         views.append(view)

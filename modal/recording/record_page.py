@@ -8,7 +8,7 @@ import numpy as np
 from modal.quality.findings import DataQuality, Finding
 from modal.recording.axis import SHARE_AXIS, Axis, linear_axis, log_axis
 from modal.recording.figure import Figure, Pane
-from modal.recording.names import label, with_unit
+from modal.recording.names import label, name_with_unit
 from modal.recording.palette import BLUE, CYCLE, GOLD, ORANGE, RED, Colour
 from modal.recording.plan import DataPlan
 from modal.recording.quality_words import quality_text
@@ -86,7 +86,7 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
             times,
             [record.inputs[:, i] for record in records],
             plan=plan,
-            name=with_unit(first.input_names[i], first.input_units[i]),
+            name=name_with_unit(first.input_names[i], first.input_units[i]),
             colour=CYCLE[i % len(CYCLE)],
             interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
         )

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.identification import Identification
+from modal.recording.blueprint import blueprint
+from modal.recording.discrepancy_blueprint import diagnosis_blueprint
+from modal.recording.discrepancy_page import log_discrepancy_page
+from modal.recording.discrepancy_plan import planned_diagnosis
+from modal.recording.discrepancy_steps import log_steps_page
+from modal.recording.evidence import gather
+from modal.recording.fit_page import log_fit_page
+from modal.recording.modes_page import log_modes_page
 from modal.recording.names import label
+from modal.recording.order_page import log_order_page
+from modal.recording.plan import planned
+from modal.recording.record_page import log_record_page
+from modal.recording.validation_page import log_validation_page
 from okid.arguments import require
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -57,15 +69,6 @@ def log_identification(
         >>> stream = rerun.RecordingStream("survey", recording_id="today")
         >>> log_identification(identification, stream)  # doctest: +SKIP
     """
-    from modal.recording.blueprint import blueprint
-    from modal.recording.evidence import gather
-    from modal.recording.fit_page import log_fit_page
-    from modal.recording.modes_page import log_modes_page
-    from modal.recording.order_page import log_order_page
-    from modal.recording.plan import planned
-    from modal.recording.record_page import log_record_page
-    from modal.recording.validation_page import log_validation_page
-
     if layout not in {"send", "leave"}:
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
     with strict_errors():
@@ -97,11 +100,6 @@ def log_diagnosis(
     Raises:
         InvalidDataError: `layout` is neither of the two.
     """
-    from modal.recording.discrepancy_blueprint import diagnosis_blueprint
-    from modal.recording.discrepancy_page import log_discrepancy_page
-    from modal.recording.discrepancy_plan import planned_diagnosis
-    from modal.recording.discrepancy_steps import log_steps_page
-
     require(diagnosis, Diagnosis, where="log_diagnosis", made_by="modal.discrepancy.diagnose")
     if layout not in {"send", "leave"}:
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from modal.recording.levels import Stretch, stretches
+from modal.recording.levels import StoredStretch, stretches
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -29,7 +29,7 @@ class Tracks(Protocol):
         """When each record begins on the timeline [s]."""
 
     @property
-    def levels(self) -> tuple[tuple[Stretch, ...], ...]:
+    def levels(self) -> tuple[tuple[StoredStretch, ...], ...]:
         """The stretches in which each record is stored."""
 
 
@@ -47,7 +47,7 @@ class Span(Protocol):
 
 def stored_levels(
     records: Sequence[Record], budget: int, *, around: Sequence[int] = ()
-) -> tuple[tuple[Stretch, ...], ...]:
+) -> tuple[tuple[StoredStretch, ...], ...]:
     """How each record is stored so that all of them together keep within the budget of rows.
 
     Args:

@@ -3,8 +3,7 @@
 from typing import Any
 
 from modal.identification import Identification
-from modal.recording.blueprint import document_view, plot_view, series_view
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.fit_blueprint import run_view
 from modal.recording.names import label
 from modal.recording.plan import Plan
@@ -16,11 +15,12 @@ from modal.recording.validation_panes import (
     overview_columns,
     response_pane,
 )
+from modal.recording.views import document_view, plot_view, series_view
 
 __all__ = ["validation_page"]
 
 
-def validation_page(identification: Identification, plan: Plan, evidence: Evidence) -> Any:
+def validation_page(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
     """All outputs over frequency, then each over time and frequency; the words to the right."""
     import rerun.blueprint as rrb
 
@@ -33,14 +33,14 @@ def validation_page(identification: Identification, plan: Plan, evidence: Eviden
     return rrb.Horizontal(left, words, column_shares=[2.4, 1.0], name="Validation")
 
 
-def _everything(identification: Identification, plan: Plan, evidence: Evidence) -> Any:
+def _everything(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
     import rerun.blueprint as rrb
 
     views = [_overview(identification, plan, evidence, i) for i in plan.data.shown_outputs]
     return rrb.Grid(*views, grid_columns=overview_columns(len(views)), name="All outputs")
 
 
-def _overview(identification: Identification, plan: Plan, evidence: Evidence, output: int) -> Any:
+def _overview(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
     sources = drawn_inputs(evidence, plan, output)
     name = label(_output(identification, output), 20)
     pane = magnitude_pane(output, len(plan.data.shown_outputs))
@@ -51,7 +51,7 @@ def _overview(identification: Identification, plan: Plan, evidence: Evidence, ou
     return run_view(identification, plan, output, legend=output == 0)
 
 
-def _one_output(identification: Identification, plan: Plan, evidence: Evidence, output: int) -> Any:
+def _one_output(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
     """Over time to the left, with what is left over; over frequency to the right, a tab an input."""
     import rerun.blueprint as rrb
 

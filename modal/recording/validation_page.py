@@ -12,7 +12,7 @@ import numpy as np
 
 from modal.identification import Identification
 from modal.recording.axis import SHARE_AXIS, Axis, linear_axis
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
 from modal.recording.names import label
 from modal.recording.palette import BLUE, GREY, ORANGE, PALE
@@ -38,7 +38,7 @@ VALIDATION_TEXT: Final = "validation/text"
 
 
 def log_validation_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Evidence
+    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered
 ) -> None:
     """Responses or spectra of the shown outputs as pictures, those of all as numbers, and what they say."""
     import rerun as rr
@@ -59,7 +59,7 @@ def log_validation_page(
                 _draw_density(identification, recording, evidence, where, output=output)
 
 
-def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Evidence) -> None:
+def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
     """Of all outputs; one value an input in each cell, none where the inputs cannot be told apart."""
     if evidence.measured is None:
         return
@@ -87,7 +87,7 @@ def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Evi
             log_table(recording, f"validation/response/{output + 1:02d}/model", "frequency_line", at, between)
 
 
-def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Evidence) -> None:
+def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
     density = evidence.model_density
     if not density.size:
         return
@@ -104,7 +104,7 @@ def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Evi
 def _draw_response(
     identification: Identification,
     recording: "rerun.RecordingStream",
-    evidence: Evidence,
+    evidence: Gathered,
     *,
     output: int,
     source: int,
@@ -164,7 +164,7 @@ def _draw_response(
 def _draw_magnitude(
     identification: Identification,
     recording: "rerun.RecordingStream",
-    evidence: Evidence,
+    evidence: Gathered,
     pane: Pane,
     *,
     output: int,
@@ -186,7 +186,7 @@ def _draw_magnitude(
 def _draw_density(
     identification: Identification,
     recording: "rerun.RecordingStream",
-    evidence: Evidence,
+    evidence: Gathered,
     pane: Pane,
     *,
     output: int,

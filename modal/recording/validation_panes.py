@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from modal.recording.axis import Axis, log_axis
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.figure import Pane
 from modal.recording.plan import SHOWN_INPUTS, Plan
 from okid.arrays import FloatArray
@@ -52,7 +52,7 @@ def density_pane(output: int) -> Pane:
     return Pane(f"validation/spectrum/{output + 1:02d}/plot", 470.0, 740.0)
 
 
-def drawn_inputs(evidence: Evidence, plan: Plan, output: int) -> tuple[int, ...]:
+def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]:
     """Inputs whose response at this output is drawn, the one that moves it most first; at least one, not too many.
 
     How much an input moves an output is told by its ordinary coherence, mean over the lines.

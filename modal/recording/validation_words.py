@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.recording.evidence import Evidence
+from modal.recording.evidence import Gathered
 from modal.recording.names import cell
 from modal.recording.words import UNKNOWN, table
 
@@ -14,7 +14,7 @@ __all__ = ["validation_text"]
 LISTED_OUTPUTS: Final = 40
 
 
-def validation_text(identification: Identification, evidence: Evidence) -> str:
+def validation_text(identification: Identification, evidence: Gathered) -> str:
     """What the pictures beside it show, on which rows, and the numbers of each output."""
     first = identification.records[0]
     if first.n_inputs:

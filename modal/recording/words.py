@@ -8,9 +8,9 @@ import numpy as np
 from modal.identification import Identification
 from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
-from modal.report.words import data_sentences, headline
+from modal.report.words import data_sentences, modes_headline
 
-__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_text", "table"]
+__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_page_text", "table"]
 
 LISTED_OUTPUTS: Final = 40
 UNKNOWN: Final = "–"
@@ -19,11 +19,11 @@ LONGEST_SENTENCE: Final = 2000
 LISTED_STRETCHES: Final = 6
 
 
-def fit_text(identification: Identification, plan: Plan) -> str:
+def fit_page_text(identification: Identification, plan: Plan) -> str:
     """What was found in one line, what must be read first, how well the outputs are repeated, and what is left over."""
     fit = identification.fit
     first = identification.records[0]
-    parts = [f"### {headline(identification)}"]
+    parts = [f"### {modes_headline(identification)}"]
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
     parts.append(

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from modal.mode import Mode
 from modal.verdict import DOUBTED, LEAST_PART, SYSTEM_FROM
 
-__all__ = ["INDICATORS", "Column", "shown"]
+__all__ = ["INDICATORS", "IndicatorColumn", "shown"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Column:
+class IndicatorColumn:
     """One indicator.
 
     Attributes:
@@ -52,7 +52,7 @@ def shown(value: float, form: Callable[[float], str] = "{:.3g}".format) -> str:
 
 
 INDICATORS = (
-    Column(
+    IndicatorColumn(
         key="repeatability",
         label="repeatability",
         limit=None,
@@ -60,7 +60,7 @@ INDICATORS = (
         meaning="Overlap with the same mode found again from other data, another observer and other orders, their "
         f"mean; of a mode of the system none of the three is below {LEAST_PART}.",
     ),
-    Column(
+    IndicatorColumn(
         key="probability",
         label="probability",
         limit=SYSTEM_FROM,
@@ -69,7 +69,7 @@ INDICATORS = (
         f"inputs stands above chance, at most {DOUBTED} where it is in doubt what drives it. A mode of the system has "
         "this much, and no doubt against it.",
     ),
-    Column(
+    IndicatorColumn(
         key="emac_output",
         label="EMAC out",
         limit=0.5,
@@ -77,15 +77,15 @@ INDICATORS = (
         meaning="Extended modal amplitude coherence over outputs: does the mode still follow its pole at the end "
         "of the Hankel matrix?",
     ),
-    Column(key="emac_input", label="EMAC in", limit=None, better="high", meaning="The same over inputs."),
-    Column(
+    IndicatorColumn(key="emac_input", label="EMAC in", limit=None, better="high", meaning="The same over inputs."),
+    IndicatorColumn(
         key="emac",
         label="EMAC",
         limit=0.35,
         better="high",
         meaning="Product of the two; low for modes that die out early.",
     ),
-    Column(
+    IndicatorColumn(
         key="amplitude_coherence",
         label="amplitude coherence",
         limit=0.95,
@@ -93,21 +93,21 @@ INDICATORS = (
         meaning="Juang and Pappa: agreement of the mode's history in the data with its own exponential. Close to 1 for "
         "noise that decays quickly as well.",
     ),
-    Column(
+    IndicatorColumn(
         key="phase_collinearity",
         label="phase collinearity",
         limit=None,
         better="high",
         meaning="MPC: 1 for a real shape. Says little with three sensors or fewer; complex modes score low.",
     ),
-    Column(
+    IndicatorColumn(
         key="cmi",
         label="CMI",
         limit=0.1,
         better="high",
         meaning="Consistent-mode indicator: EMAC times phase collinearity; a ranking rather than a limit.",
     ),
-    Column(
+    IndicatorColumn(
         key="mpd",
         label="phase deviation",
         limit=None,
@@ -115,7 +115,7 @@ INDICATORS = (
         meaning="Mean deviation of the shape's phase from one line.",
         format="{:.0f}°".format,
     ),
-    Column(
+    IndicatorColumn(
         key="msv",
         label="MSV",
         limit=None,

@@ -8,7 +8,8 @@ from modal.comparison_shifts import Shift
 from modal.mode import Mode
 from modal.report.page_environment import environment
 from modal.report.provenance import installed_version
-from modal.report.words import damping_text, fit_text, hertz, percent
+from modal.trust import damping_text
+from modal.wording import fit_text, hertz, ratio_text
 
 __all__ = ["comparison_html", "comparison_markdown"]
 
@@ -34,7 +35,7 @@ def _context(comparison: Comparison) -> dict[str, object]:
         "damping": _reach([pair.damping for pair in pairs]),
     }
     return {
-        "headline": words.headline(comparison),
+        "headline": words.comparison_headline(comparison),
         "before": before.name,
         "after": after.name,
         "changed": comparison.changed,
@@ -106,7 +107,9 @@ def _reach(shifts: list[Shift]) -> float:
 
 def _damping(mode: Mode) -> str:
     """Without its interval, which the shift has."""
-    return percent(mode.damping_ratio) if mode.damping_resolved and mode.kind == "oscillatory" else damping_text(mode)
+    return (
+        ratio_text(mode.damping_ratio) if mode.damping_resolved and mode.kind == "oscillatory" else damping_text(mode)
+    )
 
 
 def _verdicts(before: Mode, after: Mode) -> str:

@@ -9,7 +9,7 @@ from modal.comparison import Comparison, ModePair, Unmatched
 from modal.comparison_source import ResultSummary
 from modal.report.comparison_pages import comparison_html, comparison_markdown
 from modal.report.folder import Existing, refuse_names, write_folder
-from modal.report.machine import plain
+from modal.report.machine import as_json
 from modal.report.provenance import installed_version
 
 __all__ = [
@@ -99,7 +99,7 @@ def comparison_json(comparison: Comparison) -> str:
         "new": [_unmatched(one) for one in comparison.new],
         "differences": comparison.differences,
     }
-    return json.dumps(plain(document), allow_nan=False, indent=1) + "\n"
+    return json.dumps(as_json(document), allow_nan=False, indent=1) + "\n"
 
 
 def _side(summary: ResultSummary) -> dict[str, object]:

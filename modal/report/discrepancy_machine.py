@@ -8,8 +8,8 @@ from modal.discrepancy.diagnosis import Diagnosis, Finding
 from modal.names import csv_cell
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import effects_text, times_floor
-from modal.report.discrepancy_words import headline, judge_diagnosis, next_sentences, where_sentences
-from modal.report.machine import number_cell, plain, record_document
+from modal.report.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
+from modal.report.machine import as_json, number_cell, record_document
 from modal.report.provenance import Provenance, installed_version
 
 __all__ = ["DIAGNOSIS_SCHEMA", "diagnosis_csv", "diagnosis_json"]
@@ -34,7 +34,7 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
         "sources": provenance.sources,
         "remarks": provenance.remarks,
         "status": diagnosis.status,
-        "verdict": headline(diagnosis),
+        "verdict": diagnosis_headline(diagnosis),
         "trust": judgement.trust,
         "words": judgement.reasons,
         "next": next_sentences(diagnosis),
@@ -62,7 +62,7 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
         "fit": [record_document(record) for record in diagnosis.fit],
         "held_out": [record_document(record) for record in diagnosis.held_out],
     }
-    return json.dumps(plain(document), allow_nan=False, indent=1) + "\n"
+    return json.dumps(as_json(document), allow_nan=False, indent=1) + "\n"
 
 
 def diagnosis_csv(diagnosis: Diagnosis) -> str:

@@ -18,7 +18,6 @@ from modal.report.discrepancy_values import (
     found_value,
     found_word,
     interval_text,
-    share_text,
     signed_change,
     size_text,
     step_text,
@@ -29,6 +28,7 @@ from modal.report.discrepancy_values import (
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture
 from modal.report.provenance import Provenance, installed_version
+from modal.wording import exact_percent
 from okid.arrays import FloatArray
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "equations_of"]
@@ -63,7 +63,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
     stages = stages_of(diagnosis)
     return {
         "title": _title(diagnosis),
-        "headline": words.headline(diagnosis),
+        "headline": words.diagnosis_headline(diagnosis),
         "judgement": words.judge_diagnosis(diagnosis),
         "status_word": STATUS_WORDS[diagnosis.status],
         "diagnosis": diagnosis,
@@ -71,7 +71,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "findings": [_finding(number, one) for number, one in enumerate(diagnosis.findings, start=1)],
         "next_sentences": words.next_sentences(diagnosis),
         "where_sentences": words.where_sentences(diagnosis),
-        "limits_sentence": words.limits_sentence(diagnosis),
+        "limits_sentence": words.hidden_sentence(diagnosis),
         "stages": stages,
         "rows": [
             {"part": row.part, "name": row.name, "sizes": [times_text(size) for size in row.sizes]}
@@ -104,7 +104,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "records": [_record(diagnosis, number) for number in range(len(diagnosis.fit) + len(diagnosis.held_out))],
         "first_size": times_text(times_floor(diagnosis.steps[0].held_out_level)),
         "last_size": times_text(times_floor(diagnosis.steps[-1].held_out_level)),
-        "closed": share_text(closed_share(diagnosis.closed)),
+        "closed": exact_percent(closed_share(diagnosis.closed)),
         "equations": equations_of(diagnosis),
         "provenance": provenance,
         "version": installed_version(),
@@ -128,7 +128,7 @@ def _finding(number: int, finding: Finding) -> dict[str, object]:
         "law": finding.law,
         "signature": words.as_sentence(finding.signature),
         "evidence": words.as_sentence(finding.evidence.words),
-        "closed": share_text(closed_share(finding.evidence.closed)),
+        "closed": exact_percent(closed_share(finding.evidence.closed)),
         "runner_up": words.runner_up_sentence(finding),
         "ambiguity": words.ambiguity_sentence(finding),
         "parameters": [
@@ -165,7 +165,7 @@ def _gaps(diagnosis: Diagnosis) -> list[dict[str, object]]:
 
 def _explained(measured: FloatArray, left: float) -> str:
     variance = float(np.nanvar(measured))
-    return share_text(1.0 - left**2 / variance) if variance > 0.0 else "–"
+    return exact_percent(1.0 - left**2 / variance) if variance > 0.0 else "–"
 
 
 def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:

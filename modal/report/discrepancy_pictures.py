@@ -1,19 +1,17 @@
 """The pictures of a diagnosis as SVG text, each with the words that stand under it."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.names import shorten, visible
+from modal.plots import discrepancy as plots
+from modal.plots import discrepancy_law, discrepancy_levels
 from modal.report.discrepancy_levels import level_lines
 from modal.report.discrepancy_stages import Stage, record_name, rows_of, stages_of, worst_outputs
 from modal.report.discrepancy_values import NAMED_WITHIN, found_hypothesis, found_word
-from modal.report.pictures import Picture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from modal.report.picture import Picture, drawn
 
 __all__ = ["draw_diagnosis"]
 
@@ -23,21 +21,16 @@ MOST_LAWS = 6
 
 def draw_diagnosis(diagnosis: Diagnosis) -> dict[str, Picture]:
     """All pictures that the diagnosis has the numbers for, by name."""
-    from modal import plots
-
     stages = stages_of(diagnosis)
-    with plots.house_style():
-        return {
-            **_gap_pictures(stages),
-            **_level_picture(diagnosis),
-            **_step_pictures(diagnosis),
-            **_law_pictures(diagnosis),
-        }
+    return {
+        **_gap_pictures(stages),
+        **_level_picture(diagnosis),
+        **_step_pictures(diagnosis),
+        **_law_pictures(diagnosis),
+    }
 
 
 def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
-    from modal.plots import discrepancy as plots
-
     if not stages:
         return {}
     first = stages[0].gap
@@ -49,18 +42,18 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
     record = f" Held-out record {name!r}." if len(first.measured) > 1 else ""
     states = _states(stages)
     return {
-        "histories": _picture(
+        "histories": drawn(
             plots.gap_histories(stages, record=worst, outputs=shown),
             "gap histories",
             f"Measured minus simulated: {states}; grey, the band of the noise.{record}{which}",
         ),
-        "spectra": _picture(
+        "spectra": drawn(
             plots.gap_spectra(stages, outputs=shown),
             "gap spectra",
             f"Spectra of the gap over that of the measured output (blue), mean over the held-out records: {states}. A "
             f"model that lacks nothing leaves a gap on the dashed line, the noise floor.{which}",
         ),
-        "before_after": _picture(
+        "before_after": drawn(
             plots.before_and_after(rows_of(stages), stages),
             "before and after",
             f"The held-out gap part by part, in times of the noise floor: {states}. Points on the dashed line are "
@@ -70,8 +63,6 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
 
 
 def _level_picture(diagnosis: Diagnosis) -> dict[str, Picture]:
-    from modal.plots.discrepancy_levels import modes_against_level
-
     lines = level_lines(diagnosis)
     if not lines:
         return {}
@@ -82,15 +73,13 @@ def _level_picture(diagnosis: Diagnosis) -> dict[str, Picture]:
     )
     if any(line.name.startswith("pole") for line in lines):
         words += " Of a pole of first order the corner frequency is drawn: the faster, the more it is damped."
-    return {"levels": _picture(modes_against_level(lines), "modes against level", words)}
+    return {"levels": drawn(discrepancy_levels.modes_against_level(lines), "modes against level", words)}
 
 
 def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
-    from modal.plots import discrepancy as plots
-
     pictures = {}
     if len(diagnosis.steps) > 1:
-        pictures["steps"] = _picture(
+        pictures["steps"] = drawn(
             plots.shrinking_gap(diagnosis.steps),
             "the gap step by step",
             "What is left after each step. The held-out records were used in no fit.",
@@ -99,7 +88,7 @@ def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
         shown = min(len(diagnosis.hypotheses), plots.MOST_BARS)
         rest = "" if shown == len(diagnosis.hypotheses) else f" The best {shown} of {len(diagnosis.hypotheses)}."
         mark = f"Green: {found_word(diagnosis)}. " if found_hypothesis(diagnosis) else ""
-        pictures["hypotheses"] = _picture(
+        pictures["hypotheses"] = drawn(
             plots.hypothesis_bars(diagnosis.hypotheses, chosen=found_hypothesis(diagnosis)),
             "hypotheses",
             f"What each set of effects leaves on held-out data. {mark}An effect is named only within "
@@ -109,8 +98,6 @@ def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
 
 
 def _law_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
-    from modal.plots import discrepancy_law as plots
-
     laws = diagnosis.laws[:MOST_LAWS]
     if not laws:
         return {}
@@ -125,15 +112,9 @@ def _law_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
         if any(x.loop_motion.size for x in laws)
         else ""
     )
-    return {"laws": _picture(plots.law_curves(laws), "laws", f"{words}.{loops}")}
+    return {"laws": drawn(discrepancy_law.draw_laws(laws), "laws", f"{words}.{loops}")}
 
 
 def _states(stages: Sequence[Stage]) -> str:
     colours = {"before": "red", "linear": "amber", "after": "green"}
     return ", ".join(f"{stage.name} ({colours[stage.kind]})" for stage in stages)
-
-
-def _picture(figure: "Figure", name: str, caption: str) -> Picture:
-    from modal import plots
-
-    return Picture(svg=plots.svg_text(figure, name=name, description=caption), caption=caption)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.discrepancy.gap import Gap
+from modal.plots.spectra import power_spectra
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -41,8 +42,6 @@ def gap_density(gaps: Sequence[Gap]) -> GapDensity:
     Args:
         gaps: of the states of the model, on the same records; at least one.
     """
-    from modal.plots.spectra import power_spectra
-
     records = gaps[0].measured
     n_segment = int(np.clip(max(record.n_samples for record in records) // 4, 64, 4096))
     frequency, measured = power_spectra(records, n_segment=n_segment)

@@ -8,6 +8,7 @@ import numpy as np
 from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
 from modal.discrepancy.effect_names import effect_name
 from modal.discrepancy.statements import number
+from modal.wording import listed
 
 __all__ = [
     "CLOSE_COMPANY",
@@ -23,8 +24,6 @@ __all__ = [
     "law_against",
     "law_gives",
     "levels_in_words",
-    "listed",
-    "share_text",
     "signed_change",
     "size_text",
     "step_text",
@@ -61,16 +60,6 @@ def effects_text(effects: Sequence[tuple[str, str]]) -> str:
     if len(places) == 1:
         return f"{listed([effect_text(effect) for effect, _ in effects])} at {places.pop()}"
     return listed([f"{effect_text(effect)} at {where}" for effect, where in effects])
-
-
-def listed(words: Sequence[str]) -> str:
-    """The words with commas and an "and" before the last.
-
-    Example:
-        >>> listed(["a"]), listed(["a", "b", "c"])
-        ('a', 'a, b and c')
-    """
-    return " and ".join(words) if len(words) < 3 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def step_text(name: str) -> str:
@@ -173,23 +162,6 @@ def interval_text(value: float, std: float) -> str:
     return f"({text})e{power}" if power else text
 
 
-def share_text(share: float) -> str:
-    """A share in percent; never rounded up to a whole that it does not reach.
-
-    Example:
-        >>> share_text(0.9312), share_text(0.99996), share_text(1.0000002), share_text(-0.2)
-        ('93.1 %', '99.99 %', '100 %', '0 %')
-    """
-    if not math.isfinite(share):
-        return "–"
-    percent = 100.0 * min(max(share, 0.0), 1.0)
-    if percent in (0.0, 100.0):
-        return f"{percent:.0f} %"
-    if percent > 99.0:
-        return f"{math.floor(100.0 * percent) / 100.0:.2f} %"
-    return f"{percent:.3g} %"
-
-
 def size_text(value: float) -> str:
     """A size in the unit of its channel, to three digits; "unbounded" where the model ran away.
 
@@ -255,14 +227,14 @@ def signed_change(item: Calibrated) -> float:
     return item.value / item.nominal - 1.0 if item.nominal else math.nan
 
 
-def with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
+def value_with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) -> str:
     """A value and its unit."""
     return f"{text} {item.unit}" if item.unit else text
 
 
 def parameters_text(finding: Finding) -> str:
     """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
-    return ", ".join(f"{one.name} = {with_unit(found_value(one), one)}" for one in finding.parameters)
+    return ", ".join(f"{one.name} = {value_with_unit(found_value(one), one)}" for one in finding.parameters)
 
 
 def finite_or_nan(values: Sequence[float]) -> list[float]:

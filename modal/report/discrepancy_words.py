@@ -12,7 +12,7 @@ from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
 from modal.discrepancy.effect_names import one_of
 from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.statements import number, percent
+from modal.discrepancy.statements import number
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
@@ -20,14 +20,13 @@ from modal.report.discrepancy_values import (
     effect_text,
     effects_text,
     levels_in_words,
-    listed,
     parameters_text,
-    share_text,
     times_floor,
     times_text,
-    with_unit,
+    value_with_unit,
 )
-from modal.report.words import Judgement
+from modal.trust import Judgement
+from modal.wording import exact_percent, listed, percent
 
 __all__ = [
     "COULD_HIDE",
@@ -36,12 +35,12 @@ __all__ = [
     "bounds_sentence",
     "capital",
     "closed_sentence",
+    "diagnosis_headline",
     "finding_sentence",
     "floor_sentences",
     "floor_summary",
-    "headline",
+    "hidden_sentence",
     "judge_diagnosis",
-    "limits_sentence",
     "next_sentences",
     "read_first",
     "remaining_sentence",
@@ -56,7 +55,7 @@ MOST_NAMED = 3
 """Linear parameters or limits named in one sentence; the tables have all."""
 
 
-def headline(diagnosis: Diagnosis) -> str:
+def diagnosis_headline(diagnosis: Diagnosis) -> str:
     """The result in one short sentence."""
     names = effects_text([(finding.effect, finding.where) for finding in diagnosis.findings])
     blind = unexplained_outputs(diagnosis)
@@ -110,7 +109,7 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     took = "takes" if not diagnosis.findings else "take"
     if diagnosis.closed <= 0.0:
         return f"{what} {took} nothing of it away."
-    return f"{what} {took} away {share_text(closed_share(diagnosis.closed))} of what was above the noise."
+    return f"{what} {took} away {exact_percent(closed_share(diagnosis.closed))} of what was above the noise."
 
 
 def finding_sentence(finding: Finding) -> str:
@@ -173,13 +172,13 @@ def bounds_sentence(diagnosis: Diagnosis) -> str:
     return f"{capital(_few(hit))} {verb} on {its} bound: the model as given may be wrong there by more than it allows."
 
 
-def limits_sentence(diagnosis: Diagnosis) -> str:
+def hidden_sentence(diagnosis: Diagnosis) -> str:
     """What the data could still hide where nothing was found; "" otherwise, or where that is not known or vain."""
     limits = diagnosis.detection_limits
     if not limits or diagnosis.status != "none" or _all(unexplained_outputs(diagnosis), diagnosis):
         return ""
     parts = [
-        f"{effect_text(one.effect)} at {one.where} up to {one.parameter} = {with_unit(number(one.value), one)}"
+        f"{effect_text(one.effect)} at {one.where} up to {one.parameter} = {value_with_unit(number(one.value), one)}"
         for one in limits[:MOST_NAMED]
     ]
     rest = f"; {len(limits) - MOST_NAMED} more stand in the table" if len(limits) > MOST_NAMED else ""

@@ -5,7 +5,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from modal import recording
 from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.plant_model import PlantModel
 from modal.report.discrepancy_machine import diagnosis_csv, diagnosis_json
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis
@@ -96,14 +98,10 @@ def refuse_existing_diagnosis(folder: Path, existing: Existing) -> None:
 
 def model_name(diagnosis: Diagnosis) -> str | None:
     """The name of the file of the updated model, None where its type has none."""
-    from modal.discrepancy.plant_model import PlantModel
-
     return "model.json" if isinstance(diagnosis.model, StructuralModel | PlantModel) else None
 
 
 def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenance) -> None:
-    from modal.recording import save_recording
-
     model = files.model.name if files.model else ""
     pages = {
         files.html: diagnosis_html(diagnosis, provenance, draw_diagnosis(diagnosis), model_file=model),
@@ -114,6 +112,6 @@ def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenan
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
     with recording_written(files.recording):
-        save_recording(diagnosis, files.recording)
+        recording.save_recording(diagnosis, files.recording)
     if files.model:
         diagnosis.model.save(files.model)

@@ -10,17 +10,18 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
+from modal.acceptance import check_limits
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.names import csv_cell
 from modal.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
-from modal.report.words import judge
 from modal.specification import Specification
+from modal.trust import trust_of
 from okid.record import Record
 
-__all__ = ["SCHEMA", "csv_text", "json_text", "number_cell", "plain", "record_document", "schema_text"]
+__all__ = ["SCHEMA", "as_json", "csv_text", "json_text", "number_cell", "record_document", "schema_text"]
 
 _MODE_NUMBERS = tuple(
     field.name
@@ -37,9 +38,7 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
         provenance: where it comes from.
         specification: of the test; the outcomes of its limits are among the numbers.
     """
-    from modal.acceptance import check_limits  # its words come from this package, so it cannot be imported above
-
-    judgement = judge(result)
+    judgement = trust_of(result)
     document = {
         "schema": SCHEMA,
         "version": installed_version(),
@@ -68,7 +67,7 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
         "markov": result.markov,
         "realisation": _members(result.realisation, leave_out=("factors",)),
     }
-    return json.dumps(plain(document), allow_nan=False, indent=1) + "\n"
+    return json.dumps(as_json(document), allow_nan=False, indent=1) + "\n"
 
 
 def csv_text(result: Identification) -> str:
@@ -135,16 +134,17 @@ def _members(value: object, *, leave_out: tuple[str, ...] = ()) -> dict[str, obj
     return {name: getattr(value, name) for name in names if name not in leave_out and not name.startswith("_")}
 
 
-def plain(value: object) -> object:
+def as_json(value: object) -> object:
     """Any value of a result as what JSON knows."""
     if isinstance(value, np.ndarray):
-        return [plain(item) for item in value]
+        plain = value.dtype.kind in "biu" or (value.dtype.kind == "f" and np.isfinite(value).all())
+        return value.tolist() if plain else [as_json(item) for item in value]
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
+        return [as_json(item) for item in value]
     if is_dataclass(value):
-        return plain(_members(value))
+        return as_json(_members(value))
     return _scalar(value)
 
 

@@ -7,10 +7,11 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from modal.names import escape_markdown, visible
-from modal.report import words
 from modal.report.columns import shown
 from modal.report.limit_words import limits_class
 from modal.report.picture import Picture
+from modal.trust import damping_shown, damping_text, frequency_text
+from modal.wording import fit_text, hertz, ratio_text, whole_percent
 
 if TYPE_CHECKING:
     import jinja2
@@ -39,13 +40,13 @@ def environment(*, html: bool) -> "jinja2.Environment":
     made.filters["num"] = shown
     made.filters["literal"] = _literal
     made.filters["lines"] = _lines
-    made.filters["frequency"] = words.frequency_text
-    made.filters["damping"] = words.damping_text
-    made.filters["damping_shown"] = words.damping_shown
-    made.filters["hertz"] = words.hertz
-    made.filters["percent"] = words.percent
-    made.filters["fit"] = words.fit_text
-    made.filters["share"] = words.share_text
+    made.filters["frequency"] = frequency_text
+    made.filters["damping"] = damping_text
+    made.filters["damping_shown"] = damping_shown
+    made.filters["hertz"] = hertz
+    made.filters["percent"] = ratio_text
+    made.filters["fit"] = fit_text
+    made.filters["share"] = whole_percent
     made.filters["limit_class"] = limits_class
     made.filters["level_class"] = lambda level: _LEVEL_CLASSES.get(level, "noise")
     return made

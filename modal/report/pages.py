@@ -18,6 +18,7 @@ from modal.report.setting import NOTHING_BESIDES, Setting
 from modal.report.setup_values import about_lines, channel_rows, sensor_columns
 from modal.report.uncertainty_words import has_intervals, uncertainty_sentences
 from modal.report.validation_words import coherence_sentence, gap_command, gap_sentence, validation_sentences
+from modal.trust import caution_sentence, trust_of
 from okid.record import InputHold
 
 __all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]
@@ -103,8 +104,8 @@ def _verdict_values(result: Identification) -> dict[str, object]:
     record = result.records[0]
     return {
         "title": _title(result),
-        "headline": words.headline(result),
-        "judgement": words.judge(result),
+        "headline": words.modes_headline(result),
+        "judgement": trust_of(result),
         "fit_word": words.fit_word(result.fit.mean),
         "result": result,
         "record": record,
@@ -157,7 +158,7 @@ def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
         "summary": believed[:MOST_SUMMED_UP],
         "n_more_modes": max(0, len(believed) - MOST_SUMMED_UP),
         "indicators": INDICATORS,
-        "caution": words.caution_sentence(result),
+        "caution": caution_sentence(result),
         "assurance": shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED].tolist() if modes.system else [],
         "frequencies": modes.frequencies[:MOST_ASSURED].tolist(),
         "has_intervals": has_intervals(result),

@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from modal.plots.charts import Notes
+from modal.plots.charts import Notes, chart_text
+from modal.plots.layout import Chart
+from modal.plots.vector import svg_text
 
 __all__ = ["Picture", "drawn", "readable"]
 
@@ -27,14 +25,12 @@ class Picture:
     chart: str = ""
 
 
-def drawn(figure: "Figure", name: str, caption: str) -> Picture:
+def drawn(figure: Chart, name: str, caption: str) -> Picture:
     """A picture that is looked at and no more."""
-    from modal import plots
-
-    return Picture(svg=plots.svg_text(figure, name=name, description=caption), caption=caption)
+    return Picture(svg=svg_text(figure, name=name, description=caption), caption=caption)
 
 
-def readable(figure: "Figure", name: str, caption: str, *, notes: "Mapping[str, Notes] | None" = None) -> Picture:
+def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
     """A picture that a script can read values off and whose lines it can hide.
 
     Args:
@@ -43,9 +39,5 @@ def readable(figure: "Figure", name: str, caption: str, *, notes: "Mapping[str, 
         caption: what there is to see.
         notes: more on the points of the lines with these labels.
     """
-    from modal import plots
-    from modal.plots.charts import chart_text, tag_lines
-
-    tag_lines(figure, name)
-    svg = plots.svg_text(figure, name=name, description=caption)
+    svg = svg_text(figure, name=name, description=caption)
     return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))

@@ -1,21 +1,20 @@
 """The pictures of a report as SVG text, each with the words that stand under it."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from era.realisation import Realisation
+from modal import plots
 from modal.assurance import assurance
 from modal.comparable import comparable_shapes, comparison_words
 from modal.identification import Identification, OrderEvidence
+from modal.plots.charts import Notes
+from modal.plots.order import colour_measure, pole_classes
 from modal.report.picture import Picture, drawn, readable
 from modal.report.response_picture import response_pictures
 from modal.report.setting import NOTHING_BESIDES, Setting
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from modal.plots.charts import Notes
 
 __all__ = ["Picture", "draw_pictures", "shape_assurance"]
 
@@ -30,15 +29,12 @@ MOST_LAGS = 2000
 
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
     """All pictures that the result has the numbers for, by name."""
-    from modal import plots
-
-    with plots.house_style():
-        return {
-            **_geometry_picture(result, setting),
-            **_order_pictures(result),
-            **_fit_pictures(result),
-            **_mode_pictures(result, setting),
-        }
+    return {
+        **_geometry_picture(result, setting),
+        **_order_pictures(result),
+        **_fit_pictures(result),
+        **_mode_pictures(result, setting),
+    }
 
 
 def shape_assurance(result: Identification) -> FloatArray:
@@ -49,8 +45,6 @@ def shape_assurance(result: Identification) -> FloatArray:
 
 
 def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:
-    from modal import plots
-
     if setting.geometry is None:
         return {}
     figure = plots.geometry_picture(setting.geometry, output_names=result.records[0].output_names)
@@ -60,9 +54,6 @@ def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Pic
 
 
 def _order_pictures(result: Identification) -> dict[str, Picture]:
-    from modal import plots
-    from modal.plots.order import pole_classes
-
     evidence = result.order_evidence
     n_points = sum(bool(np.isfinite(point.frequency)) for point in evidence.stabilisation)
     n_drawn = sum(len(points) for _, points in pole_classes(evidence))
@@ -96,11 +87,8 @@ def _unstable(evidence: OrderEvidence) -> str:
     return f" Tried too, but unstable: {named}."
 
 
-def _pole_notes(evidence: OrderEvidence) -> "dict[str, Notes]":
+def _pole_notes(evidence: OrderEvidence) -> dict[str, Notes]:
     """What each pole of the diagram is, for a reader who points at it."""
-    from modal.plots.charts import Notes
-    from modal.plots.order import pole_classes
-
     return {
         word: Notes(
             columns=("damping [%]", "found again", "overlap with the order below", "EMAC"),
@@ -111,16 +99,12 @@ def _pole_notes(evidence: OrderEvidence) -> "dict[str, Notes]":
 
 
 def _colour_words(evidence: OrderEvidence) -> str:
-    from modal.plots.order import colour_measure
-
     if colour_measure(evidence)[0] == "repeatability":
         return "how well each is found again from halves of the data and with another observer"
     return "the overlap of each with the pole of the next lower order"
 
 
 def _fit_pictures(result: Identification) -> dict[str, Picture]:
-    from modal import plots
-
     record, simulated = result.records[0], result.simulated[0]
     shown = _worst_outputs(result)
     which = "" if len(shown) == record.n_outputs else f" The {len(shown)} outputs with the least fit are shown."
@@ -164,8 +148,6 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
 
 
 def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Picture]:
-    from modal import plots
-
     system = result.modes.system
     if not system:
         return {}

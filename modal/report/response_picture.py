@@ -3,6 +3,7 @@
 import numpy as np
 
 from modal.identification import Identification
+from modal.plots.responses import frequency_responses, model_grid
 from modal.report.picture import Picture, readable
 from modal.synthesis import MeasuredFrf, measured_frf, modal_frf
 from okid.arrays import ComplexArray
@@ -15,8 +16,6 @@ MOST_PAIRS = 6
 
 def response_pictures(result: Identification) -> dict[str, Picture]:
     """The picture "responses", or none where the records are too short for a measured response."""
-    from modal import plots
-
     record = result.records[0]
     try:
         measured = measured_frf(result.records)
@@ -26,7 +25,7 @@ def response_pictures(result: Identification) -> dict[str, Picture]:
     which = "" if n_pairs <= MOST_PAIRS else f" The {MOST_PAIRS} strongest of {n_pairs} are shown."
     alone = synthesised_alone(result, measured)
     dashed = "" if alone is None else " Dashed: the modes of the system alone, without the poles that are not believed."
-    figure = plots.frequency_responses(
+    figure = frequency_responses(
         measured,
         result.realisation,
         modes=alone,
@@ -52,8 +51,6 @@ def synthesised_alone(result: Identification, measured: MeasuredFrf) -> ComplexA
 
     None without such modes, and where states for delays or integrators stand between the modes and the outputs.
     """
-    from modal.plots.responses import model_grid
-
     model = result.fitted_model or result.realisation
     modes = result.modes.system
     if not modes or model.order != result.realisation.order:

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from modal.acceptance import check_limits
 from modal.identification import Identification
+from modal.quality import check_quality
 
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome
@@ -52,9 +54,6 @@ def setting_of(
         specification: what the test file says.
         quality: of the records as they were read; the records as used are looked at unless given.
     """
-    from modal.acceptance import check_limits
-    from modal.quality import check_quality
-
     known = specification.geometry if specification is not None and geometry is None else geometry
     return Setting(
         specification=specification,

@@ -22,14 +22,14 @@ import numpy as np
 from modal.identification import Identification
 from modal.mode import Mode
 from modal.numbering import numbered
-from modal.report.uff_nodes import NodePlan, geometry_datasets, node_plan
+from modal.report.uff_nodes import NodePlan, dataset, geometry_datasets, node_plan
 from okid.arrays import ComplexArray
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
     from modal.geometry import Geometry
 
-__all__ = ["Form", "dataset", "real_shape", "uff55_text"]
+__all__ = ["Form", "real_shape", "uff55_text"]
 
 Form = Literal["complex", "normal"]
 
@@ -76,16 +76,6 @@ def uff55_text(result: Identification, geometry: "Geometry | None" = None, *, fo
         if mode.verdict == "system":
             parts.append(_mode(mode, number, plan=plan, quantity=quantity, record=record.name, form=form))
     return "".join(parts)
-
-
-def dataset(number: int, lines: Sequence[str]) -> str:
-    """A dataset of a universal file between its delimiters.
-
-    Example:
-        >>> dataset(164, ["         1"]).splitlines()
-        ['    -1', '   164', '         1', '    -1']
-    """
-    return "\n".join(["    -1", f"{number:6d}", *lines, "    -1"]) + "\n"
 
 
 def real_shape(shape: ComplexArray) -> ComplexArray:

@@ -3,17 +3,14 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modal.dof_names import dof_of
+from modal.geometry import Geometry, Sensor
+from modal.node_motion import Motions, motion_of
 
-if TYPE_CHECKING:
-    from modal.geometry import Geometry
-    from modal.node_motion import Motions
-
-__all__ = ["NodePlan", "geometry_datasets", "node_labels", "node_plan"]
+__all__ = ["NodePlan", "dataset", "geometry_datasets", "node_labels", "node_plan"]
 
 _MOST_DIGITS = 9
 _NODES_A_LINE = 8
@@ -30,19 +27,17 @@ class NodePlan:
     """
 
     labels: tuple[int, ...]
-    motions: "Motions"
+    motions: Motions
     remark: str
 
 
-def node_plan(output_names: Sequence[str], geometry: "Geometry | None") -> NodePlan:
+def node_plan(output_names: Sequence[str], geometry: Geometry | None) -> NodePlan:
     """Nodes of the geometry, or those that the names of the outputs state.
 
     Args:
         output_names: of the channels.
         geometry: None where there is none.
     """
-    from modal.node_motion import motion_of
-
     nodes = geometry or _named_nodes(output_names)
     motions = motion_of(nodes, nodes.sensors if geometry is None else nodes.sensors_of(output_names))
     n_outputs, n_lost = len(output_names), len(output_names) - len(motions.used)
@@ -68,10 +63,8 @@ def node_labels(names: Sequence[str]) -> tuple[int, ...]:
     return tuple(by_name[name] if name in by_name else next(following) for name in names)
 
 
-def geometry_datasets(geometry: "Geometry", plan: NodePlan) -> list[str]:
+def geometry_datasets(geometry: Geometry, plan: NodePlan) -> list[str]:
     """Datasets 164 (SI units), 15 (nodes) and 82 (one a line) of a geometry."""
-    from modal.report.uff55 import dataset
-
     units = f"{1:10d}{'SI: Meter (newton)':20s}{2:10d}"
     factors = "".join(f"{value:25.17E}".replace("E", "D") for value in (1.0, 1.0, 1.0)) + f"\n{273.15:25.17E}"
     nodes = [
@@ -86,7 +79,17 @@ def geometry_datasets(geometry: "Geometry", plan: NodePlan) -> list[str]:
     ]
 
 
-def _lines(geometry: "Geometry") -> list[tuple[int, ...]]:
+def dataset(number: int, lines: Sequence[str]) -> str:
+    """A dataset of a universal file between its delimiters.
+
+    Example:
+        >>> dataset(164, ["         1"]).splitlines()
+        ['    -1', '   164', '         1', '    -1']
+    """
+    return "\n".join(["    -1", f"{number:6d}", *lines, "    -1"]) + "\n"
+
+
+def _lines(geometry: Geometry) -> list[tuple[int, ...]]:
     """Lines, and the closed outline of each surface."""
     return [*geometry.lines, *((*surface, surface[0]) for surface in geometry.surfaces)]
 
@@ -97,10 +100,8 @@ def _line(number: int, labels: Sequence[int]) -> list[str]:
     return rows + ["".join(f"{label:10d}" for label in labels[start : start + _NODES_A_LINE]) for start in starts]
 
 
-def _named_nodes(output_names: Sequence[str]) -> "Geometry":
+def _named_nodes(output_names: Sequence[str]) -> Geometry:
     """Nodes as the names state them, all in one place: where they stand is not known and is not written."""
-    from modal.geometry import Geometry, Sensor
-
     names: list[str] = []
     sensors = []
     for number, name in enumerate(output_names, start=1):

@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.identification import Identification
 from modal.report.provenance import Provenance
-from modal.report.words import LEAST_FIT, share_text
+from modal.wording import LEAST_FIT, whole_percent
 
 if TYPE_CHECKING:
     from modal.quality import DataQuality
@@ -65,7 +65,7 @@ def coherence_sentence(quality: "DataQuality | None") -> str:
     share = float(np.mean(known >= COHERENT))
     return (
         f"Without any model, the inputs explain at least {100 * COHERENT:.0f} % of an output's power (coherence) at "
-        f"{share_text(share)} of all frequencies and outputs."
+        f"{whole_percent(share)} of all frequencies and outputs."
     )
 
 

@@ -4,84 +4,23 @@ The report, the Markdown page and the terminal all take their words from here, s
 """
 
 import math
-from dataclasses import dataclass
-from typing import Literal
 
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.names import shorten
+from modal.wording import GOOD_FIT, LEAST_FIT, counted, hertz
 
 __all__ = [
-    "Judgement",
-    "caution_sentence",
-    "damping_sentence",
-    "damping_shown",
-    "damping_text",
     "data_sentences",
-    "doubtful_sentence",
-    "fit_sentence",
-    "fit_text",
     "fit_word",
-    "headline",
-    "hertz",
-    "judge",
-    "share_text",
+    "modes_headline",
 ]
 
-LEAST_FIT = 0.5
-"""Cross-validated fit below which no mode is certain."""
 
-GOOD_FIT = 0.8
-"""Cross-validated fit from which the model explains the record well."""
-
-MOST_CAUTION = 0.3
-"""n / (p q) above which the classical indicators test the observer rather than the data."""
-
-LONGEST_NAME = 40
-"""Letters of a channel name in a sentence; the tables have the whole of it."""
-
-Trust = Literal["carried", "with care", "not carried"]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Judgement:
-    """How far the result as a whole can be trusted.
-
-    Attributes:
-        trust: "not carried" when the fit is below 0.5 or no mode belongs to the system; "with care" when it is
-            between 0.5 and 0.8, a fit is not known, or there are warnings; otherwise "carried".
-        label: the same in two or three words.
-        reasons: sentences, the weightiest first.
-    """
-
-    trust: Trust
-    label: str
-    reasons: tuple[str, ...]
-
-
-def judge(result: Identification) -> Judgement:
-    """Whether the data carry the result; the command's exit status is 1 exactly when they do not."""
-    fit = result.fit.mean
-    n_system = len(result.modes.system)
-    reasons = [fit_sentence(result)]
-    if not n_system:
-        reasons.append("No pole of the model is accepted as a mode of the system, so there is nothing to quote.")
-    if n_system and (damping := damping_sentence(result)):
-        reasons.append(damping)
-    reasons += [sentence for sentence in (doubtful_sentence(result), caution_sentence(result)) if sentence]
-    if fit < LEAST_FIT or not n_system:
-        return Judgement(trust="not carried", label="The data do not carry it", reasons=tuple(reasons))
-    if result.warnings or not fit >= GOOD_FIT:
-        return Judgement(trust="with care", label="To be used with care", reasons=tuple(reasons))
-    return Judgement(trust="carried", label="The data carry it", reasons=tuple(reasons))
-
-
-def headline(result: Identification) -> str:
+def modes_headline(result: Identification) -> str:
     """How many modes there are, in one sentence; an overdamped pole is no vibration mode and is counted apart."""
     system = result.modes.system
     modes = [mode for mode in system if mode.kind == "oscillatory"]
     n_others = len(system) - len(modes)
-    others = f"{_count(n_others)} overdamped pole{'s' if n_others > 1 else ''}"
+    others = f"{counted(n_others)} overdamped pole{'s' if n_others > 1 else ''}"
     if not system:
         return "No mode of the system was found."
     if not modes:
@@ -90,7 +29,7 @@ def headline(result: Identification) -> str:
     if len(modes) == 1:
         return f"One mode of the system was found, at {hertz(modes[0].frequency)} Hz{also}."
     return (
-        f"{_count(len(modes)).capitalize()} modes of the system were found, "
+        f"{counted(len(modes)).capitalize()} modes of the system were found, "
         f"between {hertz(modes[0].frequency)} and {hertz(modes[-1].frequency)} Hz{also}."
     )
 
@@ -102,158 +41,6 @@ def fit_word(fit: float) -> str:
     return "good" if fit >= GOOD_FIT else "fair" if fit >= LEAST_FIT else "poor"
 
 
-def fit_text(fit: float) -> str:
-    """A fit to two digits, a dash where it is not known; one below 0.5 or 0.8 is never rounded up to it.
-
-    Example:
-        >>> fit_text(0.4987), fit_text(0.7989), fit_text(0.7647), fit_text(-0.0012)
-        ('0.49', '0.79', '0.76', '0.00')
-    """
-    if not math.isfinite(fit):
-        return "–"
-    shown = round(fit, 2)
-    if any(fit < limit <= shown for limit in (LEAST_FIT, GOOD_FIT)):
-        shown = math.floor(100 * fit) / 100
-    return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
-
-
-def fit_sentence(result: Identification) -> str:
-    """What the cross-validated fit says about the model."""
-    fit = result.fit.mean
-    if not math.isfinite(fit):
-        return "No fit on held-out data is known, so nothing here has been tested against data the model had not seen."
-    if fit < LEAST_FIT:
-        return (
-            f"The model does not explain the record: its fit on rows that it was not fitted to is {fit_text(fit)}, "
-            f"below {LEAST_FIT}, so no mode of it is certain."
-        )
-    names = result.records[0].output_names
-    fits = result.fit.cross_validated
-    worst = int(fits.argmin())
-    word = "well" if fit >= GOOD_FIT else "in the main"
-    how = "Fed with the inputs alone" if result.records[0].n_inputs else "No input was measured; one step ahead"
-    least, mean = fit_text(fits[worst]), fit_text(fit)
-    sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {mean}"
-    return sentence + (f" (least for {shorten(names[worst], LONGEST_NAME)}: {least})." if least != mean else ".")
-
-
 def data_sentences(result: Identification) -> tuple[str, ...]:
     """What the inputs cannot show, as far as it is not among the warnings already."""
     return tuple(message for message in result.excitation.messages if message not in result.warnings)
-
-
-def damping_sentence(result: Identification) -> str:
-    """Which damping ratios are not to be quoted; "" when all are resolved."""
-    unresolved = [mode for mode in result.modes.system if not mode.damping_resolved and mode.kind == "oscillatory"]
-    if not unresolved:
-        return ""
-    which = ", ".join(hertz(mode.frequency) for mode in unresolved)
-    modes = "mode exists" if len(unresolved) == 1 else "modes exist"
-    return f"The {modes} at {which} Hz, but the damping is not resolved: do not quote it."
-
-
-def doubtful_sentence(result: Identification) -> str:
-    """Which poles the data do not settle, the most repeatable first; "" when there are none."""
-    doubtful = [mode for mode in result.modes if mode.verdict == "doubtful"]
-    if not doubtful:
-        return ""
-    best = sorted(doubtful, key=lambda mode: -(mode.repeatability if math.isfinite(mode.repeatability) else 0.0))[:3]
-    which = ", ".join(hertz(mode.frequency) for mode in best)
-    more = "more " if result.modes.system else ""
-    if len(doubtful) == 1:
-        return f"One {more}pole, at {which} Hz, is doubtful: the data do not settle whether it is a mode."
-    rest = f" and {len(doubtful) - 3} more" if len(doubtful) > 3 else ""
-    return (
-        f"{_count(len(doubtful)).capitalize()} {more}poles are doubtful ({which} Hz{rest}): the data do not settle "
-        "whether they are modes."
-    )
-
-
-def caution_sentence(result: Identification) -> str:
-    """What n / (p q) says about the classical indicators; "" while it is small."""
-    caution = result.modes.indicator_caution
-    if result.modes.indicators_missing:
-        return f"The classical indicators are not known: {result.modes.indicators_missing}"
-    if not caution > MOST_CAUTION:
-        return ""
-    return (
-        f"Model order over observer order times outputs, n / (p q), is {caution:.2f}, above {MOST_CAUTION}: amplitude "
-        "coherence and EMAC then test how well a mode repeats the observer rather than the data; go by repeatability."
-    )
-
-
-def damping_text(mode: Mode) -> str:
-    """Damping ratio in percent as it may be quoted.
-
-    A standard deviation, where known, is shown as a 95 % interval.
-    """
-    if mode.kind == "real":
-        return "overdamped"
-    if not mode.damping_resolved:
-        return "not resolved"
-    return percent(mode.damping_ratio, mode.damping_ratio_std)
-
-
-def damping_shown(mode: Mode) -> str:
-    """Damping ratio in percent for the table of all poles, where it stands even if it may not be quoted.
-
-    Its 95 % interval is shown only where it may be.
-    """
-    if mode.kind == "real" or not mode.damping_resolved:
-        return percent(mode.damping_ratio)
-    return percent(mode.damping_ratio, mode.damping_ratio_std)
-
-
-def hertz(frequency: float) -> str:
-    """A frequency to four digits, from 1000 Hz on to a tenth: never in powers of ten that a reader must work out.
-
-    Example:
-        >>> hertz(3.66971), hertz(27470.63)
-        ('3.67', '27470.6')
-    """
-    return f"{frequency:.4g}" if frequency < 1000 else f"{frequency:.1f}"
-
-
-def frequency_text(mode: Mode) -> str:
-    """Frequency in Hz, with its 95 % interval where that is known."""
-    if not math.isfinite(mode.frequency_std):
-        return hertz(mode.frequency)
-    return with_interval(mode.frequency, 1.96 * mode.frequency_std)
-
-
-def percent(ratio: float, std: float = math.nan) -> str:
-    """A ratio in percent, with its 95 % interval where that is known."""
-    if not math.isfinite(ratio):
-        return "–"
-    return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 196 * std)} %"
-
-
-def share_text(share: float) -> str:
-    """A share in whole percent, a dash where it is not known; 100 % is all of it, and chance below nothing is 0 %.
-
-    Example:
-        >>> share_text(0.999), share_text(1.0), share_text(-0.001), share_text(0.236)
-        ('99 %', '100 %', '0 %', '24 %')
-    """
-    if not math.isfinite(share):
-        return "–"
-    whole = round(100 * share)
-    return f"{99 if whole == 100 and share < 1 else max(0, whole)} %"
-
-
-def with_interval(value: float, half_width: float) -> str:
-    """Value ± half width, both to the second digit of the half width.
-
-    Example:
-        >>> with_interval(3.66971, 0.0123)
-        '3.670 ± 0.012'
-    """
-    if not half_width > 0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(half_width)))
-    return f"{value:.{digits}f} ± {half_width:.{digits}f}"
-
-
-def _count(number: int) -> str:
-    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-    return words[number] if number < len(words) else str(number)

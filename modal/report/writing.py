@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
+from modal import recording
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.identification import Identification
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
@@ -161,8 +162,6 @@ def refuse_existing(folder: Path, existing: Existing) -> None:
 
 def _write_all(result: Identification, files: ReportFiles, provenance: Provenance, setting: Setting) -> list[str]:
     """Write every file; return their names."""
-    from modal.recording import save_recording
-
     kept = None if files.result is None else keep_result(result, files.result)
     beside = _beside(replace(files, result=kept))
     pages = {
@@ -176,7 +175,7 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
     with recording_written(files.recording):
-        save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
+        recording.save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
     return [path.name for path in replace(files, result=kept)]
 
 

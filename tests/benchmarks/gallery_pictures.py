@@ -22,6 +22,7 @@ WIDTH = 1000
 PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
     "report": ("demo", "report.html", 0, 1235),
     "gallery_motor": ("motor_propeller", "report.html", 688, 1556),
+    "gallery_mass": ("struck_mass", "1-full-order.svg", 0, 396),
     "gallery_records": ("many_records", "comparison.html", 0, 1080),
 }
 RECORDINGS = {
@@ -30,7 +31,6 @@ RECORDINGS = {
     "gallery_frame": ("three_storey_frame", "recording.rrd", "Modes"),
     "gallery_joint": ("loose_joint", "recording.rrd", "Discrepancy"),
 }
-DRAWN = {"gallery_mass": ("struck_mass", "1-full-order.png")}
 
 
 def run(name, folder):
@@ -83,18 +83,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--viewer", help="program that photographs a recording")
-    parser.add_argument("--only", nargs="+", default=[*PAGES, *RECORDINGS, *DRAWN], metavar="NAME")
+    parser.add_argument("--only", nargs="+", default=[*PAGES, *RECORDINGS], metavar="NAME")
     given = parser.parse_args()
     given.work.mkdir(parents=True, exist_ok=True)
     taken = given.work / "taken.png"
     for name in given.only:
-        folder = given.work / (PAGES | RECORDINGS | DRAWN)[name][0]
+        folder = given.work / (PAGES | RECORDINGS)[name][0]
         run(folder.name, folder)
         if name in PAGES:
             _, page, first, last = PAGES[name]
             photograph_page(folder / page, first, last, taken)
-        elif name in DRAWN:
-            taken.write_bytes((folder / DRAWN[name][1]).read_bytes())
         elif given.viewer is None:
             continue
         else:

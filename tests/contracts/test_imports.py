@@ -25,7 +25,7 @@ BEHIND = {
     "rerun": ("modal/recording/",),
     "control": ("era/",),
     "filterpy": ("era/",),
-    "matplotlib": ("modal/plots/", "modal/examples/struck_mass_plot.py"),
+    "matplotlib": (),
     "pint": ("okid/",),
     "pyarrow": ("okid/", "modal/"),
     "h5py": ("okid/readers/",),

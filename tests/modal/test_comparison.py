@@ -165,9 +165,9 @@ def test_one_common_channel_tells_no_shape(result):
 
 def test_results_without_modes_can_be_compared(result):
     none = with_modes(result, ())
-    assert words.headline(compare_results(none, none)).startswith("Neither result has a mode")
+    assert words.comparison_headline(compare_results(none, none)).startswith("Neither result has a mode")
     assert len(compare_results(none, result).new) == 4
-    assert words.headline(compare_results(result, none)) == "No mode is in both results: 3 lost."
+    assert words.comparison_headline(compare_results(result, none)) == "No mode is in both results: 3 lost."
 
 
 # --- shifts ----------------------------------------------------------------------------------------------------------
@@ -227,16 +227,16 @@ def test_unknown_deviations_are_said(identification):
     assert found.n_tests == 0
     assert {shift.verdict for pair in found.pairs for shift in pair.shifts} == {"not known"}
     assert words.how_sentence(found) == "No shift could be tested, because no uncertainty is known."
-    assert "changed cannot be told" in words.headline(found)
-    assert "beyond chance" not in words.headline(found)
+    assert "changed cannot be told" in words.comparison_headline(found)
+    assert "beyond chance" not in words.comparison_headline(found)
 
 
 def test_a_mode_that_could_not_be_tested_is_not_said_to_be_unchanged(result):
     modes = list(result.modes.modes)
     modes[0] = replace(modes[0], frequency_std=math.nan, damping_ratio_std=math.nan, shape_std=None)
     part = with_modes(result, modes)
-    assert words.headline(compare_results(part, part)).endswith("; of 1 it cannot be told.")
-    assert "cannot be told" not in words.headline(compare_results(result, result))
+    assert words.comparison_headline(compare_results(part, part)).endswith("; of 1 it cannot be told.")
+    assert "cannot be told" not in words.comparison_headline(compare_results(result, result))
 
 
 def test_few_degrees_of_freedom_widen_the_interval(result):

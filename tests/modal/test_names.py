@@ -66,4 +66,4 @@ def test_underscores_within_a_word_stay():
 
 
 def test_a_picture_label_is_never_mathematics():
-    assert plot_label(r"$\frac{1}{0}$") == r"\$\frac{1}{0}\$"
+    assert plot_label("a\x1b[2J$") == "a\N{REPLACEMENT CHARACTER}[2J$"

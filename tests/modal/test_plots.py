@@ -1,5 +1,6 @@
 import re
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -8,38 +9,33 @@ from modal import plots
 from modal.identification import OrderEvidence
 from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
 from modal.plots.spectra import power_spectra
-from modal.plots.style import envelope
+from modal.plots.style import COLOURS, envelope
 from modal.synthesis import measured_frf
 from okid.record import Record
 
 
-def all_figures(result, theme=plots.LIGHT):
+def all_figures(result):
     record = result.records[0]
     assurance = np.eye(len(result.modes.system))
     return {
-        "singular values": plots.singular_values(result.order_evidence, theme=theme),
-        "order fits": plots.order_fits(result.order_evidence, theme=theme),
-        "stabilisation": plots.stabilisation_diagram(
-            result.order_evidence, result.modes, measured=result.records, theme=theme
-        ),
-        "histories": plots.measured_against_simulated(record, result.simulated[0], theme=theme),
-        "spectra": plots.output_spectra(result.records, result.simulated, theme=theme),
-        "responses": plots.frequency_responses(measured_frf(result.records), result.realisation, theme=theme),
-        "markov": plots.markov_parameters(result.markov, result.markov.system, theme=theme),
-        "residuals": plots.residual_autocorrelation(result.residuals, theme=theme),
-        "shapes": plots.mode_shapes(result.modes.system, output_names=record.output_names, theme=theme),
-        "complexity": plots.shape_complexity(result.modes.modes, theme=theme),
-        "assurance": plots.assurance_matrix(assurance, result.modes.frequencies.tolist(), theme=theme),
+        "singular values": plots.singular_values(result.order_evidence),
+        "order fits": plots.order_fits(result.order_evidence),
+        "stabilisation": plots.stabilisation_diagram(result.order_evidence, result.modes, measured=result.records),
+        "histories": plots.measured_against_simulated(record, result.simulated[0]),
+        "spectra": plots.output_spectra(result.records, result.simulated),
+        "responses": plots.frequency_responses(measured_frf(result.records), result.realisation),
+        "markov": plots.markov_parameters(result.markov, result.markov.system),
+        "residuals": plots.residual_autocorrelation(result.residuals),
+        "shapes": plots.mode_shapes(result.modes.system, output_names=record.output_names),
+        "complexity": plots.shape_complexity(result.modes.modes),
+        "assurance": plots.assurance_matrix(assurance, result.modes.frequencies.tolist()),
     }
 
 
 @pytest.fixture(scope="module")
 def vector_texts(request):
     result = request.getfixturevalue("shared_result")
-    with plots.house_style():
-        return {
-            name: plots.svg_text(figure, name=name, description=name) for name, figure in all_figures(result).items()
-        }
+    return {name: plots.svg_text(figure, name=name, description=name) for name, figure in all_figures(result).items()}
 
 
 @pytest.fixture(scope="module")
@@ -73,19 +69,18 @@ def test_every_reference_of_a_picture_is_in_it_and_in_no_other(vector_texts):
 
 def test_same_figure_same_bytes(make_once):
     def once():
-        with plots.house_style():
-            figure = plots.mode_shapes(make_once().modes.system, output_names=("a", "b", "c"))
-            return plots.svg_text(figure, name="shapes", description="shapes")
+        figure = plots.mode_shapes(make_once().modes.system, output_names=("a", "b", "c"))
+        return plots.svg_text(figure, name="shapes", description="shapes")
 
     assert once() == once()
 
 
-def test_a_dark_picture_holds_no_light_colour(identification):
-    light = {getattr(plots.LIGHT, role).lower() for role in ("paper", "ink", "muted")}
-    for figure in all_figures(identification, plots.DARK).values():
-        colours = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", plots.svg_text(figure, name="x", description="x")))
-        assert not colours & light
-        assert "#000000" not in colours
+def test_every_colour_has_the_name_by_which_the_page_exchanges_it(vector_texts):
+    page = resources.files("modal.report").joinpath("templates/page.css").read_text(encoding="utf-8")
+    for text in vector_texts.values():
+        for role, colour in set(re.findall(r"var\(--(\w+), (#[0-9a-f]{6})\)", text)):
+            assert COLOURS[role] == colour
+            assert f"--{role}: {colour}" in page
 
 
 @pytest.mark.parametrize(
@@ -159,7 +154,7 @@ def test_stabilisation_diagram_draws_every_pole_in_its_class(identification, mea
         )
         evidence = replace(evidence, stabilisation=points)
     figure = plots.stabilisation_diagram(evidence, identification.modes)
-    drawn = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
+    drawn = {line.label: len(line.x) for line in figure.panels[0].lines}
     for low, high, word in classes:
         assert drawn[word] == sum(low <= getattr(point, measure) < high for point in evidence.stabilisation)
 
@@ -174,7 +169,7 @@ def test_pictures_of_empty_evidence_say_so(identification):
         stabilisation=(),
     )
     for draw in (plots.singular_values, plots.order_fits):
-        assert draw(empty).axes[0].texts
+        assert draw(empty).panels[0].words
     none = replace(identification.modes, modes=())
     plots.stabilisation_diagram(empty, none, measured=identification.records)
 
@@ -185,7 +180,7 @@ def test_missing_samples_do_not_break_the_histories(identification):
     outputs[100:200, 0] = np.nan
     gappy = replace(record, outputs=outputs)
     figure = plots.measured_against_simulated(gappy, identification.simulated[0])
-    assert np.isnan(figure.axes[0].lines[0].get_ydata()).any()
+    assert np.isnan(figure.panels[0].lines[0].y).any()
     plots.output_spectra([gappy], identification.simulated)
 
 
@@ -205,7 +200,7 @@ def test_crowded_modes_have_labels_on_few_lines(identification, count, labels):
     modes = tuple(replace(identification.modes.modes[0], frequency=5.0 + 0.001 * i) for i in range(count))
     crowd = replace(identification.modes, modes=modes)
     figure = plots.stabilisation_diagram(identification.order_evidence, crowd)
-    assert len(figure.axes[0].texts) == labels
+    assert len(figure.panels[0].words) == labels
 
 
 def test_a_response_is_pale_where_the_coherence_is_low_and_the_strip_shows_it(identification):
@@ -213,11 +208,11 @@ def test_a_response_is_pale_where_the_coherence_is_low_and_the_strip_shows_it(id
     coherence = np.full_like(measured.multiple_coherence, 0.9)
     coherence[: coherence.shape[0] // 2] = 0.1
     figure = plots.frequency_responses(replace(measured, multiple_coherence=coherence), identification.realisation)
-    above, strip = figure.axes[0], figure.axes[3]
-    trusted = next(line for line in above.lines if line.get_label() == "measured")
-    hidden = np.isnan(trusted.get_ydata())
+    above, strip = figure.rows[0][0], figure.rows[1][0]
+    trusted = next(line for line in above.lines if line.label == "measured")
+    hidden = np.isnan(trusted.y)
     np.testing.assert_array_equal(hidden, coherence[1:, 0] < 0.5)
-    np.testing.assert_array_equal(strip.lines[0].get_ydata(), coherence[1:, 0])
+    np.testing.assert_array_equal(strip.lines[0].y, coherence[1:, 0])
 
 
 @pytest.mark.parametrize(

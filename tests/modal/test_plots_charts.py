@@ -2,48 +2,46 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
 
 from modal import plots
-from modal.plots.charts import MOST_VALUES, Notes, chart_text, tag_lines
-from modal.plots.style import LIGHT, new_figure
+from modal.plots.charts import MOST_VALUES, Notes, chart_text
+from modal.plots.layout import grid_of
 
 
 def chart_of(figure, *, notes=None):
-    tag_lines(figure, "a picture")
     svg = plots.svg_text(figure, name="a picture", description="words")
     return json.loads(chart_text(figure, "a picture", notes=notes)), svg
 
 
-def panel_with(*lines, log=False, head="left"):
-    figure, axes = new_figure(1, 1, size=(6, 4), theme=LIGHT)
-    axis = axes[0][0]
+def panel_with(*lines, log=False):
+    figure = grid_of(1, 1, size=(6, 4))
+    panel = figure.panels[0]
     for x, y, label, style in lines:
-        axis.plot(x, y, style, label=label, color=LIGHT.measured)
-    if log:
-        axis.set_yscale("log")
-    axis.set_title("a head", loc=head)
-    axis.set_xlabel("frequency [Hz]")
-    axis.set_ylabel("model order")
-    return figure, axis
+        panel.line(x, y, "measured", label=label, **({"width": 0.0, "dot": 4.0} if style == "o" else {}))
+    panel.y.log, panel.head = log, "a head"
+    panel.x.label, panel.y.label = "frequency [Hz]", "model order"
+    return figure, panel
 
 
 @pytest.mark.parametrize("log", [False, True])
 def test_a_place_in_the_picture_follows_from_box_and_limits(log):
     x, y = np.array([1.0, 4.0, 7.0]), np.array([0.1, 3.0, 20.0])
-    figure, axis = panel_with((x, y, "line", "-"), log=log)
-    chart, _ = chart_of(figure)
+    figure, _ = panel_with((x, y, "line", "-"), log=log)
+    chart, svg = chart_of(figure)
+    drawn = re.search(r'id="a-picture-p0-s0"><path d="M([^"]*)"', svg)[1]
+    places = [tuple(map(float, place.split())) for place in drawn.split("L")]
     panel = chart["panels"][0]
     left, top, width, height = panel["box"]
-    for point in zip(x, y, strict=True):
-        pixels = axis.transData.transform(point) * 72.0 / figure.dpi
+    for point, place in zip(zip(x, y, strict=True), places, strict=True):
         low, high = panel["y"]["limits"]
         share = math.log(point[1] / low) / math.log(high / low) if log else (point[1] - low) / (high - low)
         across = (point[0] - panel["x"]["limits"][0]) / np.ptp(panel["x"]["limits"])
-        assert left + across * width == pytest.approx(pixels[0], abs=0.05)
-        assert top + (1 - share) * height == pytest.approx(72.0 * 4 - pixels[1], abs=0.05)
+        assert left + across * width == pytest.approx(place[0], abs=0.05)
+        assert top + (1 - share) * height == pytest.approx(place[1], abs=0.05)
     assert panel["y"]["log"] is log
     assert (panel["x"]["what"], panel["x"]["unit"], panel["y"]["unit"]) == ("frequency", "Hz", "")
 
@@ -75,9 +73,10 @@ def test_a_long_line_is_thinned(size, step):
 
 
 def test_what_has_no_values_is_still_hidden_with_its_line():
-    figure, axis = panel_with(([0, 1], [0, 1], "measured", "-"), ([0, 1], [1, 1], "_with measured", "-"))
-    axis.axvline(0.5, label="a mark", color=LIGHT.system)
-    axis.plot([0, 1], [2, 2], color=LIGHT.muted)
+    figure, panel = panel_with(([0, 1], [0, 1], "measured", "-"))
+    panel.line([0, 1], [1, 1], "measured", follows="measured")
+    panel.upright(0.5, "system", label="a mark")
+    panel.line([0, 1], [2, 2], "muted")
     series = chart_of(figure)[0]["panels"][0]["series"]
     assert [(one["name"], "y" in one) for one in series] == [("measured", True), ("measured", False), ("a mark", False)]
 
@@ -91,9 +90,8 @@ def test_notes_stand_beside_their_points():
 
 def test_no_text_can_end_the_tag_around_it():
     bad = "</script><img src=x onerror=alert(1)>&\N{RIGHT-TO-LEFT OVERRIDE}"
-    figure, axis = panel_with(([0, 1], [0, 1], bad, "-"))
-    axis.set_title(bad, loc="left")
-    tag_lines(figure, "x")
+    figure, panel = panel_with(([0, 1], [0, 1], bad, "-"))
+    panel.head = bad
     plots.svg_text(figure, name="x", description="x")
     text = chart_text(figure, "x")
     assert not set("<>&") & set(text)
@@ -102,23 +100,22 @@ def test_no_text_can_end_the_tag_around_it():
 
 
 def test_panels_that_are_not_seen_are_left_out():
-    figure, axes = new_figure(1, 3, size=(6, 2), theme=LIGHT)
-    for axis in axes[0][:2]:
-        axis.plot([0, 1], [0, 1], label="line")
-    axes[0][1].set_visible(False)
+    figure = grid_of(1, 3, size=(6, 2))
+    figure.rows[0][0].line([0, 1], [0, 1], "measured", label="line")
+    figure.rows[0][1] = None
     assert len(chart_of(figure)[0]["panels"]) == 1
 
 
 def test_lines_of_one_style_become_one_path_and_all_their_points_stay():
-    from matplotlib.collections import LineCollection, PolyCollection
-
-    figure, axes = new_figure(1, 1, size=(4, 3), theme=LIGHT)
-    axis = axes[0][0]
-    axis.set_axis_off()
-    axis.add_collection(LineCollection([[(0.1 * k, 0), (0.1 * k, 1)] for k in range(8)], colors=LIGHT.system))
-    axis.add_collection(LineCollection([[(0, 0.5), (1, 0.6)]], colors=LIGHT.noise))
-    squares = [[(0.2 * k, 0), (0.2 * k + 0.1, 0), (0.2 * k, 1)] for k in range(3)]
-    axis.add_collection(PolyCollection(squares, facecolors=LIGHT.model, edgecolors="none"))
+    figure = grid_of(1, 1, size=(4, 3))
+    panel = figure.panels[0]
+    panel.frame = False
+    panel.segments([[(0.1 * k, 0), (0.1 * k, 1)] for k in range(8)], "system", width=1.0)
+    panel.segments([[(0, 0.5), (1, 0.6)]], "noise", width=1.0)
+    corners = np.array([[(0.2 * k, 0), (0.2 * k + 0.1, 0), (0.2 * k, 1)] for k in range(3)])
+    panel.polygons(corners, "model", opacity=1.0)
+    panel.polygons(corners, "model", opacity=0.5)
+    panel.dots([0, 1, 2], [0, 1, 0], "measured", dot=4.0)
     svg = plots.svg_text(figure, name="x", description="x")
-    assert svg.count("<path") == 1 + 1 + 3 + 1  # the eight, the one, three filled ones and the clip's or the ground's
-    assert svg.count("M") >= 8 + 1 + 3
+    assert svg.count("<path") == 1 + 1 + 1 + 3 + 1  # faces that are seen through stay apart: they darken each other
+    assert svg.count("M") == 8 + 1 + 3 + 3 + 3

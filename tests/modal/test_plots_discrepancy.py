@@ -9,6 +9,7 @@ from diagnosis_by_hand import hysteresis_law
 
 from modal import plots
 from modal.plots import discrepancy, discrepancy_law
+from modal.plots.marks import Area, Segments
 from modal.report.discrepancy_stages import rows_of, stages_of
 
 
@@ -17,36 +18,28 @@ def stages(diagnosis):
     return stages_of(diagnosis)
 
 
-def figures(diagnosis, stages, theme=plots.LIGHT):
+def figures(diagnosis, stages):
     laws = (*diagnosis.laws, hysteresis_law(diagnosis.laws[0].where))
     return {
-        "histories": discrepancy.gap_histories(stages, theme=theme),
-        "spectra": discrepancy.gap_spectra(stages, theme=theme),
-        "before and after": discrepancy.before_and_after(rows_of(stages), stages, theme=theme),
-        "hypotheses": discrepancy.hypothesis_bars(diagnosis.hypotheses, chosen=diagnosis.hypotheses[0], theme=theme),
-        "steps": discrepancy.shrinking_gap(diagnosis.steps, theme=theme),
-        "laws": discrepancy_law.law_curves(laws, theme=theme),
+        "histories": discrepancy.gap_histories(stages),
+        "spectra": discrepancy.gap_spectra(stages),
+        "before and after": discrepancy.before_and_after(rows_of(stages), stages),
+        "hypotheses": discrepancy.hypothesis_bars(diagnosis.hypotheses, chosen=diagnosis.hypotheses[0]),
+        "steps": discrepancy.shrinking_gap(diagnosis.steps),
+        "laws": discrepancy_law.draw_laws(laws),
     }
 
 
 @pytest.fixture(scope="module")
 def vector_texts(diagnosis, stages):
-    with plots.house_style():
-        drawn = figures(diagnosis, stages)
-        return {name: plots.svg_text(figure, name=name, description=name) for name, figure in drawn.items()}
+    drawn = figures(diagnosis, stages)
+    return {name: plots.svg_text(figure, name=name, description=name) for name, figure in drawn.items()}
 
 
 def test_every_colour_of_a_picture_belongs_to_the_page(vector_texts):
     for name, text in vector_texts.items():
         assert not set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", text)), name
         assert "var(--" in text
-
-
-def test_a_dark_picture_holds_no_light_colour(diagnosis, stages):
-    light = {getattr(plots.LIGHT, role).lower() for role in ("paper", "ink", "muted", "system", "residual")}
-    for figure in figures(diagnosis, stages, plots.DARK).values():
-        text = plots.svg_text(figure, name="x", description="x")
-        assert not set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", text)) & (light | {"#000000"})
 
 
 def test_a_picture_asks_for_nothing_from_outside(vector_texts):
@@ -57,18 +50,18 @@ def test_a_picture_asks_for_nothing_from_outside(vector_texts):
 
 def test_histories_are_measured_minus_simulated_under_the_band_of_the_noise(diagnosis, stages):
     figure = discrepancy.gap_histories(stages, record=1)
-    whole = figure.axes[2]  # row of the second output
-    drawn = {line.get_label(): line.get_ydata() for line in whole.lines}
+    whole = figure.panels[2]  # row of the second output
+    drawn = {line.label: line.y for line in whole.lines}
     measured = diagnosis.held_out[1].outputs[:, 1]
     for name, step in (("as given", diagnosis.steps[0]), ("with the effects", diagnosis.steps[-1])):
         np.testing.assert_array_equal(drawn[name], measured - step.simulated[1][:, 1])
-    band = next(patch for patch in whole.patches if "noise" in patch.get_label())
-    assert band.get_height() == pytest.approx(4.0 * np.sqrt(diagnosis.noise_floor.variance[3, 1]))
+    band = next(mark for mark in whole.marks if "noise" in mark.label)
+    assert np.ptp(band.corners[:, 1]) == pytest.approx(4.0 * np.sqrt(diagnosis.noise_floor.variance[3, 1]))
 
 
 def test_the_worst_moment_holds_the_greatest_gap(diagnosis, stages):
     figure = discrepancy.gap_histories(stages, record=1, outputs=[1])
-    part = figure.axes[1].lines[0].get_ydata()
+    part = figure.panels[1].lines[0].y
     energy = (diagnosis.held_out[1].outputs - diagnosis.steps[0].simulated[1]) ** 2
     length = part.size
     best = max(range(1000 - length + 1), key=lambda k: energy[k : k + length].sum())
@@ -77,77 +70,74 @@ def test_the_worst_moment_holds_the_greatest_gap(diagnosis, stages):
 
 
 def test_the_dashed_line_of_a_spectrum_is_the_noise(diagnosis, stages):
-    axis = discrepancy.gap_spectra(stages).axes[0]
-    (line,) = (line for line in axis.lines if line.get_label() == "noise floor")
+    axis = discrepancy.gap_spectra(stages).panels[0]
+    (line,) = (line for line in axis.lines if line.label == "noise floor")
     expected = 2.0 * diagnosis.held_out[0].dt * diagnosis.noise_floor.variance[2, 0]
-    assert line.get_ydata()[0] == pytest.approx(expected)
+    assert line.y[0] == pytest.approx(expected)
 
 
 def test_points_of_before_and_after_are_the_sizes_of_the_rows(stages):
     rows = rows_of(stages)
     figure = discrepancy.before_and_after(rows, stages)
-    assert len(figure.axes) == 3
-    for axis, part in zip(figure.axes, ("output", "record", "band"), strict=True):
+    assert len(figure.panels) == 3
+    for axis, part in zip(figure.panels, ("output", "record", "band"), strict=True):
         group = [row for row in rows if row.part == part]
-        assert [text.get_text() for text in axis.get_yticklabels()] == [row.name for row in group]
+        assert [text for _, text in axis.y_ticks()] == [row.name for row in group]
         for index, stage in enumerate(stages):
-            (line,) = (line for line in axis.lines if line.get_label() == stage.name)
-            assert line.get_xdata().tolist() == [row.sizes[index] for row in group]
+            (line,) = (line for line in axis.lines if line.label == stage.name)
+            assert line.x.tolist() == [row.sizes[index] for row in group]
 
 
 def test_bars_end_at_what_is_left_and_the_found_one_is_green(diagnosis):
     figure = discrepancy.hypothesis_bars(diagnosis.hypotheses, chosen=diagnosis.hypotheses[0])
-    bars = figure.axes[0].patches
-    ends = [bar.get_x() + bar.get_width() for bar in bars]
+    bars = [mark for mark in figure.panels[0].marks if isinstance(mark, Area)]
+    ends = [bar.corners[:, 0].max() for bar in bars]
     assert ends == pytest.approx([np.sqrt(one.held_out_level) for one in diagnosis.hypotheses])
-    from matplotlib.colors import to_hex
-
-    colours = [to_hex(bar.get_facecolor()) for bar in bars]
-    assert colours == [plots.LIGHT.system] + [plots.LIGHT.noise] * 3
-    assert sorted(line.get_xdata()[0] for line in figure.axes[0].lines) == pytest.approx([1.0, np.sqrt(1.5)])
+    assert [bar.role for bar in bars] == ["system"] + ["noise"] * 3
+    assert sorted(line.x[0] for line in figure.panels[0].lines) == pytest.approx([1.0, np.sqrt(1.5)])
 
 
 def test_a_hypothesis_that_ran_away_is_told_and_not_measured(diagnosis):
     lost = replace(diagnosis.hypotheses[1], held_out_level=np.inf)
-    axis = discrepancy.hypothesis_bars((diagnosis.hypotheses[0], lost)).axes[0]
-    assert any("did not run through" in text.get_text() for text in axis.texts)
-    assert not any("inf" in text.get_text() or "nan" in text.get_text() for text in axis.texts)
+    axis = discrepancy.hypothesis_bars((diagnosis.hypotheses[0], lost)).panels[0]
+    assert any("did not run through" in word.text for word in axis.words)
+    assert not any("inf" in word.text or "nan" in word.text for word in axis.words)
 
 
 def test_many_hypotheses_stay_few_bars(diagnosis):
     figure = discrepancy.hypothesis_bars(diagnosis.hypotheses * 5)
-    assert len(figure.axes[0].patches) == discrepancy.MOST_BARS
+    assert sum(isinstance(mark, Area) for mark in figure.panels[0].marks) == discrepancy.MOST_BARS
 
 
 def test_steps_are_drawn_on_both_kinds_of_records(diagnosis):
-    axis = discrepancy.shrinking_gap(diagnosis.steps).axes[0]
-    drawn = {line.get_label(): line.get_ydata() for line in axis.lines}
+    axis = discrepancy.shrinking_gap(diagnosis.steps).panels[0]
+    drawn = {line.label: line.y for line in axis.lines}
     np.testing.assert_allclose(drawn["on held-out records"], [np.sqrt(s.held_out_level) for s in diagnosis.steps])
     np.testing.assert_allclose(drawn["on the records fitted to"], [np.sqrt(s.fit_level) for s in diagnosis.steps])
-    labels = [text.get_text() for text in axis.get_xticklabels()]
+    labels = [text for _, text in axis.x_ticks()]
     assert labels == ["as given", "calibrated", "+ cubic stiffness\nat element_1", "+ Coulomb friction\nat element_1"]
 
 
 def test_a_law_is_drawn_with_its_band_and_the_points_with_their_bars(diagnosis):
     law = diagnosis.laws[0]
-    axis = discrepancy_law.law_curves([law]).axes[0]
-    (curve,) = (line for line in axis.lines if line.get_label() == "law as found")
-    np.testing.assert_array_equal(curve.get_ydata(), law.force)
-    (points,) = (c for c in axis.containers if c.get_label() == "from the data, 95 %")
-    np.testing.assert_array_equal(points.lines[0].get_ydata(), law.points_force)
-    segments = points.lines[2][0].get_segments()
-    np.testing.assert_allclose([s[1, 1] - s[0, 1] for s in segments], 3.92 * law.points_deviation)
-    band = axis.collections[0].get_paths()[0].vertices
-    assert band[:, 1].max() == pytest.approx((law.force + 1.96 * law.deviation).max())
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("displacement [m]", "force [N]")
+    axis = discrepancy_law.draw_laws([law]).panels[0]
+    (curve,) = (line for line in axis.lines if line.label == "law as found")
+    np.testing.assert_array_equal(curve.y, law.force)
+    (points,) = (line for line in axis.lines if line.label == "from the data, 95 %")
+    np.testing.assert_array_equal(points.y, law.points_force)
+    (bars,) = (mark for mark in axis.marks if isinstance(mark, Segments))
+    np.testing.assert_allclose(bars.ends[:, 1, 1] - bars.ends[:, 0, 1], 3.92 * law.points_deviation)
+    (band,) = (mark for mark in axis.marks if isinstance(mark, Area))
+    assert band.corners[:, 1].max() == pytest.approx((law.force + 1.96 * law.deviation).max())
+    assert (axis.x.label, axis.y.label) == ("displacement [m]", "force [N]")
 
 
 def test_a_law_with_memory_is_its_loop(diagnosis):
     law = hysteresis_law()
-    axis = discrepancy_law.law_curves([law]).axes[0]
-    np.testing.assert_array_equal(axis.lines[0].get_ydata(), law.loop_force)
-    np.testing.assert_array_equal(axis.lines[1].get_ydata(), law.force)
-    assert not axis.collections
+    axis = discrepancy_law.draw_laws([law]).panels[0]
+    np.testing.assert_array_equal(axis.lines[0].y, law.loop_force)
+    np.testing.assert_array_equal(axis.lines[1].y, law.force)
+    assert not any(isinstance(mark, Area) for mark in axis.marks)
 
 
 @pytest.mark.parametrize(
@@ -162,8 +152,8 @@ def test_a_law_with_memory_is_its_loop(diagnosis):
 )
 def test_a_law_says_what_it_gives(diagnosis, effect, against, words):
     law = replace(diagnosis.laws[0], against=against, motion_unit="s", force_unit="V", effect=effect)
-    axis = discrepancy_law.law_curves([law]).axes[0]
-    assert (axis.get_xlabel(), axis.get_ylabel()) == (f"{against} [s]", words)
+    axis = discrepancy_law.draw_laws([law]).panels[0]
+    assert (axis.x.label, axis.y.label) == (f"{against} [s]", words)
 
 
 @pytest.mark.parametrize("name", ["<script>alert(1)</script>", "a $\\frac{", "x" * 500, "قناة", '" onload="x'])

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
-from matplotlib.text import Annotation
 
 from modal import plots
 from modal.geometry import Geometry, Sensor
 from modal.placement import placed
+from modal.plots.marks import Segments
 from modal.plots.structure import MOST_SEGMENTS
+from modal.plots.style import text_width
 from modal.scene import scene_of
 from okid.errors import InvalidDataError
 
@@ -31,8 +31,7 @@ def modes(make_once):
 
 def deflected(figure, panel=0):
     """The lines of one panel, (n_lines, 2, 2) each: at rest, at one end of the motion, at the other."""
-    found = [part for part in figure.axes[panel].collections if isinstance(part, LineCollection)]
-    return [np.array(part.get_segments()) for part in found]
+    return [mark.ends for mark in figure.panels[panel].marks if isinstance(mark, Segments)]
 
 
 def test_a_shape_is_drawn_at_rest_and_at_both_ends(modes):
@@ -44,7 +43,7 @@ def test_a_shape_is_drawn_at_rest_and_at_both_ends(modes):
         np.testing.assert_allclose(rest, scene.eye.seen(scene.positions)[scene.segments])
         np.testing.assert_allclose(above, scene.eye.seen(moved)[scene.segments])
         np.testing.assert_allclose(above + below, 2 * rest, atol=1e-9)
-    limits = {(axis.get_xlim(), axis.get_ylim()) for axis in figure.axes if axis.get_visible()}
+    limits = {(panel.x.limits, panel.y.limits) for panel in figure.panels}
     assert len(limits) == 1
     ((left, right), (low, high)) = limits.pop()
     every = np.concatenate([part.reshape(-1, 2) for panel in range(len(modes)) for part in deflected(figure, panel)])
@@ -54,7 +53,7 @@ def test_a_shape_is_drawn_at_rest_and_at_both_ends(modes):
 
 def test_without_geometry_the_sticks_remain_unless_names_state_nodes(modes):
     sticks = plots.mode_shapes(modes, output_names=("a", "b", "c"))
-    assert [text.get_text() for text in sticks.axes[0].get_yticklabels()] == ["a", "b", "c"]
+    assert [text for _, text in sticks.panels[0].y_ticks()] == ["a", "b", "c"]
     assert len(deflected(plots.mode_shapes(modes, output_names=("1X+", "2X+", "2Y+")))) == 3
 
 
@@ -63,26 +62,26 @@ def test_a_geometry_that_fits_no_output_is_an_error(modes):
         plots.mode_shapes(modes, output_names=("a", "b", "c"), geometry=TOWER)
 
 
-@pytest.mark.parametrize("theme", [plots.LIGHT, plots.DARK], ids=["light", "dark"])
-def test_every_colour_belongs_to_the_theme(modes, theme):
+def test_every_colour_belongs_to_the_page(modes):
     surfaced = replace(TOWER, surfaces=((0, 1, 2),))
     for figure in (
-        plots.mode_shapes(modes, output_names=NAMES, geometry=surfaced, theme=theme),
-        plots.geometry_picture(surfaced, output_names=NAMES, theme=theme),
+        plots.mode_shapes(modes, output_names=NAMES, geometry=surfaced),
+        plots.geometry_picture(surfaced, output_names=NAMES),
     ):
-        if theme is plots.LIGHT:
-            with plots.house_style():
-                text = plots.svg_text(figure, name="shapes", description="shapes")
-            assert not re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", text)
-        else:
-            assert figure.get_facecolor()[:3] == pytest.approx(
-                [int(theme.paper[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-            )
+        text = plots.svg_text(figure, name="shapes", description="shapes")
+        assert "fill: var(--" in text
+        assert not re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", text)
 
 
 def boxes_of(figure):
-    figure.canvas.draw()
-    return [text.get_window_extent().extents for text in figure.axes[0].texts if text.get_text()]
+    """(left, top, right, bottom) of the names in the figure, as wide as they are taken to be."""
+    figure.arrange()
+    panel, boxes = figure.panels[0], []
+    for word in panel.words:
+        x, y = panel.place(np.array([word.x, word.y]))
+        half = text_width(word.text, word.size) / 2
+        boxes.append((x - half, y - word.size / 2, x + half, y + word.size / 2))
+    return boxes
 
 
 def test_names_of_nodes_cover_neither_nodes_nor_each_other():
@@ -97,20 +96,21 @@ def test_names_of_nodes_cover_neither_nodes_nor_each_other():
     assert crossing.sum() == len(boxes)  # each with itself alone
 
 
+def n_arrows(figure):
+    return sum(len(mark.ends) for mark in figure.panels[0].marks if isinstance(mark, Segments) and mark.arrows)
+
+
 def test_every_node_of_a_small_structure_is_named_and_every_sensor_an_arrow():
     figure = plots.geometry_picture(TOWER, output_names=NAMES)
-    words = {text.get_text() for text in figure.axes[0].texts}
-    assert {"1", "2", "3", "4"} <= words
-    arrows = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
-    assert len(arrows) == 3
+    assert {word.text for word in figure.panels[0].words} == {"1", "2", "3", "4"}
+    assert n_arrows(figure) == 3
     own = replace(TOWER, sensors=(Sensor(name="top", node=3, direction=[1, 1, 0]),))
-    assert len([one for one in plots.geometry_picture(own).axes[0].texts if isinstance(one, Annotation)]) == 1
+    assert n_arrows(plots.geometry_picture(own)) == 1
 
 
 def test_names_from_a_file_are_harmless_in_a_picture():
     hostile = Geometry(node_names=("<script>", "$x$" * 40, "\u202egnp"), positions=np.eye(3))
-    with plots.house_style():
-        text = plots.svg_text(plots.geometry_picture(hostile), name="g", description="g")
+    text = plots.svg_text(plots.geometry_picture(hostile), name="g", description="g")
     assert "<script" not in text
     assert "\u202e" not in text
 
@@ -135,9 +135,9 @@ def test_a_mast_is_drawn_no_taller_than_a_page_shows_it():
         sensors=(Sensor(name="tip", node=1, direction=[1, 0, 0]),),
     )
     figure = plots.geometry_picture(mast)
-    assert figure.get_size_inches()[1] <= 4.2
-    (axis,) = figure.axes
-    bottom, top = axis.get_ylim()
-    for line in axis.lines:
-        assert bottom <= np.min(line.get_ydata()) <= np.max(line.get_ydata()) <= top
-    assert [text.get_text() for text in axis.texts if text.get_text()] == ["foot", "top"]
+    assert figure.height <= 4.2 * 72
+    (panel,) = figure.panels
+    bottom, top = panel.y.limits
+    for line in panel.lines:
+        assert bottom <= np.min(line.y) <= np.max(line.y) <= top
+    assert [word.text for word in panel.words] == ["foot", "top"]

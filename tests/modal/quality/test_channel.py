@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from modal.quality.channel import channels_of, named, percent, when
+from modal.quality.channel import channels_of, named, when
+from modal.wording import percent
 from okid.record import Record
 from okid.scaling import channel_scaling
 

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from modal.plots import frequency_responses, house_style, order_fits, svg_text
+from modal.plots import frequency_responses, order_fits, svg_text
 from modal.report.pages import html_text
 from modal.report.picture import Picture, readable
 from modal.report.provenance import Provenance
@@ -103,10 +103,9 @@ def answers(identification, picture, browse, tmp_path):
 
 def test_values_are_read_with_pointer_and_keys(identification, browse, tmp_path):
     evidence = identification.order_evidence
-    with house_style():
-        figure = order_fits(evidence)
-        limits = figure.axes[0].get_xlim()
-        picture = readable(figure, "order fits", "words")
+    figure = order_fits(evidence)
+    picture = readable(figure, "order fits", "words")
+    limits = figure.panels[0].x.limits
     said = answers(identification, picture, browse, tmp_path)
     middle = sum(limits) / 2
     orders = [
@@ -124,9 +123,8 @@ def test_values_are_read_with_pointer_and_keys(identification, browse, tmp_path)
 
 def test_a_response_is_read_together_with_its_coherence(identification, browse, tmp_path):
     measured = measured_frf(identification.records)
-    with house_style():
-        figure = frequency_responses(measured, identification.realisation, input_names=["in"], output_names="abc")
-        picture = readable(figure, "responses", "words")
+    figure = frequency_responses(measured, identification.realisation, input_names=["in"], output_names="abc")
+    picture = readable(figure, "responses", "words")
     said = answers(identification, picture, browse, tmp_path)
     title, *rows = said["middle"].split("|")
     nearest = np.argmin(np.abs(measured.frequencies - measured.frequencies[-1] / 2))
@@ -140,8 +138,7 @@ def test_a_response_is_read_together_with_its_coherence(identification, browse, 
 
 
 def test_a_picture_without_numbers_stays_a_picture(identification, browse, tmp_path):
-    with house_style():
-        svg = svg_text(order_fits(identification.order_evidence), name="order fits", description="words")
+    svg = svg_text(order_fits(identification.order_evidence), name="order fits", description="words")
     page = tmp_path / "still.html"
     page.write_text(
         html_text(identification, Provenance(), {"order_fits": Picture(svg=svg, caption="words")}), encoding="utf-8"

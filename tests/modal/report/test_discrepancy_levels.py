@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from levels_by_hand import HARDENS, LEVELS, POLE, RESTS, VAGUE, with_levels
 
-from modal import plots
 from modal.plots.discrepancy_levels import modes_against_level
 from modal.report.discrepancy_levels import level_lines, telling
 from modal.report.discrepancy_pictures import draw_diagnosis
@@ -46,22 +45,13 @@ def test_the_numbers_are_changes_from_the_lowest_level_in_percent(diagnosis):
 def test_the_picture_draws_the_numbers_and_a_tick_at_each_level(diagnosis):
     lines = level_lines(with_levels(diagnosis, HARDENS, RESTS))
     figure = modes_against_level(lines)
-    left, right = figure.axes
-    drawn = [container.lines[0].get_ydata() for container in left.containers]
-    np.testing.assert_allclose(drawn[0], lines[0].change)
-    np.testing.assert_allclose(right.containers[1].lines[0].get_ydata(), lines[1].damping)
-    np.testing.assert_allclose(left.get_xticks(), LEVELS)
-    assert [text.get_text() for text in left.get_legend().get_texts()] == [line.name for line in lines]
+    left, right = figure.panels
+    np.testing.assert_allclose(left.lines[0].y, lines[0].change)
+    np.testing.assert_allclose(right.lines[1].y, lines[1].damping)
+    np.testing.assert_allclose([value for value, _ in left.x_ticks()], LEVELS)
+    assert [mark.label for mark in left.keyed] == [line.name for line in lines]
 
 
 def test_poles_of_first_order_have_no_panel_of_damping(diagnosis):
-    assert len(modes_against_level(level_lines(with_levels(diagnosis, POLE))).axes) == 1
-    assert len(modes_against_level(level_lines(with_levels(diagnosis, POLE, HARDENS))).axes) == 2
-
-
-def test_a_dark_picture_holds_no_light_colour(diagnosis):
-    lines = level_lines(with_levels(diagnosis, HARDENS, RESTS))
-    with plots.house_style():
-        text = plots.svg_text(modes_against_level(lines, theme=plots.DARK), name="levels", description="levels")
-    light = {plots.LIGHT.measured, plots.LIGHT.model, plots.LIGHT.ink, plots.LIGHT.muted}
-    assert not any(colour in text.lower() for colour in light)
+    assert len(modes_against_level(level_lines(with_levels(diagnosis, POLE))).panels) == 1
+    assert len(modes_against_level(level_lines(with_levels(diagnosis, POLE, HARDENS))).panels) == 2

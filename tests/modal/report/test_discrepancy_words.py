@@ -13,11 +13,11 @@ from modal.report.discrepancy_values import (
     beside_text,
     found_hypothesis,
     interval_text,
-    share_text,
     size_text,
     times_text,
     value_text,
 )
+from modal.wording import exact_percent
 
 
 def with_levels(diagnosis, *levels):
@@ -40,7 +40,7 @@ def with_first(diagnosis, **changes):
     ],
 )
 def test_the_headline_says_no_more_than_the_status(diagnosis_of, status, n_effects, start):
-    assert words.headline(diagnosis_of(status, n_effects)) == start
+    assert words.diagnosis_headline(diagnosis_of(status, n_effects)) == start
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_what_the_diagnosis_settled_on_is_found_among_the_hypotheses(diagnosis, 
 
 def test_limits_are_told_only_where_nothing_was_found(diagnosis, diagnosis_of):
     limits = diagnosis_of("none", 0).detection_limits
-    assert words.limits_sentence(replace(diagnosis, detection_limits=limits)) == ""
+    assert words.hidden_sentence(replace(diagnosis, detection_limits=limits)) == ""
 
 
 def test_warnings_become_sentences(diagnosis):
@@ -191,12 +191,12 @@ def test_warnings_become_sentences(diagnosis):
 
 
 def test_what_could_still_hide_is_told_where_it_is_known(diagnosis, diagnosis_of):
-    assert words.limits_sentence(diagnosis) == ""
+    assert words.hidden_sentence(diagnosis) == ""
     none = diagnosis_of("none", 0)
-    sentence = words.limits_sentence(none)
+    sentence = words.hidden_sentence(none)
     assert "cubic stiffness at element_1 up to k3 = 3100 N/m^3" in sentence
     assert "more stand" not in sentence
-    assert "; 1 more stand in the table" in words.limits_sentence(
+    assert "; 1 more stand in the table" in words.hidden_sentence(
         replace(none, detection_limits=none.detection_limits * 2)
     )
 
@@ -263,14 +263,14 @@ def with_noise_for(found, outputs):
 def test_none_is_no_praise_of_a_model_that_explains_nothing(diagnosis_of, outputs, start, label):
     found = with_cautions(with_noise_for(diagnosis_of("none", 0), outputs))
     assert found.status == "none"
-    assert words.headline(found) == start
+    assert words.diagnosis_headline(found) == start
     judged = words.judge_diagnosis(found)
     assert (judged.trust == "carried") == (not outputs)
     assert label is None or judged.label == label
     assert (judged.label == "Nothing explained") == (len(outputs) == 2)
     assert ("nothing was compared but noise" in words.next_sentences(found)[0]) == (len(outputs) == 2)
     assert ("explains nothing of" in found.verdict) == bool(outputs)
-    assert bool(words.limits_sentence(found)) == (len(outputs) < 2)
+    assert bool(words.hidden_sentence(found)) == (len(outputs) < 2)
 
 
 def test_where_is_that_of_the_location(diagnosis):
@@ -334,8 +334,8 @@ def test_a_deviation_that_is_not_known_is_not_written(std):
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.123, 0.98999, 0.99, 0.9999, 1 - 1e-12, 1.0, 2.0])
 def test_a_share_never_reads_as_all_unless_it_is(share):
-    assert (share_text(share) == "100 %") == (share >= 1.0)
-    assert float(share_text(share).split()[0]) <= 100.0 * share * 1.005
+    assert (exact_percent(share) == "100 %") == (share >= 1.0)
+    assert float(exact_percent(share).split()[0]) <= 100.0 * share * 1.005
 
 
 def test_the_limits_of_the_words_are_those_of_the_decision():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal import plots
 from modal.geometry import Geometry, Sensor
 from modal.report.pictures import _geometry_picture, _mode_pictures, _n_drawn, _order_pictures, draw_pictures
 from modal.report.setting import Setting
@@ -30,14 +29,12 @@ def test_the_colours_of_the_poles_are_explained(identification, known, said):
     evidence = identification.order_evidence
     points = tuple(replace(one, repeatability=0.5 if known else np.nan) for one in evidence.stabilisation)
     result = replace(identification, order_evidence=replace(evidence, stabilisation=points))
-    with plots.house_style():
-        assert said in captions(_order_pictures(result))["stabilisation"]
+    assert said in captions(_order_pictures(result))["stabilisation"]
 
 
 def test_shapes_stand_on_a_geometry_or_in_the_order_of_the_record(identification, mast):
-    with plots.house_style():
-        alone = captions(_mode_pictures(identification, Setting()))["shapes"]
-        placed = captions(_mode_pictures(identification, Setting(geometry=mast)))["shapes"]
+    alone = captions(_mode_pictures(identification, Setting()))["shapes"]
+    placed = captions(_mode_pictures(identification, Setting(geometry=mast)))["shapes"]
     assert "without the geometry of the structure" in alone
     assert "on the geometry" in placed
     assert "without the geometry" not in placed
@@ -45,8 +42,7 @@ def test_shapes_stand_on_a_geometry_or_in_the_order_of_the_record(identification
 
 def test_the_structure_is_drawn_where_it_is_known(identification, mast):
     assert _geometry_picture(identification, Setting()) == {}
-    with plots.house_style():
-        picture = _geometry_picture(identification, Setting(geometry=mast))["geometry"]
+    picture = _geometry_picture(identification, Setting(geometry=mast))["geometry"]
     assert picture.svg.startswith("<svg")
     assert picture.chart == ""
 
@@ -67,8 +63,7 @@ def test_an_order_that_was_not_tried_is_not_called_unstable(identification, fits
     evidence = replace(
         identification.order_evidence, candidate_orders=np.array([2.0, 4.0, 12.0]), candidate_fits=np.array(fits)
     )
-    with plots.house_style():
-        caption = captions(_order_pictures(replace(identification, order_evidence=evidence)))["order_fits"]
+    caption = captions(_order_pictures(replace(identification, order_evidence=evidence)))["order_fits"]
     assert caption == f"Cross-validated fit against model order, a point for each order that was tried.{said}"
 
 

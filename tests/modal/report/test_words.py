@@ -5,22 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.report.words import (
+from modal.report.words import data_sentences, fit_word, modes_headline
+from modal.trust import (
     caution_sentence,
     damping_sentence,
     damping_text,
-    data_sentences,
     doubtful_sentence,
     fit_sentence,
-    fit_text,
-    fit_word,
     frequency_text,
-    headline,
-    hertz,
-    judge,
-    percent,
-    with_interval,
+    trust_of,
 )
+from modal.wording import fit_text, hertz, ratio_text, with_interval
 
 
 def with_fit(result, fit):
@@ -36,7 +31,7 @@ def with_system(result, count):
     [(0, "No mode of the system was found."), (1, "One mode of the system was found, at 3.67 Hz."), (3, "Three modes")],
 )
 def test_headline_counts_the_system_modes_alone(identification, count, beginning):
-    assert headline(with_system(identification, count)).startswith(beginning)
+    assert modes_headline(with_system(identification, count)).startswith(beginning)
 
 
 @pytest.mark.parametrize(
@@ -53,12 +48,12 @@ def test_overdamped_poles_are_not_called_vibration_modes(identification, count, 
         replace(mode, kind="real") if i >= 3 - count else mode for i, mode in enumerate(identification.modes.system)
     )
     result = replace(identification, modes=replace(identification.modes, modes=modes))
-    assert headline(result).endswith(words)
+    assert modes_headline(result).endswith(words)
     assert [damping_text(mode) for mode in modes].count("overdamped") == count
 
 
 def test_headline_gives_the_range(identification):
-    assert headline(identification).endswith("between 3.67 and 16.6 Hz.")
+    assert modes_headline(identification).endswith("between 3.67 and 16.6 Hz.")
 
 
 @pytest.mark.parametrize(("value", "text"), [(0.00072371, "0.0007237"), (999.96, "1000"), (27470.63, "27470.6")])
@@ -66,7 +61,7 @@ def test_frequencies_are_written_without_powers_of_ten(identification, value, te
     assert hertz(value) == text
     modes = (replace(identification.modes.modes[0], frequency=value, damping_resolved=False),)
     result = replace(identification, modes=replace(identification.modes, modes=modes))
-    for sentence in (headline(result), damping_sentence(result)):
+    for sentence in (modes_headline(result), damping_sentence(result)):
         assert f"at {text} Hz" in sentence
 
 
@@ -120,7 +115,7 @@ def test_fit_sentence_names_the_worst_output(identification):
 def test_an_unknown_fit_is_said_to_be_unknown(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, np.nan)))
     assert "No fit on held-out data is known" in fit_sentence(result)
-    assert judge(result).trust == "with care"
+    assert trust_of(result).trust == "with care"
 
 
 def test_without_inputs_nothing_is_said_about_inputs(identification):
@@ -142,12 +137,12 @@ def test_without_inputs_nothing_is_said_about_inputs(identification):
 )
 def test_trust(identification, fit, n_system, warnings, trust):
     result = replace(with_system(with_fit(identification, fit), n_system), warnings=warnings)
-    assert judge(result).trust == trust
+    assert trust_of(result).trust == trust
 
 
 def test_no_system_mode_is_said(identification):
-    assert not any("nothing to quote" in reason for reason in judge(identification).reasons)
-    assert any("nothing to quote" in reason for reason in judge(with_system(identification, 0)).reasons)
+    assert not any("nothing to quote" in reason for reason in trust_of(identification).reasons)
+    assert any("nothing to quote" in reason for reason in trust_of(with_system(identification, 0)).reasons)
 
 
 def test_unresolved_damping_is_said_and_not_quoted(identification):
@@ -158,7 +153,7 @@ def test_unresolved_damping_is_said_and_not_quoted(identification):
     assert "3.67 Hz" in damping_sentence(result)
     assert damping_text(unresolved) == "not resolved"
     assert damping_text(first) == "1.20 %"
-    assert damping_sentence(result) in judge(result).reasons
+    assert damping_sentence(result) in trust_of(result).reasons
 
 
 @pytest.mark.parametrize(("count", "words"), [(0, ""), (1, "One more pole, at 23.4 Hz"), (5, "Five more poles")])
@@ -195,4 +190,4 @@ def test_intervals_are_shown_when_known(identification):
     mode = replace(identification.modes.modes[0], frequency_std=0.01, damping_ratio_std=0.0005)
     assert frequency_text(mode) == "3.670 ± 0.020"
     assert damping_text(mode) == "1.200 ± 0.098 %"
-    assert percent(np.nan) == "–"
+    assert ratio_text(np.nan) == "–"

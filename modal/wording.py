@@ -1,0 +1,138 @@
+"""Numbers, lists and plurals as a person writes them; no type of ours is known here.
+
+Every text for a reader, in the report, the recording and the terminal, takes its numbers from here.
+"""
+
+import math
+from collections.abc import Sequence
+
+__all__ = [
+    "GOOD_FIT",
+    "LEAST_FIT",
+    "counted",
+    "exact_percent",
+    "fit_text",
+    "hertz",
+    "listed",
+    "percent",
+    "ratio_text",
+    "whole_percent",
+    "with_interval",
+]
+
+LEAST_FIT = 0.5
+"""Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
+
+GOOD_FIT = 0.8
+"""Say that the model explains the record well from this cross-validated fit on."""
+
+
+def listed(words: Sequence[str]) -> str:
+    """The words with commas and an "and" before the last.
+
+    Example:
+        >>> listed(["a"]), listed(["a", "b", "c"])
+        ('a', 'a, b and c')
+    """
+    return " and ".join(words) if len(words) < 3 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def counted(number: int) -> str:
+    """A number of things, up to twelve as a word.
+
+    Example:
+        >>> counted(0), counted(7), counted(40)
+        ('no', 'seven', '40')
+    """
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+    return words[number] if number < len(words) else str(number)
+
+
+def hertz(frequency: float) -> str:
+    """A frequency to four digits, from 1000 Hz on to a tenth: never in powers of ten that a reader must work out.
+
+    Example:
+        >>> hertz(3.66971), hertz(27470.63)
+        ('3.67', '27470.6')
+    """
+    return f"{frequency:.4g}" if frequency < 1000 else f"{frequency:.1f}"
+
+
+def fit_text(fit: float) -> str:
+    """A fit to two digits, a dash where it is not known; one below 0.5 or 0.8 is never rounded up to it.
+
+    Example:
+        >>> fit_text(0.4987), fit_text(0.7989), fit_text(0.7647), fit_text(-0.0012)
+        ('0.49', '0.79', '0.76', '0.00')
+    """
+    if not math.isfinite(fit):
+        return "–"
+    shown = round(fit, 2)
+    if any(fit < limit <= shown for limit in (LEAST_FIT, GOOD_FIT)):
+        shown = math.floor(100 * fit) / 100
+    return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
+
+
+def with_interval(value: float, half_width: float) -> str:
+    """Value ± half width, both to the second digit of the half width.
+
+    Example:
+        >>> with_interval(3.66971, 0.0123)
+        '3.670 ± 0.012'
+    """
+    if not half_width > 0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(half_width)))
+    return f"{value:.{digits}f} ± {half_width:.{digits}f}"
+
+
+def ratio_text(ratio: float, std: float = math.nan) -> str:
+    """A damping ratio in percent, with its 95 % interval where that is known."""
+    if not math.isfinite(ratio):
+        return "–"
+    return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 196 * std)} %"
+
+
+def percent(share: float) -> str:
+    """A share to two digits, never rounded to all or nothing.
+
+    Example:
+        >>> percent(0.861), percent(0.0412), percent(0.9991), percent(12.3)
+        ('86 %', '4.1 %', '99.9 %', '1230 %')
+    """
+    value = 100.0 * share
+    if 0.0 < share < 1e-4:
+        return "under 0.01 %"
+    if 99.5 <= value < 100.0:
+        return f"{min(value, 99.9):.1f} %"
+    return f"{value:.0f} %" if abs(value) >= 9.95 else f"{value:.2g} %"
+
+
+def whole_percent(share: float) -> str:
+    """A share in whole percent, a dash where it is not known; 100 % is all of it, and chance below nothing is 0 %.
+
+    Example:
+        >>> whole_percent(0.999), whole_percent(1.0), whole_percent(-0.001), whole_percent(0.236)
+        ('99 %', '100 %', '0 %', '24 %')
+    """
+    if not math.isfinite(share):
+        return "–"
+    whole = round(100 * share)
+    return f"{99 if whole == 100 and share < 1 else max(0, whole)} %"
+
+
+def exact_percent(share: float) -> str:
+    """A share to three digits, more near a whole that it does not reach.
+
+    Example:
+        >>> exact_percent(0.9312), exact_percent(0.99996), exact_percent(1.0000002), exact_percent(-0.2)
+        ('93.1 %', '99.99 %', '100 %', '0 %')
+    """
+    if not math.isfinite(share):
+        return "–"
+    value = 100.0 * min(max(share, 0.0), 1.0)
+    if value in (0.0, 100.0):
+        return f"{value:.0f} %"
+    if value > 99.0:
+        return f"{math.floor(100.0 * value) / 100.0:.2f} %"
+    return f"{value:.3g} %"
