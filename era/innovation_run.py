@@ -83,7 +83,7 @@ def one_step(
     closed, feed, through = A - K @ C, np.hstack([B - K @ D, K]), np.hstack([D, np.zeros((C.shape[0],) * 2)])
     done = 0
     with np.errstate(over="ignore", invalid="ignore"):
-        for start, stop in [*runs_of(~np.isnan(outputs).any(axis=1)), (outputs.shape[0],) * 2]:
+        for start, stop in [*runs_of(np.asarray(~np.isnan(outputs).any(axis=1))), (outputs.shape[0],) * 2]:
             if start < stop < start + min(SHORTEST_BLOCK, outputs.shape[0]):
                 continue
             rows = slice(done, start)
@@ -152,7 +152,7 @@ def _sample_by_sample(
     there = ~np.isnan(values)
     closed, pushes = A - K @ C, drive + np.where(there, values, 0.0) @ K.T
     states = np.empty((values.shape[0], A.shape[0]))
-    complete = there.all(axis=1)
+    complete = np.asarray(there.all(axis=1))
     for k in range(values.shape[0]):
         states[k] = state
         if complete[k]:
