@@ -13,7 +13,7 @@ from era.state_recursion import free_run
 from okid.arrays import FloatArray
 from okid.rows import runs_of
 
-__all__ = ["backward_states", "finite_gramian", "innovation_run"]
+__all__ = ["backward_states", "finite_gramian", "innovation_run", "one_step"]
 
 SHORTEST_BLOCK = 200
 """Complete rows in a row from which blocks of products are faster than a step at a time."""
@@ -40,19 +40,58 @@ def innovation_run(
         >>> e.ravel(), x.round(4)
         (array([1.  , 0.  , 0.95]), array([0.12]))
     """
-    there = ~np.isnan(values)
-    innovations = np.zeros_like(values, subok=False)
-    feedthrough = np.eye(C.shape[0])
+    B, D, none = (np.empty((rows, 0)) for rows in (A.shape[0], C.shape[0], values.shape[0]))
+    predicted, state = one_step(A, B, C, D, K, inputs=none, outputs=values, state=state)
+    return np.where(np.isnan(values), 0.0, values - predicted), state
+
+
+def one_step(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    K: FloatArray,
+    *,
+    inputs: FloatArray,
+    outputs: FloatArray,
+    state: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """One-step prediction: x(k+1) = A x + B u + K e, e = y - C x - D u, zero where an output is missing.
+
+    Args:
+        A: (order, order).
+        B: (order, n_inputs).
+        C: (n_outputs, order).
+        D: (n_outputs, n_inputs).
+        K: (order, n_outputs).
+        inputs: (n_samples, n_inputs), none missing.
+        outputs: (n_samples, n_outputs), NaN where missing.
+        state: (order,) at the first sample.
+
+    Returns:
+        (n_samples, n_outputs) C x + D u at every sample, (order,) state after the last; infinite or NaN where A - K C
+        makes them grow without bound.
+
+    Example:
+        >>> one = np.ones((1, 1))
+        >>> outputs = np.array([[0.0], [2.5], [0.0]])
+        >>> model = 0.5 * one, one, 2 * one, 0 * one, 0.1 * one
+        >>> one_step(*model, inputs=np.eye(3, 1), outputs=outputs, state=np.zeros(1))[0].ravel()
+        array([0. , 2. , 1.1])
+    """
+    predicted = np.empty_like(outputs, subok=False)
+    closed, feed, through = A - K @ C, np.hstack([B - K @ D, K]), np.hstack([D, np.zeros((C.shape[0],) * 2)])
     done = 0
     with np.errstate(over="ignore", invalid="ignore"):
-        for start, stop in runs_of(np.asarray(there.all(axis=1))):
-            if stop - start < min(SHORTEST_BLOCK, values.shape[0]):
+        for start, stop in [*runs_of(np.asarray(~np.isnan(outputs).any(axis=1))), (outputs.shape[0],) * 2]:
+            if start < stop < start + min(SHORTEST_BLOCK, outputs.shape[0]):
                 continue
-            innovations[done:start], state = _sample_by_sample(A, C, K, values[done:start], state)
-            innovations[start:stop], state = free_run(A - K @ C, K, -C, feedthrough, values[start:stop], state=state)
+            rows = slice(done, start)
+            predicted[rows], state = _sample_by_sample((A, B, C, D, K), inputs[rows], outputs[rows], state)
+            both = np.hstack([inputs[start:stop], outputs[start:stop]])
+            predicted[start:stop], state = free_run(closed, feed, C, through, both, state=state)
             done = stop
-        innovations[done:], state = _sample_by_sample(A, C, K, values[done:], state)
-    return innovations, state
+    return predicted, state
 
 
 def backward_states(A: FloatArray, C: FloatArray, K: FloatArray, weighted: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -104,11 +143,14 @@ def finite_gramian(A: FloatArray, weight: FloatArray, length: int) -> FloatArray
 
 
 def _sample_by_sample(
-    A: FloatArray, C: FloatArray, K: FloatArray, values: FloatArray, state: FloatArray
+    model: tuple[FloatArray, ...], inputs: FloatArray, outputs: FloatArray, state: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """As `innovation_run`, for a few rows or rows with gaps."""
+    """As `one_step`, for a few rows or rows with gaps."""
+    A, B, C, D, K = model
+    forced = inputs @ D.T
+    values, drive = outputs - forced, inputs @ B.T
     there = ~np.isnan(values)
-    closed, pushes = A - K @ C, np.where(there, values, 0.0) @ K.T
+    closed, pushes = A - K @ C, drive + np.where(there, values, 0.0) @ K.T
     states = np.empty((values.shape[0], A.shape[0]))
     complete = np.asarray(there.all(axis=1))
     for k in range(values.shape[0]):
@@ -116,5 +158,5 @@ def _sample_by_sample(
         if complete[k]:
             state = closed @ state + pushes[k]
         else:
-            state = A @ state + K @ np.where(there[k], values[k] - C @ state, 0.0)
-    return np.where(there, values - states @ C.T, 0.0), state
+            state = A @ state + drive[k] + K @ np.where(there[k], values[k] - C @ state, 0.0)
+    return states @ C.T + forced, state

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from era.innovation_run import one_step
 from era.realisation import Realisation
-from era.state_recursion import checked_state, free_run, simulate_array
+from era.state_recursion import checked_state, simulate_array
 from okid.arguments import require
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError, NumericalError
@@ -95,28 +96,18 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
         )
     inputs, missing = filled_inputs(record)
     state = checked_state(model.order, initial_state)
-    there = ~np.isnan(record.outputs)
-    A, B = model.A - model.K @ model.C, np.hstack([model.B - model.K @ model.D, model.K])
-    D = np.hstack([model.D, np.zeros((model.n_outputs, model.n_outputs))])
-    complete = np.ones(record.n_samples, dtype=np.bool_) if there.all() else np.asarray(there.all(axis=1))
-    predicted = np.empty_like(record.outputs, subok=False)
-    for rows in _runs(complete):
-        if complete[rows.start]:
-            both = np.hstack([inputs[rows], record.outputs[rows]])
-            predicted[rows], state = free_run(A, B, model.C, D, both, state=state)
-        else:
-            for k in range(rows.start, rows.stop):
-                predicted[k] = model.C @ state + model.D @ inputs[k]
-                innovation = np.where(there[k], record.outputs[k] - predicted[k], 0.0)
-                state = model.A @ state + model.B @ inputs[k] + model.K @ innovation
+    predicted, state = one_step(
+        model.A, model.B, model.C, model.D, model.K, inputs=inputs, outputs=record.outputs, state=state
+    )
+    closed = model.A - model.K @ model.C
     if not (np.isfinite(predicted).all() and np.isfinite(state).all()):
         raise NumericalError(
             f"the one-step prediction grows beyond all numbers: the largest pole of A - K C has magnitude "
-            f"{_spectral_radius(A):.6g}; use a gain for which it is below 1, for example "
+            f"{_spectral_radius(closed):.6g}; use a gain for which it is below 1, for example "
             "era.gain_from_innovations."
         )
     if missing.any():
-        predicted[unknown_after(missing, A)] = np.nan
+        predicted[unknown_after(missing, closed)] = np.nan
     predicted.flags.writeable = False  # so that the record need not copy them
     return replace(record, outputs=predicted)
 
@@ -172,9 +163,3 @@ def unknown_after(missing: BoolArray, A: FloatArray) -> BoolArray:
     last = np.maximum.accumulate(np.where(missing, position, -n_samples - 1))
     unknown: BoolArray = position - last <= min(memory, n_samples)
     return unknown
-
-
-def _runs(flags: BoolArray) -> list[slice]:
-    """Slices of equal neighbours."""
-    edges = np.flatnonzero(np.diff(flags)) + 1
-    return [slice(int(i), int(j)) for i, j in zip([0, *edges], [*edges, flags.size], strict=True)]

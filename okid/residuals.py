@@ -8,11 +8,14 @@ from okid.arrays import FloatArray, row_chunks
 from okid.errors import InvalidDataError
 from okid.observer import ObserverFit
 from okid.record import Record
-from okid.rows import as_records
+from okid.rows import as_records, complete_rows, usable_rows
 from okid.scalars import whole_number
 from okid.whiteness import NOT_WHITE, ResidualCheck, centred, check_enough_for_lags, input_correlation, whiteness
 
 __all__ = ["ResidualCheck", "check_residuals", "one_step_residuals"]
+
+_PREDICTOR_VALUES = 1_000_000
+"""Predict so many rows at once that the matrix of their coefficients stays below this, in cache."""
 
 
 def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
@@ -42,20 +45,41 @@ def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
             f"the record must have the observer's channels, {want[0]} inputs and {want[1]} outputs, but has {have[0]} "
             f"and {have[1]}; select them with record.select."
         )
-    order = observer.order
+    order, n_channels = observer.order, observer.n_inputs + observer.n_outputs
+    length = max(1, min(order // 2, _PREDICTOR_VALUES // (2 * order * n_channels * observer.n_outputs)))
+    predictor = _block_predictor(observer, length)
     residual = np.full((record.n_samples, record.n_outputs), np.nan)
-    for rows in row_chunks(record.n_samples, record.n_inputs + record.n_outputs):
+    for rows in row_chunks(record.n_samples, n_channels):
         start, stop = max(rows.start, order), rows.stop
         if start >= stop:
             continue
-        # A NaN anywhere in the sums makes the row NaN, which is what is wanted.
+        n_blocks = -(-(stop - start) // length)
+        block = np.zeros((order + n_blocks * length, n_channels))
+        seen = block[: order + stop - start]
+        seen[:, : observer.n_inputs] = record.inputs[start - order : stop]
+        seen[:, observer.n_inputs :] = record.outputs[start - order : stop]
+        complete = complete_rows(seen)
+        seen[~complete] = 0.0
+        windows = np.lib.stride_tricks.sliding_window_view(block, order + length, axis=0)[::length]
+        predicted = windows.transpose(0, 2, 1).reshape(n_blocks, -1) @ predictor
         part = record.outputs[start:stop] - observer.offset
-        part -= record.inputs[start:stop] @ observer.feedthrough.T
-        for lag in range(1, order + 1):
-            part -= record.inputs[start - lag : stop - lag] @ observer.input_coefficients[lag - 1].T
-            part -= record.outputs[start - lag : stop - lag] @ observer.output_coefficients[lag - 1].T
+        part -= predicted.reshape(n_blocks * length, -1)[: stop - start]
+        part[~usable_rows(complete, order)[order:]] = np.nan
         residual[start:stop] = part
     return residual
+
+
+def _block_predictor(observer: ObserverFit, length: int) -> FloatArray:
+    """((order + length) n_channels, length n_outputs): a block's outputs from its samples and the `order` before it."""
+    order, n_inputs, n_outputs = observer.order, observer.n_inputs, observer.n_outputs
+    coefficients = np.zeros((order + 1, n_inputs + n_outputs, n_outputs))  # oldest sample first
+    coefficients[order, :n_inputs] = observer.feedthrough.T
+    coefficients[:order, :n_inputs] = observer.input_coefficients[::-1].transpose(0, 2, 1)
+    coefficients[:order, n_inputs:] = observer.output_coefficients[::-1].transpose(0, 2, 1)
+    predictor = np.zeros((order + length, n_inputs + n_outputs, length, n_outputs))
+    for row in range(length):
+        predictor[row : row + order + 1, :, row] = coefficients
+    return predictor.reshape((order + length) * (n_inputs + n_outputs), length * n_outputs)
 
 
 def check_residuals(

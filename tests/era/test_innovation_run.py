@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from era.innovation_run import backward_states, finite_gramian, innovation_run
+from era.innovation_run import backward_states, finite_gramian, innovation_run, one_step
 
 
 def random_form(rng, order=5, n_outputs=3):
@@ -25,6 +25,22 @@ def test_forwards_is_one_step_after_the_other(share):
         x = A @ x + K @ expected[k]
     np.testing.assert_allclose(found, expected, atol=1e-11)
     np.testing.assert_allclose(last, x, atol=1e-11)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.003, 0.2])
+def test_prediction_with_inputs_is_one_step_after_the_other(share):
+    rng = np.random.default_rng(4)
+    A, C, K = random_form(rng)
+    B, D = rng.standard_normal((5, 2)), rng.standard_normal((3, 2))
+    inputs, outputs, x = rng.standard_normal((900, 2)), rng.standard_normal((900, 3)), rng.standard_normal(5)
+    outputs[rng.random(outputs.shape) < share] = np.nan
+    found, last = one_step(A, B, C, D, K, inputs=inputs, outputs=outputs, state=x)
+    expected = np.empty_like(outputs)
+    for k, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
+        expected[k] = C @ x + D @ u
+        x = A @ x + B @ u + K @ np.nan_to_num(y - expected[k])
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    np.testing.assert_allclose(last, x, atol=1e-10)
 
 
 def test_backwards_is_the_derivative_of_the_sum_of_squares():
