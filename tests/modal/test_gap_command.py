@@ -226,7 +226,7 @@ def test_warnings_of_ours_are_remarks_of_the_report(data, quick, capsys, monkeyp
         warnings.warn(IdentificationWarning("mind the hold"), stacklevel=1)
         return plain(*arguments, **options)
 
-    monkeypatch.setattr(sys.modules["modal.discrepancy.workflow"], "diagnose", diagnose)
+    monkeypatch.setattr("modal.gap_job.diagnose", diagnose)
     assert "mind the hold" in gap(capsys, *GOOD)[1].out
     quick["result"] = replace(quick["result"], warnings=("mind the hold",))
     assert gap(capsys, *GOOD, "--overwrite")[1].out.lower().count("mind the hold") == 1
@@ -248,8 +248,8 @@ def test_an_option_takes_all_the_files_that_follow(given, spread):
 
 
 def test_the_report_is_printed_when_that_is_asked_for(data, quick, capsys, monkeypatch):
-    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
-    monkeypatch.setattr("modal.report.pdf.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    monkeypatch.setattr("modal.job_setup.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.gap_job.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
     status, captured = gap(capsys, *GOOD, "--pdf")
     assert status == 0, captured.err
     assert (data / "out" / "report.pdf").read_text() == "printed report.html"
