@@ -137,6 +137,7 @@ def quick(monkeypatch, identification):
         return state["result"]
 
     monkeypatch.setattr("modal.job.identify", identify)
+    monkeypatch.setattr("modal.identify", identify)
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
     return state
