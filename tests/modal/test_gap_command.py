@@ -1,7 +1,5 @@
 """The command `modal-report gap`: reading, options, exit status, nothing left behind; the diagnosis is a stand-in."""
 
-import sys
-import types
 from dataclasses import replace
 
 import numpy as np
@@ -65,9 +63,7 @@ def quick(monkeypatch, diagnosis_of):
             raise state["result"]
         return state["result"]
 
-    workflow = types.ModuleType("modal.discrepancy.workflow")
-    workflow.diagnose = diagnose
-    monkeypatch.setitem(sys.modules, "modal.discrepancy.workflow", workflow)
+    monkeypatch.setattr("modal.gap_job.diagnose", diagnose)
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.discrepancy_writing.draw_diagnosis", lambda _diagnosis: {})
     return state
@@ -220,7 +216,7 @@ def test_warnings_of_ours_are_remarks_of_the_report(data, quick, capsys, monkeyp
 
     from okid.errors import IdentificationWarning
 
-    plain = sys.modules["modal.discrepancy.workflow"].diagnose
+    plain = modal.gap_job.diagnose
 
     def diagnose(*arguments, **options):
         warnings.warn(IdentificationWarning("mind the hold"), stacklevel=1)
