@@ -40,18 +40,18 @@ def gap_histories(stages: Sequence[Stage], *, record: int = 0, outputs: Sequence
     """
     measured = stages[0].gap.measured[record]
     chosen = list(range(measured.n_outputs)) if outputs is None else list(outputs)
-    figure = grid_of(len(chosen), 2, size=(10.4, 0.6 + 1.5 * len(chosen)), across=(2.1, 1.0))
+    figure = grid_of(len(chosen), 2, size=(STYLE.page, 0.6 + 1.5 * len(chosen)), across=(2.1, 1.0))
     window = _worst_moment(stages[0].gap, record)
     time = measured.time
     for row, (output, whole, part) in enumerate(zip(chosen, figure.panels[::2], figure.panels[1::2], strict=True)):
         band = 2.0 * float(np.sqrt(stages[0].gap.floor[record, output]))
         for panel in (whole, part):
             everywhere = (-np.inf, np.inf)
-            panel.box_of(everywhere, (-band, band), "muted", opacity=0.22, label="noise floor, ±2 deviations")
+            panel.box_of(everywhere, (-band, band), "muted", opacity=STYLE.pale, label="noise floor, ±2 deviations")
             panel.x.labelled = row == len(chosen) - 1
         for stage in stages:
             values, role = stage.gap.residuals[record][:, output], STAGE_ROLES[stage.kind]
-            whole.line(*envelope(time, values), role, width=0.8, label=stage.name)
+            whole.line(*envelope(time, values), role, width=STYLE.thin, label=stage.name)
             part.line(time[window], values[window], role)
         mark_moment(whole, part, time, window)
         whole.head = _named(measured, output)
@@ -70,17 +70,19 @@ def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None
     """
     records = stages[0].gap.measured
     chosen = list(range(records[0].n_outputs)) if outputs is None else list(outputs)
-    figure = row_of(len(chosen), most_columns=2, width=10.4, height=2.9)
+    figure = row_of(len(chosen), most_columns=2, width=STYLE.page, height=2.9)
     density = gap_density([stage.gap for stage in stages])
     for panel, output in zip(figure.panels, chosen, strict=True):
         low, high = density.span(output)
         measured = density.measured[:, output]
         panel.x.log = panel.y.log = True
-        panel.area(density.frequency, low, measured, "measured", opacity=0.12)
-        panel.line(density.frequency, measured, "measured", width=0.9, opacity=0.6, label="measured output")
+        panel.area(density.frequency, low, measured, "measured", opacity=STYLE.faint)
+        panel.line(
+            density.frequency, measured, "measured", width=STYLE.thin, opacity=STYLE.half, label="measured output"
+        )
         for stage, gap in zip(stages, density.gaps, strict=True):
             positive = np.where(gap[:, output] > 0, gap[:, output], np.nan)
-            panel.line(density.frequency, positive, STAGE_ROLES[stage.kind], width=1.3, label=f"gap {stage.name}")
+            panel.line(density.frequency, positive, STAGE_ROLES[stage.kind], label=f"gap {stage.name}")
         panel.across(density.noise[output], "muted", dash="dashed", label="noise floor")
         panel.y.limits = (low, high)
         panel.x.limits = (float(density.frequency[0]), float(density.frequency[-1]))
@@ -100,7 +102,7 @@ def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
     groups = [(title, [row for row in rows if row.part == part]) for part, title in _PARTS]
     groups = [(title, group) for title, group in groups if group]
     heights = [0.55 + 0.27 * len(group) for _, group in groups]
-    figure = grid_of(len(groups), 1, size=(10.4, 0.7 + sum(heights)), down=heights)
+    figure = grid_of(len(groups), 1, size=(STYLE.page, 0.7 + sum(heights)), down=heights)
     sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
     for panel, (title, group) in zip(figure.panels, groups, strict=True):
         _dumbbells(panel, group, stages)
@@ -120,7 +122,7 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
         chosen: the one that the diagnosis found.
     """
     shown = list(hypotheses[:MOST_BARS])
-    figure = grid_of(1, 1, size=(10.4, 0.95 + 0.34 * max(len(shown), 1)))
+    figure = grid_of(1, 1, size=(STYLE.page, 0.95 + 0.34 * max(len(shown), 1)))
     panel = figure.panels[0]
     sizes = [times_floor(one.held_out_level) for one in shown]
     highest = max([3.0, *(size for size in sizes if np.isfinite(size))])
@@ -140,15 +142,15 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
 
 def shrinking_gap(steps: Sequence[Step]) -> Chart:
     """What is left after each step, on the records fitted to and on the held-out ones, in times of the noise floor."""
-    figure = grid_of(1, 1, size=(10.4, 3.2))
+    figure = grid_of(1, 1, size=(STYLE.page, 3.2))
     panel = figure.panels[0]
     place = np.arange(len(steps))
     fitted, held_out = (
         np.array([times_floor(level) for level in levels])
         for levels in ([step.fit_level for step in steps], [step.held_out_level for step in steps])
     )
-    panel.line(place, fitted, "measured", width=1.6, dash="dashed", dot=6.5, label="on the records fitted to")
-    panel.line(place, held_out, "system", width=1.6, dot=6.5, label="on held-out records")
+    panel.line(place, fitted, "measured", width=STYLE.thick, dash="dashed", dot=6.5, label="on the records fitted to")
+    panel.line(place, held_out, "system", width=STYLE.thick, dot=6.5, label="on held-out records")
     for number, size in enumerate(held_out.tolist()):
         if np.isfinite(size):
             panel.word(number, size, times_text(size), "system", shift=(7.0, -6.0))

@@ -8,7 +8,7 @@ from modal.discrepancy.diagnosis import LawCurve
 from modal.names import plot_label
 from modal.plots.layout import Chart, row_of
 from modal.plots.panels import Panel
-from modal.plots.style import NINETY_FIVE
+from modal.plots.style import NINETY_FIVE, STYLE
 from modal.report.discrepancy_values import effect_text, law_against, law_gives
 
 __all__ = ["draw_laws"]
@@ -23,7 +23,7 @@ def draw_laws(laws: Sequence[LawCurve]) -> Chart:
     Args:
         laws: of the found effects.
     """
-    figure = row_of(len(laws), most_columns=2, width=10.4 if len(laws) > 1 else 6.4, height=3.6)
+    figure = row_of(len(laws), most_columns=2, width=STYLE.page if len(laws) > 1 else 6.4, height=3.6)
     for panel, law in zip(figure.panels, laws, strict=True):
         _law(panel, law)
     return figure
@@ -31,19 +31,19 @@ def draw_laws(laws: Sequence[LawCurve]) -> Chart:
 
 def _law(panel: Panel, law: LawCurve) -> None:
     if law.loop_motion.size:
-        panel.line(law.loop_motion, law.loop_force, "system", width=1.4, label="law as found, along the record")
+        panel.line(law.loop_motion, law.loop_force, "system", label="law as found, along the record")
         panel.line(law.motion, law.force, "muted", dash="dashed", label="loaded from rest")
     else:
         width = NINETY_FIVE * law.deviation
         low, high = law.force - width, law.force + width
-        panel.area(law.motion, low, high, "system", opacity=0.22, label="95 % of the law")
-        panel.line(law.motion, law.force, "system", width=1.8, label="law as found")
+        panel.area(law.motion, low, high, "system", opacity=STYLE.pale, label="95 % of the law")
+        panel.line(law.motion, law.force, "system", width=STYLE.thick, label="law as found")
     if law.points_motion.size:
         panel.bars(law.points_motion, law.points_force, NINETY_FIVE * law.points_deviation, "measured")
-        panel.dots(law.points_motion, law.points_force, "measured", dot=4.2, label="from the data, 95 %")
-    panel.across(0.0, "muted", width=0.8)
+        panel.dots(law.points_motion, law.points_force, "measured", dot=STYLE.dot, label="from the data, 95 %")
+    panel.across(0.0, "muted", width=STYLE.thin)
     if law.motion.size and law.motion.min() < 0.0 < law.motion.max():
-        panel.upright(0.0, "muted", width=0.8)
+        panel.upright(0.0, "muted", width=STYLE.thin)
     panel.x.label, panel.y.label = plot_label(law_against(law), limit=40), plot_label(law_gives(law), limit=44)
     panel.y.limits = _span(law)
     panel.head = f"{effect_text(law.effect)} at {plot_label(law.where)}"

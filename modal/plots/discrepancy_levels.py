@@ -8,7 +8,7 @@ from modal.names import plot_label
 from modal.plots.histories import APART as ROLES
 from modal.plots.layout import Chart, grid_of
 from modal.plots.panels import Panel
-from modal.plots.style import NINETY_FIVE, Role
+from modal.plots.style import NINETY_FIVE, STYLE, Role
 from modal.report.discrepancy_levels import LevelLine
 from okid.arrays import FloatArray
 
@@ -25,14 +25,14 @@ def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
         lines: from `modal.report.discrepancy_levels.level_lines`.
     """
     damped = [line for line in lines if np.isfinite(line.damping).any()]
-    figure = grid_of(1, 2 if damped else 1, size=(10.4, 3.1))
+    figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
     for place, line in enumerate(lines):
         role, shift = ROLES[place % len(ROLES)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
         _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
         if line in damped:
             _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)
     for panel, title in zip(figure.panels, ("change of frequency [%]", "damping ratio [%]"), strict=False):
-        panel.across(0.0, "muted", width=0.8)  # a damping ratio is seen from nothing
+        panel.across(0.0, "muted", width=STYLE.thin)  # a damping ratio is seen from nothing
         panel.x.ticks = _ticks(lines)
         panel.x.log, panel.x.margin = True, 0.08
         panel.x.label = "level of the excitation, relative to the loudest record"
@@ -45,7 +45,7 @@ def _bars(panel: Panel, points: tuple[FloatArray, FloatArray, FloatArray], role:
     """Draw (n,) places, values and their standard deviations."""
     levels, values, deviations = points
     panel.bars(levels, values, NINETY_FIVE * np.nan_to_num(deviations), role)
-    panel.line(levels, values, role, width=1.4, dot=5.0, label=plot_label(name))
+    panel.line(levels, values, role, dot=STYLE.dot, label=plot_label(name))
 
 
 def _ticks(lines: Sequence[LevelLine]) -> list[tuple[float, str]]:

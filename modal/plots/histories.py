@@ -8,7 +8,7 @@ import numpy as np
 from modal.names import plot_label
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import Panel
-from modal.plots.style import Role, envelope
+from modal.plots.style import STYLE, Role, envelope
 from modal.wording import fit_text
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -38,7 +38,7 @@ def measured_against_simulated(
         detail: length of the window on the right [s], a twelfth of the record unless given.
     """
     chosen = range(measured.n_outputs) if outputs is None else outputs
-    figure = grid_of(len(chosen), 2, size=(10.4, 0.5 + 1.45 * len(chosen)), across=(2.1, 1.0))
+    figure = grid_of(len(chosen), 2, size=(STYLE.page, 0.5 + 1.45 * len(chosen)), across=(2.1, 1.0))
     window = _strongest(measured, detail)
     time = measured.time
     modelled = "model, from the inputs alone" if measured.n_inputs else "model, one step ahead"
@@ -67,26 +67,26 @@ def mark_moment(whole: Panel, part: Panel, time: FloatArray, window: slice) -> N
     """Show all of the time in one panel and a moment of it in the other, and where the moment lies in the first."""
     moment = time[window]
     whole.x.limits, part.x.limits = (float(time[0]), float(time[-1])), (float(moment[0]), float(moment[-1]))
-    whole.box_of(part.x.limits, (-np.inf, np.inf), "muted", opacity=0.10)
+    whole.box_of(part.x.limits, (-np.inf, np.inf), "muted", opacity=STYLE.faint)
 
 
 def residual_autocorrelation(
     residuals: ResidualCheck, *, output_names: Sequence[str] = (), n_outputs: int = 8
 ) -> Chart:
     """Autocorrelation of the one-step residual of each output, with the band in which white noise would stay."""
-    figure = grid_of(1, 1, size=(10.4, 2.9))
+    figure = grid_of(1, 1, size=(STYLE.page, 2.9))
     panel = figure.panels[0]
     lags = np.arange(residuals.autocorrelation.shape[0])
     shown = min(n_outputs, residuals.autocorrelation.shape[1])
     limit = residuals.confidence_limit
-    panel.box_of((-np.inf, np.inf), (-limit, limit), "muted", opacity=0.16, label="95 % of white noise")
-    panel.across(0.0, "muted", width=0.8)
+    panel.box_of((-np.inf, np.inf), (-limit, limit), "muted", opacity=STYLE.faint, label="95 % of white noise")
+    panel.across(0.0, "muted", width=STYLE.thin)
     for output in range(shown):
         name = plot_label(output_names[output]) if output_names else f"output {output}"
         offset = 0.7 * (output - (shown - 1) / 2) / shown
         values = residuals.autocorrelation[1:, output]
         foot, tip = (np.stack([lags[1:] + offset, ends], axis=-1) for ends in (np.zeros_like(values), values))
-        panel.segments(np.stack([foot, tip], axis=1), APART[output % len(APART)], width=1.4, label=name)
+        panel.segments(np.stack([foot, tip], axis=1), APART[output % len(APART)], label=name)
     panel.x.label, panel.y.label = "lag [samples]", "autocorrelation"
     panel.x.limits = (0.3, float(lags[-1]) + 0.7)
     figure.key = Key(panel=panel)

@@ -46,9 +46,9 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
     index = np.arange(1, values.size + 1)
     kept = index <= evidence.order
     panel.y.log = True
-    panel.dots(index[~kept], relative[~kept], "noise", dot=4.6, label="dropped")
-    panel.dots(index[kept], relative[kept], "system", dot=5.6, label="kept")
-    panel.upright(evidence.order + 0.5, "model", width=1.2, label=f"order {evidence.order} chosen")
+    panel.dots(index[~kept], relative[~kept], "noise", dot=STYLE.dot, label="dropped")
+    panel.dots(index[kept], relative[kept], "system", dot=STYLE.dot, label="kept")
+    panel.upright(evidence.order + 0.5, "model", label=f"order {evidence.order} chosen")
     if evidence.gap_order != evidence.order and evidence.gap_order < values.size:
         gap = f"widest gap after {evidence.gap_order}"
         panel.upright(evidence.gap_order + 0.5, "muted", dash="dotted", label=gap)
@@ -68,9 +68,9 @@ def order_fits(evidence: OrderEvidence) -> Chart:
         return figure
     floor = min(-0.1, 0.0) if fits[there].max() > 0 else float(fits[there].max()) - 0.5
     shown = np.maximum(fits[there], floor)
-    panel.line(orders[there], shown, "measured", width=1.1, dot=4.6, label="on rows not fitted to")
+    panel.line(orders[there], shown, "measured", dot=STYLE.dot, label="on rows not fitted to")
     panel.across(0.5, "doubtful", dash="dashed", label="0.5: below it no mode is certain")
-    panel.upright(evidence.order, "model", width=1.2, label=f"order {evidence.order} chosen")
+    panel.upright(evidence.order, "model", label=f"order {evidence.order} chosen")
     panel.y.limits = (floor - 0.03, max(1.0, float(shown.max())) + 0.03)
     panel.x.label, panel.y.label = "model order", "cross-validated fit"
     panel.key = "lower right"
@@ -91,7 +91,7 @@ def stabilisation_diagram(
         modes: of the chosen order; the system modes are marked above.
         measured: records whose mean output spectrum is drawn behind.
     """
-    figure = grid_of(1, 1, size=(10.4, 4.6))
+    figure = grid_of(1, 1, size=(STYLE.page, 4.6))
     panel = figure.panels[0]
     nyquist = 0.5 / modes.dt
     highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
@@ -99,12 +99,12 @@ def stabilisation_diagram(
         frequency, power = _mean_spectrum(measured)
         level = 10.0 * np.log10(np.maximum(power, power.max() * 1e-8))
         height = (level - level.min()) / max(float(np.ptp(level)), 1e-9)
-        panel.area(frequency, 0, height * highest * 0.96, "measured", opacity=0.10)
-        panel.line(frequency, height * highest * 0.96, "measured", width=0.8, opacity=0.45)
+        panel.area(frequency, 0, height * highest * 0.96, "measured", opacity=STYLE.faint)
+        panel.line(frequency, height * highest * 0.96, "measured", width=STYLE.thin, opacity=STYLE.half)
     roles: tuple[Role, ...] = ("noise", "doubtful", "measured", "system")
     for number, ((word, points), role) in enumerate(zip(pole_classes(evidence), roles, strict=True)):
         places = [point.frequency for point in points], [point.order for point in points]
-        panel.dots(*places, role, dot=4.2 if number else 2.4, label=word)
+        panel.dots(*places, role, dot=STYLE.dot if number else 2.4, label=word)
     panel.across(evidence.order, "model")
     _mark_modes(panel, modes, 0.05 * nyquist)
     panel.x.limits, panel.y.limits = (0.0, nyquist), (0.0, highest * 1.05)
@@ -116,7 +116,7 @@ def stabilisation_diagram(
 def _mark_modes(panel: Panel, modes: ModalModel, room: float) -> None:
     """A line for each mode of the system, its frequency above where there is room."""
     for mode, level in zip(modes.system, _levels(modes.frequencies, room), strict=True):
-        panel.upright(mode.frequency, "system", width=0.8, opacity=0.55)
+        panel.upright(mode.frequency, "system", width=STYLE.thin, opacity=STYLE.half)
         if level < MOST_LEVELS:
             up = STYLE.line * STYLE.tick * level + STYLE.gap
             panel.word(mode.frequency, np.inf, hertz(mode.frequency), "system", anchor="middle", shift=(0.0, -up))

@@ -61,7 +61,7 @@ class Panel:
         y: ArrayLike,
         role: Role,
         *,
-        width: float = 1.2,
+        width: float = STYLE.stroke,
         opacity: float = 1.0,
         dash: Dash = "",
         dot: float = 0.0,
@@ -95,14 +95,21 @@ class Panel:
     def bars(self, x: FloatArray, y: FloatArray, half: FloatArray, role: Role) -> None:
         """Add upright bars of half a height about (n,) points; those that are not finite are left out."""
         ends = np.stack([np.stack([x, y - half], axis=-1), np.stack([x, y + half], axis=-1)], axis=1)
-        self.segments(ends[np.isfinite(ends).all(axis=(1, 2))], role, width=1.0)
+        self.segments(ends[np.isfinite(ends).all(axis=(1, 2))], role)
 
-    def across(self, y: float, role: Role, *, width: float = 1.0, dash: Dash = "", label: str = "") -> None:
+    def across(self, y: float, role: Role, *, width: float = STYLE.stroke, dash: Dash = "", label: str = "") -> None:
         """Add a line over the whole width."""
         self.line([-math.inf, math.inf], [y, y], role, width=width, dash=dash, label=label)
 
     def upright(
-        self, x: float, role: Role, *, width: float = 1.0, dash: Dash = "", opacity: float = 1.0, label: str = ""
+        self,
+        x: float,
+        role: Role,
+        *,
+        width: float = STYLE.stroke,
+        dash: Dash = "",
+        opacity: float = 1.0,
+        label: str = "",
     ) -> None:
         """Add a line over the whole height."""
         self.line([x, x], [-math.inf, math.inf], role, width=width, dash=dash, opacity=opacity, label=label)
@@ -137,7 +144,7 @@ class Panel:
         ends: ArrayLike,
         role: Role,
         *,
-        width: float,
+        width: float = STYLE.stroke,
         opacity: float = 1.0,
         label: str = "",
         arrows: bool = False,

@@ -9,7 +9,7 @@ from modal.names import plot_label
 from modal.plots.layout import Chart, Key, grid_of, row_of
 from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra
-from modal.plots.style import Role
+from modal.plots.style import STYLE, Role
 from modal.synthesis import MeasuredFrf, frf
 from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters
@@ -52,12 +52,16 @@ def frequency_responses(
         _draw_response(panel, measured, output, input_)
         if modes is not None:
             alone = np.abs(modes[:, output, input_])
-            panel.line(model_grid(measured), alone, "system", width=0.9, dash="dashed", label="modes of the system")
-        panel.line(model_grid(measured), model[:, output, input_], "model", width=1.0, label="model")
+            panel.line(
+                model_grid(measured), alone, "system", width=STYLE.thin, dash="dashed", label="modes of the system"
+            )
+        panel.line(model_grid(measured), model[:, output, input_], "model", label="model")
         panel.head = _pair_name(output, input_, output_names, input_names)
         coherence = measured.multiple_coherence[1:, output]
-        strip.line(measured.frequencies[1:], coherence, "measured", width=0.8, opacity=0.8, label="coherence")
-        strip.across(LEAST_COHERENCE, "muted", width=0.6, dash="dotted")
+        strip.line(
+            measured.frequencies[1:], coherence, "measured", width=STYLE.thin, opacity=STYLE.strong, label="coherence"
+        )
+        strip.across(LEAST_COHERENCE, "muted", width=STYLE.thin, dash="dotted")
         strip.x.label = "frequency [Hz]"
         strip.x.limits = panel.x.limits
     figure.key = Key(panel=panels[0][0])
@@ -73,7 +77,7 @@ def _pairs_with_coherence(n_pairs: int) -> tuple[Chart, list[tuple[Panel, Panel]
     """Panels for the pairs, three in a row, each with a strip for the coherence below it."""
     n_columns = min(3, max(1, n_pairs))
     n_rows = max(1, -(-n_pairs // n_columns))
-    figure = grid_of(2 * n_rows, n_columns, size=(10.4, 0.5 + 2.9 * n_rows), down=(3.6, 1.0) * n_rows)
+    figure = grid_of(2 * n_rows, n_columns, size=(STYLE.page, 0.5 + 2.9 * n_rows), down=(3.6, 1.0) * n_rows)
     panels = []
     for number in range(n_rows * n_columns):
         row, column = 2 * (number // n_columns), number % n_columns
@@ -94,8 +98,15 @@ def _draw_response(panel: Panel, measured: MeasuredFrf, output: int, input_: int
     values = np.abs(measured.frf)[1:, output, input_]
     trusted = np.nan_to_num(measured.multiple_coherence[1:, output]) >= LEAST_COHERENCE
     frequencies = measured.frequencies[1:]
-    panel.line(frequencies, np.where(trusted, values, np.nan), "measured", width=1.7, opacity=0.85, label="measured")
-    panel.line(frequencies, values, "measured", width=1.1, opacity=0.3, follows="measured")
+    panel.line(
+        frequencies,
+        np.where(trusted, values, np.nan),
+        "measured",
+        width=STYLE.thick,
+        opacity=STYLE.strong,
+        label="measured",
+    )
+    panel.line(frequencies, values, "measured", opacity=STYLE.pale, follows="measured")
     panel.x.limits = (0.0, float(measured.frequencies[-1]))
 
 
@@ -108,7 +119,7 @@ def output_spectra(
 ) -> Chart:
     """Power spectral density of each output, measured and simulated; `frequencies` [Hz] are marked."""
     chosen = list(range(measured[0].n_outputs)) if outputs is None else list(outputs)
-    figure = row_of(len(chosen), most_columns=3, width=10.4, height=2.3)
+    figure = row_of(len(chosen), most_columns=3, width=STYLE.page, height=2.3)
     frequency, power = power_spectra(measured)
     _, power_simulated = power_spectra(simulated)
     for panel, output in zip(figure.panels, chosen, strict=True):
@@ -119,7 +130,7 @@ def output_spectra(
         for values, role, label, width in spectra:
             panel.line(frequency[1:], np.where(values > 0, values, np.nan), role, width=width, label=label)
         for mark in frequencies:
-            panel.upright(mark, "system", width=0.8, opacity=0.5)
+            panel.upright(mark, "system", width=STYLE.thin, opacity=STYLE.half)
         panel.head = plot_label(measured[0].output_names[output])
         panel.x.label, panel.y.label = "frequency [Hz]", density_label(measured[0].output_units[output])
         panel.x.limits, panel.y.log = (0.0, float(frequency[-1])), True
@@ -149,12 +160,19 @@ def markov_parameters(
     """
     strength = np.linalg.norm(markov.system, axis=0) * markov.input_scale / markov.output_scale[:, np.newaxis]
     pairs = _strongest_pairs(strength, n_pairs)
-    figure = row_of(len(pairs), most_columns=3, width=10.4, height=2.2)
+    figure = row_of(len(pairs), most_columns=3, width=STYLE.page, height=2.2)
     lag = np.arange(markov.n_lags + 1) * markov.dt
     for panel, (output, input_) in zip(figure.panels, pairs, strict=True):
-        panel.line(lag, markov.system[:, output, input_], "measured", width=1.5, opacity=0.75, label="recovered")
+        panel.line(
+            lag,
+            markov.system[:, output, input_],
+            "measured",
+            width=STYLE.thick,
+            opacity=STYLE.strong,
+            label="recovered",
+        )
         if model is not None:
-            panel.line(lag[: len(model)], model[: len(lag), output, input_], "model", width=0.9, label="model")
+            panel.line(lag[: len(model)], model[: len(lag), output, input_], "model", width=STYLE.thin, label="model")
         panel.head = _pair_name(output, input_, output_names, input_names)
         panel.x.label, panel.x.limits = "lag [s]", (0.0, float(lag[-1]))
     figure.panels[0].key = "upper right"

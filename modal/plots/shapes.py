@@ -11,7 +11,7 @@ from modal.placement import at_rest, placed
 from modal.plots.layout import Chart, grid_of, row_of
 from modal.plots.panels import Panel
 from modal.plots.structure import draw_lines, draw_surfaces, frame_of, place_labels
-from modal.plots.style import Role
+from modal.plots.style import STYLE, Role
 from modal.scene import Scene, scene_of
 from modal.sticks import stated_dofs
 from modal.wording import hertz
@@ -24,7 +24,6 @@ MOST_NAMES = 24
 """Stand so many panels in a row and so many names of outputs beside a stick."""
 LEAST_IMAGINARY = 0.05
 """Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
-WIDTH = 10.4
 TALLEST = 4.2
 """Draw at most so tall [in]: a page shows a structure about 3.5 inches tall, and smaller names cannot be read."""
 ARROW = 0.24
@@ -67,13 +66,13 @@ def mode_shapes(
     frame = frame_of(scene, [rest] + [rest + sign * motion for motion in motions for sign in (1, -1)])
     most = _columns(frame.aspect)
     n_columns = -(-max(len(modes), 1) // -(-max(len(modes), 1) // most))  # rows of equal length
-    height = WIDTH / n_columns * frame.aspect + 0.25
-    figure = row_of(len(modes), most_columns=n_columns, width=WIDTH, height=height)
+    height = STYLE.page / n_columns * frame.aspect + 0.25
+    figure = row_of(len(modes), most_columns=n_columns, width=STYLE.page, height=height)
     for panel, mode, motion in zip(figure.panels, modes, motions, strict=False):
-        draw_surfaces(panel, scene, rest + motion, mode.verdict, opacity=0.16)
-        draw_lines(panel, scene, rest, "muted", width=0.7, opacity=0.75)
-        draw_lines(panel, scene, rest - motion, mode.verdict, width=0.8, opacity=0.45)
-        draw_lines(panel, scene, rest + motion, mode.verdict, width=1.8, opacity=1.0)
+        draw_surfaces(panel, scene, rest + motion, mode.verdict, opacity=STYLE.faint)
+        draw_lines(panel, scene, rest, "muted", width=STYLE.thin, opacity=STYLE.strong)
+        draw_lines(panel, scene, rest - motion, mode.verdict, width=STYLE.thin, opacity=STYLE.half)
+        draw_lines(panel, scene, rest + motion, mode.verdict, width=STYLE.thick)
         _draw_points(panel, scene, rest + motion, mode.verdict)
         frame.put(panel)
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
@@ -100,10 +99,10 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     height = min(width * frame.aspect, TALLEST)
     figure = grid_of(1, 1, size=(width, height))
     panel = figure.panels[0]
-    draw_surfaces(panel, scene, rest, "measured", opacity=0.12)
-    draw_lines(panel, scene, rest, "muted", width=1.3, opacity=1.0)
+    draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
+    draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)
     ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[:MOST_ARROWS]]
-    panel.segments(ends, "model", width=1.3, arrows=True)
+    panel.segments(ends, "model", arrows=True)
     _draw_points(panel, scene, rest, "measured")
     frame.put(panel)
     if geometry.n_nodes <= MOST_NAMED:
@@ -125,7 +124,7 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
     seen = scene.eye.seen(positions)
     measured = sorted({one.node for one in scene.placement.sensors if one is not None})
     if len(measured) <= MOST_DOTS:
-        panel.dots(seen[measured, 0], seen[measured, 1], role, dot=5.0 if len(measured) <= MOST_LARGE else 3.5)
+        panel.dots(seen[measured, 0], seen[measured, 1], role, dot=STYLE.dot if len(measured) <= MOST_LARGE else 3.5)
     fixed = list(scene.placement.geometry.fixed)
     if 0 < len(fixed) <= MOST_DOTS:
         panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
@@ -133,18 +132,18 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
 
 def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
-    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=height)
+    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=STYLE.page, height=height)
     place = np.arange(1, len(output_names) + 1)
     labels = [(float(tick), plot_label(output_names[tick - 1], limit=14)) for tick in place.tolist()]
     for index, (panel, mode) in enumerate(zip(figure.panels, modes, strict=False)):
         shape = _best_phase(mode.shape)
         sides = np.stack([shape.real, place], axis=-1), np.stack([-shape.real, place], axis=-1)[::-1]
-        panel.upright(0.0, "muted", width=0.9, dash="dashed")
-        panel.polygons([np.concatenate(sides)], mode.verdict, opacity=0.10)
-        panel.line(-shape.real, place, mode.verdict, width=0.8, opacity=0.4)
-        panel.line(shape.real, place, mode.verdict, width=1.8, dot=6.0)
+        panel.upright(0.0, "muted", width=STYLE.thin, dash="dashed")
+        panel.polygons([np.concatenate(sides)], mode.verdict, opacity=STYLE.faint)
+        panel.line(-shape.real, place, mode.verdict, width=STYLE.thin, opacity=STYLE.half)
+        panel.line(shape.real, place, mode.verdict, width=STYLE.thick, dot=STYLE.dot)
         if np.abs(shape.imag).max() > LEAST_IMAGINARY:
-            panel.line(shape.imag, place, "muted", width=1.1, dash="dotted")
+            panel.line(shape.imag, place, "muted", dash="dotted")
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
         panel.x.limits, panel.y.limits = (-1.18, 1.18), (0.4, len(output_names) + 0.6)
         panel.x.ticks = [(-1.0, "−1"), (0.0, "0"), (1.0, "1")]
@@ -157,14 +156,14 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
 
 def shape_complexity(modes: Sequence[Mode]) -> Chart:
     """Every shape component as a phasor, greatest 1: a real mode lies on one line."""
-    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=WIDTH, height=2.1)
+    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=STYLE.page, height=2.1)
     circle = np.exp(2j * np.pi * np.linspace(0, 1, 97))
     for panel, mode in zip(figure.panels, modes, strict=False):
         tips = np.stack([(shape := _best_phase(mode.shape)).real, shape.imag], axis=-1)
-        panel.line(circle.real, circle.imag, "grid", width=0.9)
-        panel.segments([[[-1, 0], [1, 0]], [[0, -1], [0, 1]]], "grid", width=0.7)
-        panel.segments(np.stack([np.zeros_like(tips), tips], axis=1), mode.verdict, width=1.4)
-        panel.dots(tips[:, 0], tips[:, 1], mode.verdict, dot=4.6)
+        panel.line(circle.real, circle.imag, "grid", width=STYLE.thin)
+        panel.segments([[[-1, 0], [1, 0]], [[0, -1], [0, 1]]], "grid", width=STYLE.thin)
+        panel.segments(np.stack([np.zeros_like(tips), tips], axis=1), mode.verdict)
+        panel.dots(tips[:, 0], tips[:, 1], mode.verdict, dot=STYLE.dot)
         panel.equal, panel.frame = True, False
         panel.x.limits = panel.y.limits = (-1.12, 1.12)
         spread = f"mean deviation {mode.mpd:.0f}°" if np.isfinite(mode.mpd) else ""

@@ -56,7 +56,9 @@ def frame_of(scene: Scene, positions: Sequence[FloatArray]) -> Viewport:
     return Viewport(low - short, high + short)
 
 
-def draw_lines(panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, width: float, opacity: float) -> None:
+def draw_lines(
+    panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, width: float, opacity: float = 1.0
+) -> None:
     """The lines of the structure with its nodes at `positions` (n_nodes, 3)."""
     segments = scene.drawn_segments(MOST_SEGMENTS)
     if len(segments):

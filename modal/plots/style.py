@@ -30,7 +30,7 @@ COLOURS: Final[dict[Role, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Sizes in points, 1/72 inch.
+    """Sizes in points, 1/72 inch, but for the page.
 
     Attributes:
         tick: letters of ticks and keys.
@@ -44,6 +44,15 @@ class Style:
         across: least distance of ticks along, wide enough for a number.
         down: least distance of ticks upwards.
         ground: opacity of the paper behind a key.
+        thin: width of a line that another is to be seen over, or that only marks a place.
+        stroke: width of a line.
+        thick: width of the line that matters most.
+        dot: diameter of a dot.
+        faint: opacity of an area behind everything.
+        pale: opacity of a band that means something, and of a line that is not to be trusted.
+        half: opacity of what another line is drawn over.
+        strong: opacity of a line that lets what is behind it shine through.
+        page: width of a picture as wide as its page [in].
     """
 
     tick: float = 8.5
@@ -57,6 +66,15 @@ class Style:
     across: float = 36.0
     down: float = 25.0
     ground: float = 0.85
+    thin: float = 0.8
+    stroke: float = 1.2
+    thick: float = 1.7
+    dot: float = 4.8
+    faint: float = 0.12
+    pale: float = 0.25
+    half: float = 0.5
+    strong: float = 0.8
+    page: float = 10.4
 
 
 NINETY_FIVE: Final = 1.96

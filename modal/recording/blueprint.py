@@ -20,7 +20,7 @@ from modal.recording.series import TIMELINE
 from modal.recording.shapes import PERIODS
 from modal.recording.tracks import Span
 from modal.recording.validation_blueprint import validation_page
-from modal.recording.views import document_view, plot_view
+from modal.recording.views_blueprint import document_view, plot_view
 
 if TYPE_CHECKING:
     import rerun.blueprint

@@ -19,7 +19,7 @@ from modal.recording.discrepancy_series import diagnosis_tables
 from modal.recording.discrepancy_steps import STEP_GAP, STEP_PARTS, STEP_SPECTRUM, STEP_TEXT
 from modal.recording.names import label, name_with_unit
 from modal.recording.series import TIMELINE
-from modal.recording.views import document_view, plot_view, series_view
+from modal.recording.views_blueprint import document_view, plot_view, series_view
 
 if TYPE_CHECKING:
     import rerun.blueprint

@@ -10,7 +10,7 @@ from modal.recording.modes_page import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TA
 from modal.recording.palette import BACKGROUND
 from modal.recording.plan import Plan
 from modal.recording.shapes import shape_path
-from modal.recording.views import document_view, plot_view
+from modal.recording.views_blueprint import document_view, plot_view
 from modal.scene import Scene, envelope_of, scene_of
 from modal.trust import damping_text
 from modal.wording import hertz, ratio_text

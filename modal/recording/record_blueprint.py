@@ -8,7 +8,7 @@ from modal.recording.fit_blueprint import inputs_view
 from modal.recording.names import name_with_unit
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan
 from modal.recording.record_page import OUTPUT_COLOURS, marked, marks_path, quality_path, spectra_pane
-from modal.recording.views import document_view, plot_view, series_view
+from modal.recording.views_blueprint import document_view, plot_view, series_view
 from okid.record import Record
 
 __all__ = ["record_page"]

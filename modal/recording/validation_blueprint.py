@@ -15,7 +15,7 @@ from modal.recording.validation_panes import (
     overview_columns,
     response_pane,
 )
-from modal.recording.views import document_view, plot_view, series_view
+from modal.recording.views_blueprint import document_view, plot_view, series_view
 
 __all__ = ["validation_page"]
 

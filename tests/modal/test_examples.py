@@ -274,8 +274,8 @@ def test_the_demo_is_reported_on_its_tower(monkeypatch, tmp_path, identification
         seen.append(geometry)
         raise InvalidDataError("no report is wanted.")
 
-    monkeypatch.setattr("modal.pipeline.identify", lambda _records, **_options: identification)
-    monkeypatch.setattr("modal.report.write_report", write_report)
+    monkeypatch.setattr("modal.job.identify", lambda _records, **_options: identification)
+    monkeypatch.setattr("modal.job.write_report", write_report)
     for named in (None, other):
         monkeypatch.setattr(job, "prepare", lambda _job, named=named: (None, named))
         result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path)])

@@ -1,7 +1,5 @@
 """The command `modal-report gap`: reading, options, exit status, nothing left behind; the diagnosis is a stand-in."""
 
-import sys
-import types
 from dataclasses import replace
 
 import numpy as np
@@ -65,9 +63,7 @@ def quick(monkeypatch, diagnosis_of):
             raise state["result"]
         return state["result"]
 
-    workflow = types.ModuleType("modal.discrepancy.workflow")
-    workflow.diagnose = diagnose
-    monkeypatch.setitem(sys.modules, "modal.discrepancy.workflow", workflow)
+    monkeypatch.setattr("modal.gap_job.diagnose", diagnose)
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.discrepancy_writing.draw_diagnosis", lambda _diagnosis: {})
     return state
@@ -220,13 +216,13 @@ def test_warnings_of_ours_are_remarks_of_the_report(data, quick, capsys, monkeyp
 
     from okid.errors import IdentificationWarning
 
-    plain = sys.modules["modal.discrepancy.workflow"].diagnose
+    plain = modal.gap_job.diagnose
 
     def diagnose(*arguments, **options):
         warnings.warn(IdentificationWarning("mind the hold"), stacklevel=1)
         return plain(*arguments, **options)
 
-    monkeypatch.setattr(sys.modules["modal.discrepancy.workflow"], "diagnose", diagnose)
+    monkeypatch.setattr("modal.gap_job.diagnose", diagnose)
     assert "mind the hold" in gap(capsys, *GOOD)[1].out
     quick["result"] = replace(quick["result"], warnings=("mind the hold",))
     assert gap(capsys, *GOOD, "--overwrite")[1].out.lower().count("mind the hold") == 1
@@ -248,8 +244,8 @@ def test_an_option_takes_all_the_files_that_follow(given, spread):
 
 
 def test_the_report_is_printed_when_that_is_asked_for(data, quick, capsys, monkeypatch):
-    monkeypatch.setattr("modal.report.pdf.find_browser", lambda: "browser")
-    monkeypatch.setattr("modal.report.pdf.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    monkeypatch.setattr("modal.job_setup.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.gap_job.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
     status, captured = gap(capsys, *GOOD, "--pdf")
     assert status == 0, captured.err
     assert (data / "out" / "report.pdf").read_text() == "printed report.html"

@@ -28,7 +28,7 @@ def test_the_data_are_looked_at_unless_somebody_has(identification, monkeypatch)
     quality = object()
     given = setting_of(identification, quality=quality)
     assert (given.quality, given.quality_of) == (quality, "as read")
-    monkeypatch.setattr("modal.quality.check_quality", lambda records: records)
+    monkeypatch.setattr("modal.report.setting.check_quality", lambda records: records)
     found = setting_of(identification)
     assert (found.quality, found.quality_of) == (identification.records, "as used")
 
