@@ -4,31 +4,34 @@ This file is the public table and nothing else: no module of ours imports from i
 the same import name and may overwrite it (see the README).
 """
 
+import importlib
 import importlib.util
 import warnings
+from typing import TYPE_CHECKING, Any
 
-from modal import discrepancy
-from modal.acceptance import check_limits
-from modal.comparison import compare_results
-from modal.comparison_source import read_result
-from modal.discrepancy.plant_model import PlantModel
-from modal.elements import Element
-from modal.extraction import extract_modes
-from modal.geometry import Geometry, Sensor
-from modal.geometry_file import read_geometry
-from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
-from modal.mode import ModalModel, Mode
-from modal.model_file import read_model, write_model
-from modal.pipeline import identify
-from modal.quality import check_quality
-from modal.recording import log_diagnosis, log_identification, save_recording
-from modal.report import write_report
-from modal.search import OrderChoice, choose_orders
-from modal.simulation import simulate
-from modal.specification import read_specification
-from modal.storage import load
-from modal.structure import StructuralModel
-from modal.uncertainty import Uncertainty
+if TYPE_CHECKING:
+    from modal import discrepancy
+    from modal.acceptance import check_limits
+    from modal.comparison import compare_results
+    from modal.comparison_source import read_result
+    from modal.discrepancy.plant_model import PlantModel
+    from modal.elements import Element
+    from modal.extraction import extract_modes
+    from modal.geometry import Geometry, Sensor
+    from modal.geometry_file import read_geometry
+    from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+    from modal.mode import ModalModel, Mode
+    from modal.model_file import read_model, write_model
+    from modal.pipeline import identify
+    from modal.quality import check_quality
+    from modal.recording import log_diagnosis, log_identification, save_recording
+    from modal.report import write_report
+    from modal.search import OrderChoice, choose_orders
+    from modal.simulation import simulate
+    from modal.specification import read_specification
+    from modal.storage import load
+    from modal.structure import StructuralModel
+    from modal.uncertainty import Uncertainty
 
 __all__ = [
     "Choice",
@@ -64,6 +67,56 @@ __all__ = [
     "write_model",
     "write_report",
 ]
+
+_PLACES = {
+    "Choice": "modal.identification",
+    "Element": "modal.elements",
+    "Fit": "modal.identification",
+    "Geometry": "modal.geometry",
+    "Identification": "modal.identification",
+    "ModalModel": "modal.mode",
+    "Mode": "modal.mode",
+    "OrderChoice": "modal.search",
+    "OrderEvidence": "modal.identification",
+    "PlantModel": "modal.discrepancy.plant_model",
+    "Sensor": "modal.geometry",
+    "StabilisationPoint": "modal.identification",
+    "StructuralModel": "modal.structure",
+    "Uncertainty": "modal.uncertainty",
+    "check_limits": "modal.acceptance",
+    "check_quality": "modal.quality",
+    "choose_orders": "modal.search",
+    "compare_results": "modal.comparison",
+    "discrepancy": "modal.discrepancy",
+    "extract_modes": "modal.extraction",
+    "identify": "modal.pipeline",
+    "load": "modal.storage",
+    "log_diagnosis": "modal.recording",
+    "log_identification": "modal.recording",
+    "read_geometry": "modal.geometry_file",
+    "read_model": "modal.model_file",
+    "read_result": "modal.comparison_source",
+    "read_specification": "modal.specification",
+    "save_recording": "modal.recording",
+    "simulate": "modal.simulation",
+    "write_model": "modal.model_file",
+    "write_report": "modal.report",
+}
+"""Modules of the names above: each is imported when it is first asked for, so that a script pays for what it uses."""
+
+
+def __getattr__(name: str) -> Any:
+    """The public name, imported when first asked for."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'modal' has no attribute {name!r}")
+    place = importlib.import_module(_PLACES[name])
+    globals()[name] = found = place if place.__name__ == f"modal.{name}" else getattr(place, name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 if importlib.util.find_spec("modal_proto") is not None:
     warnings.warn(

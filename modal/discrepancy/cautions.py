@@ -11,14 +11,10 @@ from modal.discrepancy.explained import explained_words
 from modal.discrepancy.hold_hint import hold_words
 from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.discrepancy.statements import number
-from modal.quality.check import check_quality
+from modal.quality.check import spoiled_channels
 from okid.record import Record
 
 __all__ = ["early_words", "free_words", "spoiled_words", "with_cautions"]
-
-
-SPOILED = frozenset({"clipped", "constant", "spikes"})
-"""What no law makes of an output; friction does hold a mass still, and play takes away coherence."""
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
@@ -40,15 +36,16 @@ def with_cautions(found: Diagnosis) -> Diagnosis:
 def spoiled_words(found: Diagnosis) -> list[str]:
     """What spoils the records themselves: a clipped output, spikes, a dead output.
 
-    No effect of a model explains these, and one may be found that only stands for them.
+    No effect of a model explains these, and one may be found that only stands for them; friction does hold a mass
+    still, and play takes away coherence.
 
     Args:
         found: Of any kind of model.
     """
     sentences: dict[tuple[str, tuple[str, ...]], str] = {}
     for name, records in (("to fit", found.fit), ("held out", found.held_out)):
-        for one in check_quality(_alike(records)).findings:
-            if one.level == "bad" and one.what in SPOILED and set(one.channels) <= set(records[0].output_names):
+        for one in spoiled_channels(_alike(records)):
+            if one.level == "bad" and set(one.channels) <= set(records[0].output_names):
                 sentences.setdefault((one.what, one.channels), f"the records {name} are spoiled: {one.sentence}")
     return list(sentences.values())
 

@@ -28,7 +28,7 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["check_quality"]
+__all__ = ["check_quality", "spoiled_channels"]
 
 AVERAGES = 32
 """Segments without overlap that the coherence is made of, about: chance then gives 2 % an input."""
@@ -121,6 +121,26 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         frequencies=spectra.frequencies,
         densities=densities,
     )
+
+
+def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
+    """What `check_quality` finds of dead, clipped and spiked channels, without the price of spectra.
+
+    Args:
+        records: one record or several of one system.
+    """
+    several = as_records(records)
+    n = len(several)
+    sharp = tuple(np.zeros(record.n_samples, dtype=np.bool_) for record in several)
+    findings: list[Finding] = []
+    for channel in channels_of(several, channel_scaling(several)):
+        resolution = resolution_of(channel)
+        findings += [*constant_findings(channel, n), *clipping_findings(channel, n)]
+        findings += spike_findings(channel, resolution, sharp, n)
+        if channel.role == "input":
+            own = sharp_samples(channel, resolution)
+            sharp = tuple(mask | more for mask, more in zip(sharp, own, strict=True))
+    return tuple(sorted(findings, key=lambda finding: LEVELS.index(finding.level)))
 
 
 def _channel_findings(

@@ -7,8 +7,8 @@ import numpy as np
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.synthesis import AveragedSpectra, MeasuredFrf
-from okid.arrays import TINY
 from modal.wording import percent
+from okid.arrays import TINY
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
 from okid.record import Record

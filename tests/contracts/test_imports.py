@@ -148,6 +148,21 @@ def test_neither_road_loads_the_slow_parts_of_scipy(code, repository):
     assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.stats", "scipy.interpolate"))]
 
 
+def test_a_script_pays_for_the_parts_it_uses(repository):
+    """`identify` needs none of diagnosis, report, pictures, recording."""
+    loaded = json.loads(python(DEMO, cwd=repository))
+    parts = ("modal.discrepancy", "modal.report", "modal.plots", "modal.recording")
+    assert not [name for name in loaded if name.startswith(parts)]
+
+
+def test_the_public_table_is_whole():
+    import modal
+
+    assert set(modal._PLACES) == set(modal.__all__) <= set(dir(modal))
+    assert all(getattr(modal, name).__name__.split(".")[-1] == name for name in modal.__all__)
+    assert not hasattr(modal, "no_such_name")
+
+
 def test_okid_costs_little_more_than_numpy(repository):
     """Modules, not seconds: a clock says little on a shared machine. scipy loads its parts when they are used."""
 
