@@ -34,6 +34,8 @@ ALSO = {
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""
+SPEED_ONLY = {("era/hankel.py", "_dense_is_cheaper")}
+"""Functions that choose between two ways to the same numbers, each held to the other by a test: not mutated."""
 EQUIVALENT = {
     ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
         "one lag more than needed meets no row and column"
@@ -178,7 +180,13 @@ def score(module, options):
     lines, tests = text.splitlines(), options.tests or tests_of(module)
     if not tests:
         sys.exit(f"{module} has no test file of its name; name some with --tests or in ALSO")
-    every = mutants(text)
+    left_out = {
+        line
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef) and (module, node.name) in SPEED_ONLY
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    every = [mutant for mutant in mutants(text) if mutant[0] not in left_out]
     drawn = random.Random(options.seed).sample(every, min(options.count, len(every)))  # noqa: S311 - a sample
     if caught(module, text, tests, options.most_seconds):
         sys.exit(f"{module}: its tests fail as it stands, {' '.join(tests)}")

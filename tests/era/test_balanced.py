@@ -228,6 +228,8 @@ def test_an_order_above_the_rank_is_an_error_with_numbers():
     for method in ("full", "randomised"):
         with pytest.raises(InsufficientDataError, match=r"model order 8 .* numerical rank 6 .* at most 6") as told:
             realise(parameters, order=8, method=method)
+        largest = decompose(parameters, method=method, max_order=6).singular_values[0]
+        assert f"largest singular value {largest:.3g}" in str(told.value)
 
 
 def test_too_few_lags_for_the_order_is_an_error_with_numbers():

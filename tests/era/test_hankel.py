@@ -105,6 +105,8 @@ def test_one_given_size_leaves_the_rest_to_the_other():
     assert block_sizes(100, 2, 2, n_block_columns=30) == (70, 30)
     assert block_sizes(100, 2, 2, n_block_columns=1) == (99, 1)
     assert block_sizes(100, 2, 2, n_block_rows=1) == (1, 99)
+    assert block_sizes(100, 2, 2, n_block_columns=99) == (1, 99)
+    assert block_sizes(100, 2, 2, n_block_rows=99) == (99, 1)
     assert block_sizes(100, 2, 2, n_block_rows=20, n_block_columns=80) == (20, 80)
 
 

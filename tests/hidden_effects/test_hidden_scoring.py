@@ -1,23 +1,13 @@
 """The score of the confusion benchmark on results made by hand, and its tables by counting."""
 
-import sys
 from types import SimpleNamespace
 
+import hidden_scoring
+import hidden_tables
 import numpy as np
 import pytest
 from hidden_cases import hidden_case
 from hidden_types import HiddenEffect
-
-
-@pytest.fixture(scope="module")
-def benchmark(repository):
-    """The modules of tests/benchmarks, which is on no path."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(repository / "tests" / "benchmarks"), *sys.path])
-        import hidden_scoring
-        import hidden_tables
-
-        yield SimpleNamespace(scoring=hidden_scoring, tables=hidden_tables)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +32,9 @@ def diagnosis(case, *findings, status="named", left=1.0):
     return SimpleNamespace(status=status, findings=findings, gap_after=np.sqrt(left * variance), noise_floor=floor)
 
 
-def test_the_right_name_in_the_right_place(benchmark, gain_case):
+def test_the_right_name_in_the_right_place(gain_case):
     gain = gain_case.effects[0].parameters["gain"]
-    line = benchmark.scoring.outcome(
+    line = hidden_scoring.outcome(
         gain_case,
         diagnosis(gain_case, found("input_gain", "input_0", gain=(1.03 * gain, 0.02 * gain)), left=1.2),
         seconds=3.0,
@@ -71,16 +61,16 @@ def test_the_right_name_in_the_right_place(benchmark, gain_case):
         ([], "none", (False, False)),
     ],
 )
-def test_wrong_names_and_places(benchmark, gain_case, findings, status, expected):
+def test_wrong_names_and_places(gain_case, findings, status, expected):
     given = [found(effect, where) for effect, where in findings]
-    line = benchmark.scoring.outcome(gain_case, diagnosis(gain_case, *given, status=status), seconds=1.0)
+    line = hidden_scoring.outcome(gain_case, diagnosis(gain_case, *given, status=status), seconds=1.0)
     assert (line["named_right"], line["place_right"]) == expected
     assert line["firm"] is (status == "named")
 
 
-def test_two_effects_in_any_order_and_no_third(benchmark, pair_case):
+def test_two_effects_in_any_order_and_no_third(pair_case):
     drag, delay = (found(e.effect, e.place) for e in pair_case.effects)
-    score = benchmark.scoring.outcome
+    score = hidden_scoring.outcome
     assert score(pair_case, diagnosis(pair_case, delay, drag), seconds=1.0)["named_right"]
     assert score(pair_case, diagnosis(pair_case, delay, drag), seconds=1.0)["place_right"]
     assert not score(pair_case, diagnosis(pair_case, drag), seconds=1.0)["named_right"]
@@ -90,16 +80,16 @@ def test_two_effects_in_any_order_and_no_third(benchmark, pair_case):
     assert not score(pair_case, diagnosis(pair_case, drag, twice), seconds=1.0)["named_right"]
 
 
-def test_nothing_hidden_and_a_firm_name_is_false(benchmark):
+def test_nothing_hidden_and_a_firm_name_is_false():
     case = hidden_case("none", 0)
-    score = benchmark.scoring.outcome
+    score = hidden_scoring.outcome
     assert score(case, diagnosis(case, status="none"), seconds=1.0)["named_right"]
     assert score(case, diagnosis(case, status="unresolved"), seconds=1.0)["named_right"]
     assert not score(case, diagnosis(case, found("cubic_stiffness", "element_0")), seconds=1.0)["named_right"]
 
 
-def test_classes_that_no_data_can_split(benchmark):
-    names = benchmark.scoring.allowed_names
+def test_classes_that_no_data_can_split():
+    names = hidden_scoring.allowed_names
     one = {"n_dofs": 1, "n_outputs": 1, "sensor_kind": "displacement", "velocity_reverses": True}
     assert names("input_gain", **one) == {"input_gain", "sensor_gain"}
     assert names("input_gain", **{**one, "n_dofs": 3}) == {"input_gain"}
@@ -124,34 +114,34 @@ def test_classes_that_no_data_can_split(benchmark):
         ("output_0", "element_0", "coulomb_friction", False),
     ],
 )
-def test_places(benchmark, first, second, effect, same):
-    assert benchmark.scoring.same_place(first, second, effect) is same
-    assert benchmark.scoring.same_place(second, first, effect) is same
+def test_places(first, second, effect, same):
+    assert hidden_scoring.same_place(first, second, effect) is same
+    assert hidden_scoring.same_place(second, first, effect) is same
 
 
-def test_of_a_gap_spring_the_step_in_stiffness_counts(benchmark):
+def test_of_a_gap_spring_the_step_in_stiffness_counts():
     hidden = HiddenEffect(
         effect="gap_spring", place="element_0", parameters={"k_in": -100.0, "k_out": 0.0, "gap": 0.01}
     )
     got = found("gap_spring", "element_0", k_in=(-60.0, 3.0), k_out=(44.0, 4.0), gap=(0.0102, 1e-4))
-    step, gap = benchmark.scoring.parameter_scores(got, hidden)[::-1]
+    step, gap = hidden_scoring.parameter_scores(got, hidden)[::-1]
     assert step["name"] == "gap_spring.k_out - k_in"
     assert step["relative_error"] == pytest.approx(0.04)
     assert step["deviations"] == pytest.approx(0.8)
     assert gap["relative_error"] == pytest.approx(0.02)
-    assert benchmark.scoring.parameter_scores(found("cubic_stiffness", "element_0"), hidden) == []
+    assert hidden_scoring.parameter_scores(found("cubic_stiffness", "element_0"), hidden) == []
 
 
-def test_tables_count(benchmark, gain_case):
-    score = benchmark.scoring.outcome
+def test_tables_count(gain_case):
+    score = hidden_scoring.outcome
     gain = found("input_gain", "input_0", gain=(gain_case.effects[0].parameters["gain"] * 1.2, 0.1))
     lines = [
         score(gain_case, diagnosis(gain_case, gain), seconds=2.0),
         score(gain_case, diagnosis(gain_case, gain), seconds=4.0),
         score(gain_case, diagnosis(gain_case, found("input_delay", "input_0"), left=9.0), seconds=6.0),
-        {**benchmark.scoring.describe(gain_case), "error": "ValueError: no", "seconds": 1.0},
+        {**hidden_scoring.describe(gain_case), "error": "ValueError: no", "seconds": 1.0},
     ]
-    text = benchmark.tables.report(lines)
+    text = hidden_tables.report(lines)
     row = next(line for line in text.splitlines() if line.startswith("| 3dof_displacement | 4 "))
     assert "| 2 of 4, 50.0 % (97 %) | 2 of 2, 100.0 % (99 %) | 3 of 3, 100.0 % (85 %) | 1 of 3 (0) |" in row
     assert "1.000 (" in row

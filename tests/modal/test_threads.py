@@ -26,3 +26,7 @@ def test_an_error_inside_restores_too():
         with pytest.raises(ZeroDivisionError), one_blas_thread():
             _ = 1 / 0
         assert blas_threads() == before
+
+
+def test_every_worker_of_the_tests_keeps_one_blas_thread():
+    assert set(blas_threads()) == {1}

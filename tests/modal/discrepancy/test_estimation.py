@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses, with_effects
 
-from modal.discrepancy import estimation as module
 from modal.discrepancy.budget import Budget
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.drive import drive_of
@@ -67,22 +66,6 @@ def test_a_fit_ends_when_its_budget_is_spent():
     found = estimate(start, problem, iterations=40, budget=Budget(0.0))
     assert found.iterations == 1
     assert found.cost < start.cost
-
-
-@pytest.mark.parametrize(
-    ("near", "floor", "budget", "trials"),
-    [(True, 1e-6, None, 1), (False, 1e-6, None, 5), (False, 1e-6, Budget(0.0), 1), (True, 1e-8, None, 5)],
-)
-def test_a_step_that_fails_is_shortened_unless_it_promised_next_to_nothing(monkeypatch, near, floor, budget, trials):
-    """Far above the floor what it promises tells nothing."""
-    assembly, truth, problem = problem_of(KEYS, noise=1e-3, floor=floor)
-    unknowns = truth if near else away(assembly, truth)
-    start = simulate_at(assembly, unknowns, problem)
-    start = estimate(start, problem, iterations=10) if near else start
-    tried = []
-    monkeypatch.setattr(module, "_trial", lambda *_: tried.append(1))
-    assert estimate(start, problem, iterations=10, budget=budget) is start
-    assert len(tried) == trials
 
 
 def test_what_a_record_shows_before_its_delayed_drive_arrives_is_not_judged():
