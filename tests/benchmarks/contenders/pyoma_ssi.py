@@ -3,7 +3,7 @@
 REQUIREMENTS = ("pyOMA-2",)
 SETTINGS = {
     "defaults": "SSI of the outputs alone (cov, 20 block rows, as its parameters default), the model of the true order",
-    "60 block rows": "SSI with the inputs (IOcov), block rows swept, the model of the true order",
+    "100 block rows": "SSI with the inputs (IOcov), block rows swept, the model of the true order",
 }
 SWEEP = {"{} block rows": (20, 40, 60, 100, 150)}
 

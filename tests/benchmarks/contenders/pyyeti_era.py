@@ -3,7 +3,7 @@
 REQUIREMENTS = ("pyyeti",)
 SETTINGS = {
     "defaults": "ERA(auto=True): its own choice of modes by its indicators; H1 with 1024-sample Hann windows",
-    "2048-sample windows": "number of modes told, windows swept, 100 block rows",
+    "1024-sample windows": "number of modes told, windows swept, 100 block rows",
 }
 SWEEP = {"{}-sample windows": (512, 1024, 2048)}
 BLOCKS = 100
