@@ -10,7 +10,7 @@ from modal.discrepancy.diagnosis import Diagnosis, Finding
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import Stage, rows_of, stages_of
 from modal.report.discrepancy_values import effect_text, found_value, interval_text, times_text
-from modal.report.writing import DiagnosisFiles
+from modal.report.discrepancy_writing import DiagnosisFiles
 from modal.terminal import listing, plain
 
 __all__ = ["show_diagnosis", "show_diagnosis_files"]

@@ -26,7 +26,7 @@ from modal.report.discrepancy_values import (
     value_text,
 )
 from modal.report.pages import environment, hold_text, inline
-from modal.report.pictures import Picture
+from modal.report.picture import Picture
 from modal.report.provenance import Provenance, installed_version
 from modal.wording import exact_percent
 from okid.arrays import FloatArray

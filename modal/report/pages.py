@@ -12,7 +12,8 @@ from modal.report.columns import INDICATORS
 from modal.report.limit_words import limits_sentence, limits_short
 from modal.report.moving_shapes import moving_shapes, placement_of
 from modal.report.page_environment import environment, inline, page_script
-from modal.report.pictures import MOST_ASSURED, Picture, shape_assurance
+from modal.report.picture import Picture
+from modal.report.pictures import MOST_ASSURED, shape_assurance
 from modal.report.provenance import Provenance, installed_version
 from modal.report.setting import NOTHING_BESIDES, Setting
 from modal.report.setup_values import about_lines, channel_rows, sensor_columns
