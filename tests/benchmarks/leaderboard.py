@@ -108,8 +108,10 @@ def sweep_part(options, only):
                 scores = random_board.contend(cases, name, setting, options.work)
                 figures = random_board.figures(cases, scores)
                 own.append((name, form, setting, {**figures, "score": random_board.sweep_score(cases, scores)}))
-            best = min(own, key=lambda row: row[3]["score"])[2]
-            tell(f"{name}: best is {best}" + ("" if best in contender(name).SETTINGS else ", which SETTINGS lacks"))
+            least = min(round(row[3]["score"], 2) for row in own)
+            best = [row[2] for row in own if round(row[3]["score"], 2) == least]
+            known = set(best) & set(contender(name).SETTINGS)
+            tell(f"{name}: best is {' or '.join(best)}" + ("" if known else ", which SETTINGS lacks"))
             rows += own
     (options.work / "sweep.json").write_text(json.dumps(rows, indent=1))
     return sweep_table(rows, n_systems=n_systems, first_seed=BUILDING_SEED, realisations=n_realisations)

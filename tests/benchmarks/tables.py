@@ -141,10 +141,12 @@ def sweep_table(rows, *, n_systems, first_seed, realisations):
     seeds = f"seeds {first_seed} to {first_seed + n_systems - 1}"
     best = {}
     for name, form, _, figures in rows:
-        best[name, form] = min(best.get((name, form), np.inf), figures["score"])
+        best[name, form] = min(best.get((name, form), np.inf), round(figures["score"], 2))
     columns = {
         "contender": [f"{name}, {setting}" for name, _, setting, _ in rows],
-        "score": [_bold(f"{f['score']:.2f}", marked=f["score"] == best[name, form]) for name, form, _, f in rows],
+        "score": [
+            _bold(f"{f['score']:.2f}", marked=round(f["score"], 2) == best[name, form]) for name, form, _, f in rows
+        ],
         "found %": [f"{100 * f['found']:.1f}" for *_, f in rows],
         "frequency: RMSE / bound": ["-" if f["frequency"] is None else pooled(f["frequency"]) for *_, f in rows],
         "damping": ["-" if f["damping_ratio"] is None else pooled(f["damping_ratio"]) for *_, f in rows],

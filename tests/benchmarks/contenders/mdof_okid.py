@@ -4,7 +4,7 @@ REQUIREMENTS = ("setuptools<81", "mdof")
 SETTINGS = {
     "defaults": "mdof.sysid(inputs, outputs): SRIM, order 20, horizon 300",
     "SRIM, 150 block rows": "SRIM, order told, horizon swept",
-    "OKID, 200 lags": "OKID with ERA, order told, observer lags swept, half as many block rows",
+    "OKID, 300 lags": "OKID with ERA, order told, observer lags swept, half as many block rows",
 }
 SWEEP = {"SRIM, {} block rows": (20, 40, 60, 100, 150), "OKID, {} lags": (40, 80, 120, 200, 300)}
 
