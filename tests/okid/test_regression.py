@@ -116,6 +116,10 @@ def test_orders_and_ridges_outside_their_range_are_refused():
     gram = lag_gram([record], 4, scaling=channel_scaling([record]))
     with pytest.raises(InvalidDataError, match=r"between 1 and the Gram's 4, but are \[5\]"):
         solve_nested(gram, [5], 0.0)
+    with pytest.raises(InvalidDataError, match=r"but are \[0, 3\]"):
+        solve_nested(gram, [0, 3], 0.0)
+    with pytest.raises(InvalidDataError, match=r"but are \[\]"):
+        solve_nested(gram, [], 0.0)
     with pytest.raises(InvalidDataError, match="at least 0, but is -1"):
         solve(gram, -1)
 
