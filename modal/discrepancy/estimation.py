@@ -174,6 +174,8 @@ def estimate(
         slopes = sensitivity_of(current, problem)
         gram, score = score_equations(current, problem, slopes)
         better, least = None, standstill * max(current.cost, 1.0)
+        if not (np.isfinite(gram).all() and np.isfinite(score).all()):
+            return current  # along a motion that hardly stays within numbers no step is known
         for trial in range(TRIALS):
             step = _step(current, gram, score, damping, free_common=problem.free_common)
             better = _trial(current, problem, slopes, step)
@@ -221,8 +223,9 @@ def score_equations(current: Estimate, problem: Problem, slopes: Sensitivity) ->
         rows = drive.rows_of(record)
         columns = np.concatenate([slopes.common[:, rows], slopes.local[:, rows]])
         weighted = (columns * weights[rows]).reshape(len(columns), weights[rows].size)
-        part = weighted @ weighted.T
-        seen = weighted @ residual[rows].ravel()
+        with np.errstate(over="ignore", invalid="ignore"):
+            part = weighted @ weighted.T
+            seen = weighted @ residual[rows].ravel()
         at = np.concatenate([np.arange(n_common), n_common + record * n_local + np.arange(n_local)]).astype(int)
         gram[np.ix_(at, at)] += part
         score[at] += seen

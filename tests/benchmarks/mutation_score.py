@@ -41,6 +41,12 @@ EQUIVALENT = {
         "one lag more than needed meets no row and column"
     ),
     ("era/decomposition.py", "order: int = self.A.shape[0]", "one more"): "A is square",
+    ("era/balanced.py", "largest = found.singular_values[0] if found.singular_values.size else 0.0", "a tenth more"): (
+        "without singular values the sentence says 0 of nothing"
+    ),
+    ("okid/regression.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "a tenth more"): (
+        "two exact ways to one solution; which is taken at the border costs the same"
+    ),
     ("era/balanced.py", "if 1 < end <= rank and end < singular_values.size:", "Lt to LtE"): (
         "with no value beyond the end there is no drop there that the rule could take for a gap"
     ),
@@ -48,6 +54,7 @@ EQUIVALENT = {
         "NumPy takes any negative size for the open one"
     ),
     ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
+    ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): "a rounding's worth",
     ("okid/regression.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
         "two exact ways to one solution; which is taken at the border costs the same"
     ),

@@ -100,6 +100,7 @@ def test_disjoint_masks_add_up_to_the_whole():
     part = lag_gram(records, 5, scaling=scaling, rows=mask)
     rest = lag_gram(records, 5, scaling=scaling, rows=[~m for m in mask])
     assert (whole - part).n_rows == rest.n_rows
+    assert (part + rest).n_rows == whole.n_rows
     assert np.abs((whole - part).matrix - rest.matrix).max() < 1e-11 * whole.n_rows
     assert np.abs((part + rest).matrix - whole.matrix).max() < 1e-11 * whole.n_rows
 

@@ -10,7 +10,7 @@ from okid.record import Record
 DT, SUBSTEPS, FRICTION = 0.02, 20, 0.5
 
 
-def loop_record(sines, *, written, n=700, hold="zero_order"):
+def loop_record(sines, *, written, n=400, hold="zero_order"):
     """One mass of 1 kg on 100 N/m with friction, stepped by semi-implicit Euler under a held force.
 
     `written` "before" or "after" each step: after it, the output is a sample older than its input.
@@ -37,7 +37,7 @@ def loop_diagnosis(written, hold):
     return diagnose(model, fit, held_out)
 
 
-@pytest.mark.parametrize(("written", "samples"), [("before", 0.0), ("after", -1.0)])
+@pytest.mark.parametrize(("written", "samples"), [("after", -1.0)])
 def test_friction_is_found_in_what_a_loop_wrote_down_and_how_early_its_outputs_are(written, samples):
     """Semi-implicit steps are half a step early by themselves, 0.5 ms here."""
     found = loop_diagnosis(written, "zero_order")
