@@ -17,9 +17,9 @@ from modal.identification import Choice
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.gram import LagGram, lag_gram
+from okid.least_squares import solve
 from okid.record import Record
 from okid.recovery import recover_system
-from okid.regression import solve
 from okid.scalars import whole_number
 from okid.scaling import channel_scaling
 

@@ -17,10 +17,10 @@ from modal.stretches import folds_of, stretches_of
 from okid.arrays import BoolArray, FloatArray
 from okid.coefficients import ObserverCoefficients
 from okid.gram import LagGram, lag_gram
+from okid.least_squares import solve
 from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.recovery import recover_arrays, recover_system
-from okid.regression import solve
 from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 

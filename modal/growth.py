@@ -17,8 +17,8 @@ from modal.starting import starting_parameters
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.gram import lag_gram
+from okid.least_squares import solve
 from okid.record import Record
-from okid.regression import solve
 from okid.scaling import channel_scaling
 
 __all__ = ["errors_of", "with_weak_mode"]

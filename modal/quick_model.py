@@ -15,10 +15,10 @@ from modal.free_run import ModalForm, free_runs, modal_form
 from modal.ground import LARGEST_PULSE, hankel_limits, markov_lags
 from modal.stretches import stretches_of
 from okid.gram import lag_gram
+from okid.least_squares import solve
 from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.recovery import recover_system
-from okid.regression import solve
 from okid.scaling import channel_scaling
 
 __all__ = ["QuickModel", "best_model", "observer_markov", "quick_model"]

@@ -26,10 +26,10 @@ from modal.verdict import Rerun, Reruns
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram
+from okid.least_squares import solve
 from okid.observer import observer_fit
 from okid.record import Record
 from okid.recovery import recover_markov
-from okid.regression import solve
 from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 

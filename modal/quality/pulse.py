@@ -11,9 +11,9 @@ import numpy as np
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.gram import lag_gram
+from okid.least_squares import solve
 from okid.record import Record
 from okid.recovery import recover_system
-from okid.regression import solve
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
-    "okid/observer.py", "okid/recovery.py", "okid/gram.py", "okid/regression.py", "era/hankel.py", "era/balanced.py",
+    "okid/observer.py", "okid/recovery.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
     "era/decomposition.py", "modal/extraction.py", "modal/indicators.py", "modal/probability.py",
 )  # fmt: skip
 ALSO = {
@@ -44,7 +44,7 @@ EQUIVALENT = {
     ("era/balanced.py", "largest = found.singular_values[0] if found.singular_values.size else 0.0", "a tenth more"): (
         "without singular values the sentence says 0 of nothing"
     ),
-    ("okid/regression.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "a tenth more"): (
+    ("okid/least_squares.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "a tenth more"): (
         "two exact ways to one solution; which is taken at the border costs the same"
     ),
     ("era/balanced.py", "if 1 < end <= rank and end < singular_values.size:", "Lt to LtE"): (
@@ -55,7 +55,7 @@ EQUIVALENT = {
     ),
     ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
     ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): "a rounding's worth",
-    ("okid/regression.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
+    ("okid/least_squares.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
         "two exact ways to one solution; which is taken at the border costs the same"
     ),
 }

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from okid import regression
+from okid import least_squares as regression
 from okid.errors import InvalidDataError
 from okid.gram import lag_gram
+from okid.least_squares import RegressionRows, solve
 from okid.record import Record
-from okid.regression import RegressionRows, solve
 from okid.scaling import channel_scaling
 
 ORDERS = (1, 2, 5, 8)
