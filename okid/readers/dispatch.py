@@ -6,7 +6,7 @@ from pathlib import Path
 
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_file
-from okid.readers.mat_files import read_mat
+from okid.readers.mat import read_mat
 from okid.readers.numpy_files import read_npy, read_npz
 from okid.readers.parquet import read_parquet
 from okid.readers.table import Table

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from okid.errors import UnreadableFileError
+from okid.readers.arrays import Content, table_from_arrays
 from okid.readers.guard import check_channel_count, check_memory, first_line
-from okid.readers.named_arrays import Content, table_from_arrays
 from okid.readers.table import Column, Table
 
 __all__ = ["read_npy", "read_npz"]
@@ -43,7 +43,7 @@ def read_npy(path: Path) -> Table:
 
 
 def read_npz(path: Path) -> Table:
-    """Named arrays; see `okid.readers.named_arrays` for what the names mean.
+    """Named arrays; see `okid.readers.arrays` for what the names mean.
 
     Raises:
         UnreadableFileError: damaged, or an array in it is a pickle.

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.errors import UnreadableFileError
+from okid.readers.arrays import Content, table_from_arrays
 from okid.readers.guard import check_memory, first_line, require
-from okid.readers.named_arrays import Content, table_from_arrays
 from okid.readers.table import Table
 
 __all__ = ["read_mat"]
@@ -29,7 +29,7 @@ MATLAB_USER_BLOCK = 512
 
 
 def read_mat(path: Path) -> Table:
-    """The arrays of a MAT file; see `okid.readers.named_arrays` for what their names mean.
+    """The arrays of a MAT file; see `okid.readers.arrays` for what their names mean.
 
     Raises:
         UnreadableFileError: damaged or cut off, or no array of samples in it.
