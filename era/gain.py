@@ -3,7 +3,7 @@
     x(k+1) = A x(k) + K e(k),   v(k) = C x(k) + e(k),   v: measured outputs less the free run
 
 With A and C given, the gain is found that makes the one-step errors e smallest, log det sum e e', by the scoring of
-`era.gain_scoring`. It reaches what is asymptotically the best that any method can do, covariance W^-1 (x) R^-1 / N.
+`era.innovation_form`. It reaches what is asymptotically the best that any method can do, covariance W^-1 (x) R^-1 / N.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.gain_climb import climbed, first_gain, usable_gain
-from era.gain_scoring import ScoredGain, first_fit, information, inverse, inverse_of_information
+from era.innovation_form import ScoredGain, first_fit, information, inverse, inverse_of_information
 from era.left_over import NoisePart, left_over
 from era.realisation import Realisation
 from era.simulation import check_channels

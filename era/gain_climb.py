@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from era.gain_scoring import ScoredGain, Starts, first_fit, inverse_of_information, step
+from era.innovation_form import ScoredGain, Starts, first_fit, inverse_of_information, step
 from era.innovation_run import finite_gramian
 from era.left_over import NoisePart
 from era.riccati import riccati_gain

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from era.gain_scoring import information, inverse
+from era.innovation_form import information, inverse
 from era.kalman import kalman_filter
 from era.realisation import Realisation
 from era.state_recursion import free_run

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from era.gain_scoring import settled
+from era.innovation_form import settled
 from era.left_over import left_over
 from era.realisation import Realisation
 from era.simulation import check_channels
