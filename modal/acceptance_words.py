@@ -7,7 +7,7 @@ from typing import Literal
 
 from modal.acceptance_limits import Range
 from modal.identification import Identification
-from modal.wording import hertz
+from modal.wording.numbers import hertz
 
 __all__ = [
     "MAYBE",

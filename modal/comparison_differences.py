@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from modal.comparison_source import Channel, ResultSummary
-from modal.wording import fit_text
+from modal.wording.numbers import fit_text
 
 __all__ = ["Difference", "differences_of"]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from modal.identification import Choice, Identification
 from modal.mode import Mode
-from modal.names import shorten, visible
 from modal.storage import load
 from modal.trust import trust_of
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["Channel", "ResultSummary", "read_result", "summary_of"]

@@ -5,8 +5,8 @@ import math
 from modal.comparison import Comparison, ModePair, Unmatched
 from modal.comparison_shifts import Shift
 from modal.mode import Mode
-from modal.names import shorten, visible
-from modal.wording import hertz
+from modal.wording.names import shorten, visible
+from modal.wording.numbers import hertz
 
 __all__ = [
     "assurance_text",

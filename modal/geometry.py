@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from modal.dof_names import Motion, dof_of
-from modal.names import shorten, visible
 from modal.node_motion import motion_of
+from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from modal.dof_names import dof_of
 from modal.geometry import MOST_NODES, Geometry, Sensor, node_numbers
-from modal.names import shorten, visible
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.guard import check_file, first_line
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from modal.coordinate_systems import CoordinateSystem, systems_of_set_18, systems_of_set_2420
 from modal.geometry import MOST_NODES, Geometry
-from modal.names import shorten, visible
 from modal.uff_fields import numbers, whole_numbers
+from modal.wording.names import shorten, visible
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError
 

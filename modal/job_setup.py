@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from modal.geometry_file import read_geometry
-from modal.names import shorten, visible
 from modal.report.folder import refuse_names
 from modal.report.pdf import NoBrowserError, find_browser
 from modal.report.writing import refuse_existing
 from modal.specification import read_specification
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError
 from okid.record import Record
 

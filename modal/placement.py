@@ -14,9 +14,9 @@ import numpy as np
 
 from modal.geometry import Geometry, Sensor
 from modal.mode import Mode
-from modal.names import shorten, visible
 from modal.node_motion import Motions, motion_of
 from modal.sticks import rows_by_unit, stated_dofs, stick_geometry
+from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.readers.units import convert_unit

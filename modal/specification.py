@@ -36,8 +36,8 @@ from typing import TYPE_CHECKING
 
 from modal.acceptance_limits import Limit
 from modal.limit_tables import limits_of
-from modal.names import shorten, visible
 from modal.toml_tables import Table, quoted
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
 if TYPE_CHECKING:

@@ -17,13 +17,13 @@ from modal.acceptance import LimitOutcome
 from modal.examples.demo import ModeComparison
 from modal.identification import Identification
 from modal.mode import Mode
-from modal.names import shorten, visible
 from modal.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
 from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles
 from modal.trust import damping_text, frequency_text, trust_of
-from modal.wording import hertz
+from modal.wording.names import shorten, visible
+from modal.wording.numbers import hertz
 
 __all__ = ["listing", "plain", "show_comparison", "show_files", "show_limits", "show_result"]
 

@@ -7,10 +7,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from modal.names import shorten
 from modal.quality.findings import LEVELS, ChannelQuality, DataQuality, Finding
 from modal.terminal import listing, plain
-from modal.wording import whole_percent
+from modal.wording.names import shorten
+from modal.wording.numbers import whole_percent
 from okid.record import Record
 
 __all__ = ["show_quality"]

@@ -11,7 +11,7 @@ from modal.comparison_differences import Difference
 from modal.comparison_shifts import Shift
 from modal.report.comparison_writing import ComparisonFiles
 from modal.terminal import listing, plain
-from modal.wording import hertz
+from modal.wording.numbers import hertz
 
 __all__ = ["show_comparison_files", "show_difference"]
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from modal.names import shorten, visible
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError
 
 __all__ = ["Table", "quoted"]

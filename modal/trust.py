@@ -10,8 +10,8 @@ from typing import Literal
 
 from modal.identification import Identification
 from modal.mode import Mode
-from modal.names import shorten
-from modal.wording import GOOD_FIT, LEAST_FIT, counted, fit_text, hertz, ratio_text, with_interval
+from modal.wording.names import shorten
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, fit_text, hertz, ratio_text, with_interval
 
 __all__ = [
     "Judgement",

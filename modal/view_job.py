@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from modal.names import shorten, visible
+from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["find_viewer", "open_recording", "recording_of"]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from modal.names import visible
+from modal.wording.names import visible
 from okid.errors import IdentificationError, InsufficientDataError
 from okid.record import InputHold
 

@@ -10,8 +10,8 @@ from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.explained import explained_words
 from modal.discrepancy.hold_hint import hold_words
 from modal.discrepancy.internal_changes import INTERNAL_FORCE
-from modal.discrepancy.statements import number
 from modal.quality.check import spoiled_channels
+from modal.wording.statements import number
 from okid.record import Record
 
 __all__ = ["early_words", "free_words", "spoiled_words", "with_cautions"]

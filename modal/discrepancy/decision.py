@@ -19,9 +19,9 @@ from modal.discrepancy.estimation import Problem
 from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain
 from modal.discrepancy.simpler_laws import has_limit, with_limits, with_twins
 from modal.discrepancy.smaller_models import without
-from modal.discrepancy.statements import number, times_floor_text
 from modal.discrepancy.sureness import sureness
 from modal.discrepancy.tolerances import NEAR_FLOOR, SURE
+from modal.wording.statements import number, times_floor_text
 
 __all__ = ["Decision", "decide_nodes"]
 

@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from modal.discrepancy.effect_names import effects_at
 from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.statements import times_floor_text
 from modal.discrepancy.tolerances import NEAR_FLOOR
-from modal.wording import listed
+from modal.wording.numbers import listed
+from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray
 from okid.record import Record
 

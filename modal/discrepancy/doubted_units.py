@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from modal.discrepancy.decision import Decision
-from modal.discrepancy.statements import number
+from modal.wording.statements import number
 
 __all__ = ["doubted_units"]
 

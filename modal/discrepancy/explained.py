@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal.wording import listed, percent
+from modal.wording.numbers import listed, percent
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

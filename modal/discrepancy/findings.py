@@ -8,7 +8,7 @@ from modal.discrepancy.diagnosis import Evidence, Finding, Hypothesis, Parameter
 from modal.discrepancy.effect_units import parameter_units
 from modal.discrepancy.nodes import Node, Task, log_likelihood_gain
 from modal.discrepancy.plant import Plant
-from modal.discrepancy.statements import times_floor_text
+from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray
 
 __all__ = ["even_rivals", "findings_of", "hypothesis_of"]

@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.statements import number
 from modal.discrepancy.tolerances import ROUNDING
+from modal.wording.statements import number
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.scalars import real_number

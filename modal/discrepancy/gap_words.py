@@ -9,8 +9,8 @@ import numpy as np
 from modal.discrepancy.gap import Gap
 from modal.discrepancy.gap_character import SingleLine, excess_spectrum, narrowest_interval, single_line
 from modal.discrepancy.gap_trend import LevelTrend
-from modal.discrepancy.statements import Statement, part, quantity, times, times_floor_text
-from modal.wording import listed
+from modal.wording.numbers import listed
+from modal.wording.statements import Statement, part, quantity, times, times_floor_text
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["agreement", "disagreement"]

@@ -8,8 +8,8 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.other_hold import has_half_a_sample, other_hold
-from modal.discrepancy.statements import number
 from modal.discrepancy.tolerances import NEAR_FLOOR
+from modal.wording.statements import number
 from okid.arrays import FloatArray
 from okid.record import Record
 

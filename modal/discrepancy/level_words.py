@@ -8,8 +8,8 @@ within one level already, the damping ratio of a linear model of that level says
 import numpy as np
 
 from modal.discrepancy.level_modes import LevelMode, LevelModes
-from modal.discrepancy.statements import Statement, number
-from modal.wording import percent
+from modal.wording.numbers import percent
+from modal.wording.statements import Statement, number
 
 __all__ = ["mode_statements"]
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from modal.discrepancy.lines import DOMINANT, Lines
-from modal.discrepancy.statements import Statement
-from modal.wording import percent
+from modal.wording.numbers import percent
+from modal.wording.statements import Statement
 
 __all__ = ["line_statements"]
 

@@ -15,8 +15,8 @@ from modal.discrepancy.level_modes import LevelModes
 from modal.discrepancy.level_words import mode_statements
 from modal.discrepancy.line_words import line_statements
 from modal.discrepancy.lines import Lines
-from modal.discrepancy.statements import Statement
 from modal.discrepancy.tolerances import AT_FLOOR
+from modal.wording.statements import Statement
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["Location", "locate"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from modal.discrepancy.hold_hint import highest_frequency
 from modal.discrepancy.noise_floor import NoiseFloor
-from modal.discrepancy.statements import number
+from modal.wording.statements import number
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.record import Record
 

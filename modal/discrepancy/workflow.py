@@ -39,10 +39,10 @@ from modal.discrepancy.setup import (
 )
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
-from modal.discrepancy.statements import quantity
 from modal.structure import SensorKind
 from modal.threads import one_blas_thread
-from modal.wording import listed
+from modal.wording.numbers import listed
+from modal.wording.statements import quantity
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

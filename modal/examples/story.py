@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.statements import times_floor_text
 from modal.report.discrepancy_values import step_text
 from modal.report.writing import write_report
+from modal.wording.statements import times_floor_text
 from okid.errors import IdentificationError, InvalidDataError
 
 __all__ = ["options", "parameter", "shrinking", "write_when_asked"]

@@ -7,7 +7,6 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Hypothesis, Step
 from modal.discrepancy.gap import Gap
-from modal.names import plot_label
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of
 from modal.plots.panels import Panel
@@ -16,6 +15,7 @@ from modal.plots.style import STYLE, Role, envelope
 from modal.report.discrepancy_spectra import gap_density
 from modal.report.discrepancy_stages import Row, Stage
 from modal.report.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor, times_text
+from modal.wording.names import plot_label
 from okid.record import Record
 
 __all__ = ["before_and_after", "gap_histories", "gap_spectra", "hypothesis_bars", "shrinking_gap"]

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.diagnosis import LawCurve
-from modal.names import plot_label
 from modal.plots.layout import Chart, row_of
 from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, STYLE
 from modal.report.discrepancy_values import effect_text, law_against, law_gives
+from modal.wording.names import plot_label
 
 __all__ = ["draw_laws"]
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.names import plot_label
 from modal.plots.histories import APART as ROLES
 from modal.plots.layout import Chart, grid_of
 from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, STYLE, Role
 from modal.report.discrepancy_levels import LevelLine
+from modal.wording.names import plot_label
 from okid.arrays import FloatArray
 
 __all__ = ["modes_against_level"]

@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from modal.names import plot_label
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import Panel
 from modal.plots.style import STYLE, Role, envelope
-from modal.wording import fit_text
+from modal.wording.names import plot_label
+from modal.wording.numbers import fit_text
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck

@@ -11,7 +11,7 @@ from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import STYLE, Role
-from modal.wording import hertz
+from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 

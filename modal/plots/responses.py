@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from era.realisation import Realisation
-from modal.names import plot_label
 from modal.plots.layout import Chart, Key, grid_of, row_of
 from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra
 from modal.plots.style import STYLE, Role
 from modal.synthesis import MeasuredFrf, frf
+from modal.wording.names import plot_label
 from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -6,7 +6,6 @@ import numpy as np
 
 from modal.geometry import Geometry
 from modal.mode import Mode
-from modal.names import plot_label
 from modal.placement import at_rest, placed
 from modal.plots.layout import Chart, grid_of, row_of
 from modal.plots.panels import Panel
@@ -14,7 +13,8 @@ from modal.plots.structure import draw_lines, draw_surfaces, frame_of, place_lab
 from modal.plots.style import STYLE, Role
 from modal.scene import Scene, scene_of
 from modal.sticks import stated_dofs
-from modal.wording import hertz
+from modal.wording.names import plot_label
+from modal.wording.numbers import hertz
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["assurance_matrix", "geometry_picture", "mode_shapes", "shape_complexity"]

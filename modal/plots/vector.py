@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.names import visible
 from modal.plots.layout import Chart, Key
 from modal.plots.marks import Area, Curve, Mark, Segments, runs
 from modal.plots.panels import Panel
 from modal.plots.style import COLOURS, STYLE, Role, text_width
+from modal.wording.names import visible
 from okid.arrays import FloatArray
 
 __all__ = ["line_identity", "page_of", "svg_text"]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.names import shorten
 from modal.quality.findings import Role, Span
+from modal.wording.names import shorten
 from okid.arrays import CHUNK_VALUES, FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling

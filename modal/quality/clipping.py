@@ -11,7 +11,7 @@ import numpy as np
 
 from modal.quality.channel import MOST_SPANS, Channel, named, where_found
 from modal.quality.findings import Finding, Span
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.rows import runs_of
 

@@ -18,7 +18,7 @@ from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.quality.pulse import best_pulse, whole_rows
 from modal.synthesis import MeasuredFrf
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.quality.channel import Channel, named, spoken, where_found
 from modal.quality.findings import Finding
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 
 __all__ = ["HumLines", "hum_findings", "mains_lines"]

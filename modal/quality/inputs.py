@@ -7,7 +7,7 @@ import numpy as np
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.synthesis import AveragedSpectra, MeasuredFrf
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import TINY
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation

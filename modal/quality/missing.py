@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.quality.channel import MOST_SPANS, Channel, named, spoken, when, where_found
 from modal.quality.findings import Finding
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
 

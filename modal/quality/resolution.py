@@ -11,7 +11,7 @@ import numpy as np
 
 from modal.quality.channel import Channel, named, where_found
 from modal.quality.findings import Finding
-from modal.wording import percent
+from modal.wording.numbers import percent
 
 __all__ = ["resolution_findings", "resolution_of"]
 

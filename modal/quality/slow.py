@@ -24,7 +24,7 @@ from modal.drift import (
 from modal.quality.channel import named
 from modal.quality.findings import Finding
 from modal.quality.pulse import best_pulse, predicted_outputs
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

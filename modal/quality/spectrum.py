@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.whiteness import centred, whiteness

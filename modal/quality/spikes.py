@@ -11,7 +11,7 @@ import numpy as np
 
 from modal.quality.channel import MOST_SPANS, Channel, named, spoken, where_found
 from modal.quality.findings import Finding, Level
-from modal.wording import percent
+from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["sharp_samples", "spike_findings"]

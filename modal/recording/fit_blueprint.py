@@ -9,7 +9,7 @@ from modal.recording.fit_page import FIT_TEXT, MARKOV, WHITENESS
 from modal.recording.names import label, name_with_unit
 from modal.recording.plan import SHOWN_INPUTS, DataPlan, Plan
 from modal.recording.views_blueprint import document_view, plot_view, series_view
-from modal.wording import fit_text
+from modal.wording.numbers import fit_text
 
 __all__ = ["fit_page", "inputs_view", "run_view"]
 

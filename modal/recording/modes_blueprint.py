@@ -13,7 +13,7 @@ from modal.recording.shapes import shape_path
 from modal.recording.views_blueprint import document_view, plot_view
 from modal.scene import Scene, envelope_of, scene_of
 from modal.trust import damping_text
-from modal.wording import hertz, ratio_text
+from modal.wording.numbers import hertz, ratio_text
 from okid.arrays import FloatArray
 
 __all__ = ["modes_page"]

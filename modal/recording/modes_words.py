@@ -14,7 +14,7 @@ from modal.recording.names import cell
 from modal.recording.plan import Plan
 from modal.recording.words import UNKNOWN, bullets, table
 from modal.trust import damping_text
-from modal.wording import hertz, with_interval
+from modal.wording.numbers import hertz, with_interval
 
 __all__ = ["modes_text"]
 

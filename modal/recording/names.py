@@ -1,14 +1,14 @@
 """Names from files are not to be trusted: as parts of entity paths, as titles of views, as cells of a table.
 
 A channel may be called `<script>`, nothing at all, a thousand letters, or text that runs from right to left and
-carries what follows along. What is shown goes through `modal.names`; here are the paths, and the short forms.
+carries what follows along. What is shown goes through `modal.wording.names`; here are the paths, and the short forms.
 """
 
 import unicodedata
 from collections.abc import Sequence
 from typing import Final
 
-from modal.names import escape_markdown, shorten, visible
+from modal.wording.names import escape_markdown, shorten, visible
 
 __all__ = ["cell", "drawable", "label", "name_with_unit", "path_parts"]
 

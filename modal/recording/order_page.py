@@ -20,7 +20,7 @@ from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
 from modal.synthesis import frf
-from modal.wording import hertz
+from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from modal.mode import Mode
 from modal.report.page_environment import environment
 from modal.report.provenance import installed_version
 from modal.trust import damping_text
-from modal.wording import fit_text, hertz, ratio_text
+from modal.wording.numbers import fit_text, hertz, ratio_text
 
 __all__ = ["comparison_html", "comparison_markdown"]
 

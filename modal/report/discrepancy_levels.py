@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.level_modes import LevelMode, LevelModes
-from modal.discrepancy.statements import number
+from modal.wording.statements import number
 from okid.arrays import FloatArray
 
 __all__ = ["LevelLine", "level_lines", "telling"]

@@ -5,12 +5,12 @@ import io
 import json
 
 from modal.discrepancy.diagnosis import Diagnosis, Finding
-from modal.names import csv_cell
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import effects_text, times_floor
 from modal.report.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
 from modal.report.machine import as_json, number_cell, record_document
 from modal.report.provenance import Provenance, installed_version
+from modal.wording.names import csv_cell
 
 __all__ = ["DIAGNOSIS_SCHEMA", "diagnosis_csv", "diagnosis_json"]
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis, Finding
-from modal.discrepancy.statements import number
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import (
@@ -28,7 +27,8 @@ from modal.report.discrepancy_values import (
 from modal.report.pages import environment, hold_text, inline
 from modal.report.picture import Picture
 from modal.report.provenance import Provenance, installed_version
-from modal.wording import exact_percent
+from modal.wording.numbers import exact_percent
+from modal.wording.statements import number
 from okid.arrays import FloatArray
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "equations_of"]

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.names import shorten, visible
 from modal.plots import discrepancy as plots
 from modal.plots import discrepancy_law, discrepancy_levels
 from modal.report.discrepancy_levels import level_lines
 from modal.report.discrepancy_stages import Stage, record_name, rows_of, stages_of, worst_outputs
 from modal.report.discrepancy_values import NAMED_WITHIN, found_hypothesis, found_word
 from modal.report.picture import Picture, drawn
+from modal.wording.names import shorten, visible
 
 __all__ = ["draw_diagnosis"]
 

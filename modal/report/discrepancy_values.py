@@ -7,8 +7,8 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
 from modal.discrepancy.effect_names import effect_name
-from modal.discrepancy.statements import number
-from modal.wording import listed
+from modal.wording.numbers import listed
+from modal.wording.statements import number
 
 __all__ = [
     "CLOSE_COMPANY",

@@ -12,7 +12,6 @@ from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
 from modal.discrepancy.effect_names import one_of
 from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.statements import number
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
@@ -26,7 +25,8 @@ from modal.report.discrepancy_values import (
     value_with_unit,
 )
 from modal.trust import Judgement
-from modal.wording import exact_percent, listed, percent
+from modal.wording.numbers import exact_percent, listed, percent
+from modal.wording.statements import number
 
 __all__ = [
     "COULD_HIDE",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from modal.interruption import uninterrupted
-from modal.names import shorten
+from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 
 __all__ = ["Existing", "recording_written", "refuse_names", "write_folder"]

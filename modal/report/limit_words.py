@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from modal.names import shorten
+from modal.wording.names import shorten
 
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome

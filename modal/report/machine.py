@@ -13,12 +13,12 @@ import numpy as np
 from modal.acceptance import check_limits
 from modal.identification import Identification
 from modal.mode import Mode
-from modal.names import csv_cell
 from modal.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
 from modal.specification import Specification
 from modal.trust import trust_of
+from modal.wording.names import csv_cell
 from okid.record import Record
 
 __all__ = ["SCHEMA", "as_json", "csv_text", "json_text", "number_cell", "record_document", "schema_text"]

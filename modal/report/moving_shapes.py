@@ -9,7 +9,7 @@ import numpy as np
 from modal.identification import Identification
 from modal.placement import Placement, placed
 from modal.report.setting import Setting
-from modal.wording import hertz
+from modal.wording.numbers import hertz
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:

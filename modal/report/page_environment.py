@@ -6,12 +6,12 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
 
-from modal.names import escape_markdown, visible
 from modal.report.columns import shown
 from modal.report.limit_words import limits_class
 from modal.report.picture import Picture
 from modal.trust import damping_shown, damping_text, frequency_text
-from modal.wording import fit_text, hertz, ratio_text, whole_percent
+from modal.wording.names import escape_markdown, visible
+from modal.wording.numbers import fit_text, hertz, ratio_text, whole_percent
 
 if TYPE_CHECKING:
     import jinja2

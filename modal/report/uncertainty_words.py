@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from modal.identification import Identification
-from modal.wording import GOOD_FIT, fit_text
+from modal.wording.numbers import GOOD_FIT, fit_text
 
 __all__ = ["has_intervals", "uncertainty_sentences"]
 

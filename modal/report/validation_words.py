@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.identification import Identification
 from modal.report.provenance import Provenance
-from modal.wording import LEAST_FIT, whole_percent
+from modal.wording.numbers import LEAST_FIT, whole_percent
 
 if TYPE_CHECKING:
     from modal.quality import DataQuality

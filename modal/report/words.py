@@ -6,7 +6,7 @@ The report, the Markdown page and the terminal all take their words from here, s
 import math
 
 from modal.identification import Identification
-from modal.wording import GOOD_FIT, LEAST_FIT, counted, hertz
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
 
 __all__ = [
     "data_sentences",

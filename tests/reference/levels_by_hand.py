@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.discrepancy.level_modes import LevelMode, LevelModes
 from modal.discrepancy.locate import Location
-from modal.discrepancy.statements import Statement
+from modal.wording.statements import Statement
 
 LEVELS = np.array([0.127, 0.4, 1.0])
 

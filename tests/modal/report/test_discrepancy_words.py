@@ -17,7 +17,7 @@ from modal.report.discrepancy_values import (
     times_text,
     value_text,
 )
-from modal.wording import exact_percent
+from modal.wording.numbers import exact_percent
 
 
 def with_levels(diagnosis, *levels):

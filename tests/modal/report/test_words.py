@@ -15,7 +15,7 @@ from modal.trust import (
     frequency_text,
     trust_of,
 )
-from modal.wording import fit_text, hertz, ratio_text, with_interval
+from modal.wording.numbers import fit_text, hertz, ratio_text, with_interval
 
 
 def with_fit(result, fit):

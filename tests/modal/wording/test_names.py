@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.names import csv_cell, escape_markdown, plot_label, shorten, visible
+from modal.wording.names import csv_cell, escape_markdown, plot_label, shorten, visible
 
 RIGHT_TO_LEFT_OVERRIDE = "\N{RIGHT-TO-LEFT OVERRIDE}"
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from modal.wording import percent
+from modal.wording.numbers import percent
 
 __all__ = ["Statement", "Subject", "number", "part", "quantity", "times", "times_floor_text"]
 

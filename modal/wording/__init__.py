@@ -1,0 +1,1 @@
+"""Numbers, names and sentences as a person writes them; this part knows no type of ours."""
