@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from modal.comparison_source import read_result
     from modal.discrepancy.plant_model import PlantModel
     from modal.elements import Element
-    from modal.extraction import extract_modes
     from modal.geometry import Geometry, Sensor
     from modal.geometry_file import read_geometry
     from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
-    from modal.mode import ModalModel, Mode
     from modal.model_file import read_model, write_model
+    from modal.modes.extraction import extract_modes
+    from modal.modes.mode import ModalModel, Mode
+    from modal.modes.uncertainty import Uncertainty
     from modal.pipeline import identify
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from modal.specification import read_specification
     from modal.storage import load
     from modal.structure import StructuralModel
-    from modal.uncertainty import Uncertainty
 
 __all__ = [
     "Choice",
@@ -74,21 +74,21 @@ _PLACES = {
     "Fit": "modal.identification",
     "Geometry": "modal.geometry",
     "Identification": "modal.identification",
-    "ModalModel": "modal.mode",
-    "Mode": "modal.mode",
+    "ModalModel": "modal.modes.mode",
+    "Mode": "modal.modes.mode",
     "OrderChoice": "modal.search",
     "OrderEvidence": "modal.identification",
     "PlantModel": "modal.discrepancy.plant_model",
     "Sensor": "modal.geometry",
     "StabilisationPoint": "modal.identification",
     "StructuralModel": "modal.structure",
-    "Uncertainty": "modal.uncertainty",
+    "Uncertainty": "modal.modes.uncertainty",
     "check_limits": "modal.acceptance",
     "check_quality": "modal.quality",
     "choose_orders": "modal.search",
     "compare_results": "modal.comparison",
     "discrepancy": "modal.discrepancy",
-    "extract_modes": "modal.extraction",
+    "extract_modes": "modal.modes.extraction",
     "identify": "modal.pipeline",
     "load": "modal.storage",
     "log_diagnosis": "modal.recording",

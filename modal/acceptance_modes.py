@@ -32,7 +32,7 @@ from modal.acceptance_words import (
     range_text,
 )
 from modal.identification import Identification
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.trust import damping_text, frequency_text
 
 __all__ = ["check_damping", "check_expected", "check_forbidden", "check_settled", "check_uncertainty"]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import ROTATION, TRANSLATION
 from okid.arrays import ComplexArray
 from okid.readers.units import convert_unit

@@ -26,8 +26,8 @@ from modal.comparison_matching import match_modes, shared_shapes
 from modal.comparison_shifts import Shift, damping_shift, frequency_shift, shape_shift, with_verdicts
 from modal.comparison_source import ResultSummary, summary_of
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.numbering import numbered
+from modal.modes.mode import Mode
+from modal.modes.numbering import numbered
 from okid.errors import InvalidDataError
 
 __all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results"]

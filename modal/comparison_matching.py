@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.assurance import assurance
 from modal.comparison_source import ResultSummary
-from modal.mode import Mode
+from modal.modes.mode import Mode
+from modal.modes.shape_comparison import assurance
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["Matching", "common_outputs", "match_modes", "pair_costs", "shared_shapes"]

@@ -10,7 +10,7 @@ import scipy
 
 from modal.comparison_matching import common_outputs
 from modal.comparison_source import ResultSummary
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = [

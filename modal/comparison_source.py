@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from modal.identification import Choice, Identification
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.storage import load
 from modal.trust import trust_of
 from modal.wording.names import shorten, visible

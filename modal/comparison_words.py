@@ -4,7 +4,7 @@ import math
 
 from modal.comparison import Comparison, ModePair, Unmatched
 from modal.comparison_shifts import Shift
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
 

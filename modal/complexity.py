@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import derivatives_of, turned
 from modal.sticks import rows_by_unit
 from okid.arrays import ComplexArray

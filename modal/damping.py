@@ -6,7 +6,7 @@ observer, by a ridge, or by noise.
 
 import math
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 
 __all__ = ["damping_doubt"]
 

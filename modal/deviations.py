@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from modal.final_model import FinalModel
-from modal.mode import ModalModel
+from modal.modes.mode import ModalModel
+from modal.modes.uncertainty import Uncertainty
 from modal.propagation import propagated
 from modal.refinement_covariance import output_error_uncertainty
-from modal.uncertainty import Uncertainty
 from okid.errors import InsufficientDataError
 from okid.record import Record
 

@@ -5,7 +5,7 @@ Each returns its words, or nothing where there is no such doubt.
 
 import numpy as np
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from okid.excitation import Excitation
 
 __all__ = ["colour_doubt", "delay_doubt", "edge_doubt", "excitation_doubt", "poor_fit_doubt", "unexcited_doubt"]

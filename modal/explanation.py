@@ -10,7 +10,7 @@ import numpy as np
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
 from modal.identification import Choice, Fit, OrderEvidence
-from modal.mode import ModalModel
+from modal.modes.mode import ModalModel
 from modal.refined_choice import MOST_STEPS
 from modal.search import WITHIN, Search
 from modal.stability import stabilisation

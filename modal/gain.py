@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from era.state_recursion import PoleRecursion
-from modal.basis import discrete_poles
-from modal.mode import ModalModel, Mode
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel, Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 

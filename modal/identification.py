@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from era.realisation import Realisation
-from modal.mode import ModalModel
-from modal.uncertainty import Uncertainty
+from modal.modes.mode import ModalModel
+from modal.modes.uncertainty import Uncertainty
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

@@ -15,11 +15,11 @@ from era.realisation import Realisation
 from modal.deviations import with_deviations
 from modal.doubts import FILTER_EDGE
 from modal.explanation import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
-from modal.extraction import extract_modes
 from modal.final_model import fit_all_rows
 from modal.fits import measure_fit, model_runs
 from modal.gain import driven_gain
 from modal.identification import Identification
+from modal.modes.extraction import extract_modes
 from modal.preparation import Preparation, prepare
 from modal.refined_choice import refined_search
 from modal.repetition import repeat

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from modal.geometry import Geometry, Sensor
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.node_motion import Motions, motion_of
 from modal.sticks import rows_by_unit, stated_dofs, stick_geometry
 from modal.wording.names import shorten, visible

@@ -13,7 +13,7 @@ command.
 
 import numpy as np
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 
 __all__ = ["f_ratio", "probability"]
 

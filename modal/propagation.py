@@ -28,9 +28,9 @@ import numpy as np
 
 from era.hankel import BlockHankelOperator
 from era.realisation import Realisation
-from modal.basis import INSEPARABLE, discrete_poles
-from modal.mode import Mode
-from modal.uncertainty import Uncertainty
+from modal.modes.modal_form import INSEPARABLE, discrete_poles
+from modal.modes.mode import Mode
+from modal.modes.uncertainty import Uncertainty
 from okid.arguments import require
 from okid.arrays import ComplexArray, FloatArray
 from okid.block_grams import FEWEST_BLOCKS, block_deviations, block_grams, pair_freedom
@@ -80,7 +80,7 @@ def propagated(
         >>> from okid.observer import fit_observer
         >>> from okid.recovery import recover_markov
         >>> from era.balanced import realise
-        >>> from modal.extraction import extract_modes
+        >>> from modal.modes.extraction import extract_modes
         >>> rng = np.random.default_rng(1)
         >>> force, tip = rng.standard_normal(2000), np.zeros(2000)
         >>> for k in range(2, 2000):

@@ -12,14 +12,14 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
-from modal.extraction import extract_modes
 from modal.fits import model_runs
 from modal.free_run import filled
 from modal.gain import driven_gain
 from modal.ground import hankel_limits, markov_lags, scaled_record
 from modal.modal_realisation import in_units, scaled_model
 from modal.modal_states import blocks_of
-from modal.mode import ModalModel
+from modal.modes.extraction import extract_modes
+from modal.modes.mode import ModalModel
 from modal.refinement import NONE, OutputError, refine
 from modal.starting import starting_parameters
 from modal.verdict import Rerun, Reruns

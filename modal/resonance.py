@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.assurance import assurance
-from modal.mode import Mode
-from modal.overlap import Pulses, energies, inner_products
+from modal.modes.mode import Mode
+from modal.modes.overlap import Pulses, energies, inner_products
+from modal.modes.shape_comparison import assurance
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["group_overlaps", "groups"]

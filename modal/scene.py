@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.eye import Eye, chosen_eye
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import Placement
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from era.realisation import Realisation
-from modal.basis import modal_basis
 from modal.free_run import ModalForm, free_run
 from modal.modal_states import ModalParameters
+from modal.modes.modal_form import modal_basis
 from modal.refinement import NONE, OutputError, Step, evaluate
 from okid.arrays import BoolArray, ComplexArray
 

@@ -16,8 +16,8 @@ from rich.text import Text
 from modal.acceptance import LimitOutcome
 from modal.examples.demo import ModeComparison
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.numbering import numbered
+from modal.modes.mode import Mode
+from modal.modes.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
 from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles

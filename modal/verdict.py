@@ -3,7 +3,7 @@
 After OKID the Markov parameters *are* a sum of exponentials, so the classical indicators test how well a mode repeats
 the observer, not the data. Repeatability asks the data: identify again with half of them, with another observer order
 and ridge, with other model orders, and take the mean overlap of the mode's pulse response with its continuation
-(`modal.overlap`). The three kinds of change have equal weight, however many runs each has.
+(`modal.modes.overlap`). The three kinds of change have equal weight, however many runs each has.
 
 Found again is not enough: hum is, and so is what describes coloured noise. `modal.probability` weighs r together with
 how much of the outputs the mode's answer to the inputs explains.
@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 
-from modal.assurance import assurance
 from modal.damping import damping_doubt
 from modal.doubts import (
     colour_doubt,
@@ -27,10 +26,11 @@ from modal.doubts import (
     poor_fit_doubt,
     unexcited_doubt,
 )
-from modal.extraction import NOT_JUDGED, remarks
 from modal.gain import undriven_doubt
-from modal.mode import ModalModel, Mode, Verdict
-from modal.overlap import Pulses, Repeatability, energies, pulses, repeatability
+from modal.modes.extraction import NOT_JUDGED, remarks
+from modal.modes.mode import ModalModel, Mode, Verdict
+from modal.modes.overlap import Pulses, Repeatability, energies, pulses, repeatability
+from modal.modes.shape_comparison import assurance
 from modal.probability import f_ratio, probability
 from modal.resonance import group_overlaps, groups
 from okid.arrays import BoolArray, FloatArray

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
-from modal.assurance import assurance
 from modal.discrepancy.level_starts import NEGLIGIBLE, Start, refined, unexplained
-from modal.extraction import extract_modes
-from modal.mode import Mode
-from modal.overlap import IndexArray, pair_greatest_first
+from modal.modes.extraction import extract_modes
+from modal.modes.mode import Mode
+from modal.modes.overlap import IndexArray, pair_greatest_first
+from modal.modes.shape_comparison import assurance
 from modal.refined_choice import STANDS_STILL
 from modal.refinement_covariance import output_error_uncertainty
 from okid.arrays import FloatArray

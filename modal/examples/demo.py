@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.mode import ModalModel, Verdict
+from modal.modes.mode import ModalModel, Verdict
 from okid.arrays import ComplexArray, FloatArray, frozen, frozen_complex
 from okid.record import Record
 

@@ -52,8 +52,8 @@ from modal.examples.struck_mass_models import (
     truncated_model,
 )
 from modal.examples.struck_mass_plot import write_pictures
-from modal.extraction import extract_modes
-from modal.mode import ModalModel
+from modal.modes.extraction import extract_modes
+from modal.modes.mode import ModalModel
 from okid.arrays import FloatArray, frozen
 from okid.markov import MarkovParameters
 

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from modal.identification import OrderEvidence, StabilisationPoint
-from modal.mode import ModalModel
+from modal.modes.mode import ModalModel
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import Panel
 from modal.plots.spectra import power_spectra

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.geometry import Geometry
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import at_rest, placed
 from modal.plots.layout import Chart, grid_of, row_of
 from modal.plots.panels import Panel

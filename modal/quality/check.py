@@ -5,6 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modal.modes.response_synthesis import (
+    AveragedSpectra,
+    MeasuredFrf,
+    averaged_spectra,
+    measured_frf_of,
+    segment_length,
+)
 from modal.quality.channel import Channel, channels_of
 from modal.quality.clipping import clipping_findings
 from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
@@ -22,7 +29,6 @@ from modal.quality.spectrum import alias_findings, most_white_noise, period_find
 from modal.quality.spikes import sharp_samples, spike_findings
 from modal.quality.stuck import constant_findings, repeat_findings, stuck_findings
 from modal.quality.timing import timing_findings
-from modal.synthesis import AveragedSpectra, MeasuredFrf, averaged_spectra, measured_frf_of, segment_length
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import as_records

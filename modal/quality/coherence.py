@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modal.modes.response_synthesis import MeasuredFrf
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
 from modal.quality.pulse import best_pulse, whole_rows
-from modal.synthesis import MeasuredFrf
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record

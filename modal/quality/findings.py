@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from modal.synthesis import MeasuredFrf
+from modal.modes.response_synthesis import MeasuredFrf
 from okid.arrays import FloatArray
 
 __all__ = ["LEVELS", "ChannelQuality", "ChannelStatistics", "DataQuality", "Finding", "Level", "Role", "Span"]

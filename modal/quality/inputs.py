@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modal.modes.response_synthesis import AveragedSpectra, MeasuredFrf
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding, Level
-from modal.synthesis import AveragedSpectra, MeasuredFrf
 from modal.wording.numbers import percent
 from okid.arrays import TINY
 from okid.errors import IdentificationError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from modal.complexity import phasors
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.recording.figure import Pane
 from modal.recording.names import label
 from modal.recording.palette import BLUE, FRAME, GRID, ORANGE, PALE

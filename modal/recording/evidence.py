@@ -8,9 +8,9 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.identification import Identification
+from modal.modes.response_synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record

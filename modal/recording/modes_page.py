@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.assurance import assurance
 from modal.comparable import comparable_shapes
 from modal.complexity import complexity_words
 from modal.identification import Identification
+from modal.modes.shape_comparison import assurance
 from modal.placement import Placement, placed
 from modal.recording.complexity import log_complexity
 from modal.recording.modes_words import modes_text

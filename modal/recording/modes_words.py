@@ -8,7 +8,7 @@ import numpy as np
 from modal.comparable import comparison_words
 from modal.complexity import complexity_words
 from modal.identification import Identification
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import Placement
 from modal.recording.names import cell
 from modal.recording.plan import Plan

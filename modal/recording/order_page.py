@@ -6,6 +6,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.identification import Identification, OrderEvidence
+from modal.modes.response_synthesis import frf
 from modal.recording.axis import linear_axis, log_axis
 from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
@@ -19,7 +20,6 @@ from modal.recording.order_scrub import (
 from modal.recording.palette import BLUE, DIM_BLUE, DIM_GREEN, GOLD, GREEN, GREY, RED
 from modal.recording.plan import Plan
 from modal.recording.tables import log_table
-from modal.synthesis import frf
 from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 

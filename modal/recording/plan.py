@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.numbering import numbered
+from modal.modes.mode import Mode
+from modal.modes.numbering import numbered
 from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts
 from modal.recording.tracks import laid_out, stored_levels
@@ -87,7 +87,7 @@ class Plan:
     Attributes:
         data: of the measured channels.
         fit_paths: entity above what the model makes of each output.
-        modes: every mode in the order of its number (`modal.numbering`); their position from 1 is the number used on
+        modes: every mode in the order of its number (`modal.modes.numbering`); their position from 1 is the number used on
             every page, in the report and on the timeline "mode".
         shapes: numbers (from 1) of the modes whose shapes are drawn.
         window: length of the window which follows the cursor [s].

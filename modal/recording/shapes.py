@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.recording.names import label
 from modal.recording.palette import BLUE, DIM_BLUE, GOLD, GREY, ORANGE
 from modal.recording.plan import Plan

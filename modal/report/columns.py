@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.verdict import DOUBTED, LEAST_PART, SYSTEM_FROM
 
 __all__ = ["INDICATORS", "IndicatorColumn", "shown"]

@@ -5,7 +5,7 @@ import math
 from modal import comparison_words as words
 from modal.comparison import Comparison, ModePair
 from modal.comparison_shifts import Shift
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.report.page_environment import environment
 from modal.report.provenance import installed_version
 from modal.trust import damping_text

@@ -5,7 +5,7 @@ from typing import Any
 
 from era.realisation import Realisation
 from modal.identification import Choice, Fit, OrderEvidence
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.report.provenance import SourceFile
 from modal.report.schema import NUMBER, NUMBERS, described, record_schema, type_schema
 from okid.excitation import Excitation

@@ -12,8 +12,8 @@ import numpy as np
 
 from modal.acceptance import check_limits
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.numbering import numbered
+from modal.modes.mode import Mode
+from modal.modes.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
 from modal.specification import Specification

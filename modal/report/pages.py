@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from modal.identification import Identification
-from modal.numbering import numbered
+from modal.modes.numbering import numbered
 from modal.report import words
 from modal.report.columns import INDICATORS
 from modal.report.limit_words import limits_sentence, limits_short

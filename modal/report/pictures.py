@@ -6,9 +6,9 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal import plots
-from modal.assurance import assurance
 from modal.comparable import comparable_shapes, comparison_words
 from modal.identification import Identification, OrderEvidence
+from modal.modes.shape_comparison import assurance
 from modal.plots.charts import Notes
 from modal.plots.order import colour_measure, pole_classes
 from modal.report.picture import Picture, drawn, readable

@@ -3,9 +3,9 @@
 import numpy as np
 
 from modal.identification import Identification
+from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf
 from modal.plots.responses import frequency_responses, model_grid
 from modal.report.picture import Picture, readable
-from modal.synthesis import MeasuredFrf, measured_frf, modal_frf
 from okid.arrays import ComplexArray
 from okid.errors import InsufficientDataError
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from modal.identification import Identification
-from modal.mode import Mode
-from modal.numbering import numbered
+from modal.modes.mode import Mode
+from modal.modes.numbering import numbered
 from modal.report.uff_nodes import NodePlan, dataset, geometry_datasets, node_plan
 from okid.arrays import ComplexArray
 from okid.errors import InvalidDataError

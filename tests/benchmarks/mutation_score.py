@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
     "okid/observer.py", "okid/recovery.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
-    "era/decomposition.py", "modal/extraction.py", "modal/indicators.py", "modal/probability.py",
+    "era/decomposition.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/probability.py",
 )  # fmt: skip
 ALSO = {
     "era/decomposition.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),
@@ -50,11 +50,15 @@ EQUIVALENT = {
     ("era/balanced.py", "if 1 < end <= rank and end < singular_values.size:", "Lt to LtE"): (
         "with no value beyond the end there is no drop there that the rule could take for a gap"
     ),
-    ("modal/indicators.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
+    ("modal/modes/indicators.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
         "NumPy takes any negative size for the open one"
     ),
-    ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
-    ("modal/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): "a rounding's worth",
+    ("modal/modes/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
+    (
+        "modal/modes/indicators.py",
+        "died = size**last < decay_limit * (1 - 1e-12)",
+        "a tenth more",
+    ): "a rounding's worth",
     ("okid/least_squares.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
         "two exact ways to one solution; which is taken at the border costs the same"
     ),

@@ -82,7 +82,7 @@ def least(call, n_rounds=5):
 
 def ours(path):
     from era.balanced import decompose, realise_from
-    from modal.extraction import extract_modes
+    from modal.modes.extraction import extract_modes
     from modal.stability import stabilisation
     from modal.verdict import Rerun, Reruns
     from okid.markov import MarkovParameters

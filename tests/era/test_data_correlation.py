@@ -8,7 +8,7 @@ from systems import markov, modal_system, random_system
 
 from era.balanced import realise
 from era.data_correlation import realise_data_correlation
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
 

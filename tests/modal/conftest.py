@@ -9,7 +9,7 @@ from diagnosis_by_hand import make_diagnosis
 
 from era.realisation import Realisation
 from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
-from modal.mode import ModalModel, Mode
+from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

@@ -21,8 +21,8 @@ from modal.acceptance_limits import (
 )
 from modal.acceptance_sight import uncovered
 from modal.acceptance_words import MAYBE, NO, YES, all_of, any_of, inside, negated
+from modal.modes.uncertainty import Uncertainty
 from modal.specification import Specification
-from modal.uncertainty import Uncertainty
 from okid.record import Record
 
 ANSWERS = st.sampled_from([NO, MAYBE, YES])

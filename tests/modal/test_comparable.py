@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from modal.assurance import assurance
 from modal.comparable import comparable_shapes, comparison_words
+from modal.modes.shape_comparison import assurance
 
 POLES = (-0.1 + 8.0j, -0.2 + 30.0j)
 MOTION = np.random.default_rng(0).standard_normal((4, 2)) + 0j

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal.complexity import complexity_words, phasors
-from modal.mode import Mode
+from modal.modes.mode import Mode
 
 
 def mode(shape, *, collinearity=0.99, deviation=2.0, pole=-0.4 + 12j):

@@ -9,7 +9,7 @@ import era
 import modal.delay
 from era.realisation import Realisation
 from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

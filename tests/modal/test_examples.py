@@ -23,7 +23,7 @@ from modal.examples.struck_mass_models import (
     truncated_model,
 )
 from modal.geometry import Geometry
-from modal.mode import ModalModel, Mode
+from modal.modes.mode import ModalModel, Mode
 from okid.errors import InsufficientDataError, InvalidDataError
 
 TRUTH = StruckMass()

@@ -5,8 +5,8 @@ import pytest
 from systems import random_system, simulate
 
 from era.realisation import Realisation
-from modal.extraction import extract_modes
 from modal.gain import driven_gain
+from modal.modes.extraction import extract_modes
 from okid.record import Record
 
 

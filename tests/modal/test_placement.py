@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal.geometry import Geometry, Sensor
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.placement import derivatives_of, placed, turned
 from okid.errors import InvalidDataError
 

@@ -7,10 +7,10 @@ import pytest
 
 from modal import plots
 from modal.identification import OrderEvidence
+from modal.modes.response_synthesis import measured_frf
 from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
 from modal.plots.spectra import power_spectra
 from modal.plots.style import COLOURS, envelope
-from modal.synthesis import measured_frf
 from okid.record import Record
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 from modal.probability import f_ratio, probability
 
 SHARES = st.floats(0.0, 1.0)

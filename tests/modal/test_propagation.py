@@ -10,7 +10,7 @@ from systems import modal_system, random_system, simulate
 from era.balanced import realise
 from era.realisation import Realisation
 from modal import propagation
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
 from modal.propagation import propagated
 from okid.errors import InvalidDataError
 from okid.observer import fit_observer

@@ -8,11 +8,11 @@ from systems import initial_state, markov, modal_system, simulate
 
 from era.balanced import realise
 from era.realisation import Realisation
-from modal.extraction import extract_modes
 from modal.free_run import filled
 from modal.ground import scaled_record
 from modal.modal_realisation import scaled_model
 from modal.modal_states import blocks_of
+from modal.modes.extraction import extract_modes
 from modal.pipeline import identify
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import refined_model

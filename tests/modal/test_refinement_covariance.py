@@ -9,7 +9,7 @@ from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, differences, loop_run, parameter_places
 
 from era.realisation import Realisation
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import RefinedModel, refined_model
 from modal.refinement_covariance import output_error_uncertainty

@@ -5,8 +5,8 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.balanced import decompose, realise
-from modal.extraction import extract_modes
 from modal.ground import markov_lags
+from modal.modes.extraction import extract_modes
 from modal.repetition import repeat
 from okid.observer import fit_observer
 from okid.record import Record

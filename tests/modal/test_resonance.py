@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from modal.mode import Mode
-from modal.overlap import overlap_matrix, pulses
+from modal.modes.mode import Mode
+from modal.modes.overlap import overlap_matrix, pulses
 from modal.resonance import LARGEST_BAND, LEAST_BAND, SAME_SHAPE, group_overlaps, groups
 
 DT, STEPS = 0.01, 300

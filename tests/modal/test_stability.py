@@ -8,7 +8,7 @@ from systems import markov, random_system
 from textbook_modal import textbook_era
 
 from era.realisation import HankelFactors, Realisation
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
 from modal.stability import stabilisation
 from modal.verdict import Rerun, Reruns
 from okid.errors import InvalidDataError

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.mode import ModalModel, Mode
+from modal.modes.mode import ModalModel, Mode
 from modal.verdict import Rerun, Reruns, judge, probability
 from okid.excitation import Excitation
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.identification import Fit, Identification, OrderEvidence, StabilisationPoint
-from modal.mode import ModalModel, Mode
+from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

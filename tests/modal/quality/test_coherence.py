@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from modal.modes.response_synthesis import averaged_spectra, measured_frf, segment_length
 from modal.quality.check import check_quality
 from modal.quality.coherence import explained_share, in_excess_of_chance, modelled_share
-from modal.synthesis import averaged_spectra, measured_frf, segment_length
 from okid.record import Record
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from era.realisation import Realisation
 from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
-from modal.mode import ModalModel, Mode
+from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modal.modes.response_synthesis import MeasuredFrf
 from modal.quality import check_quality
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.recording import save_recording
@@ -13,7 +14,6 @@ from modal.recording.evidence import gather
 from modal.recording.plan import planned
 from modal.recording.quality_words import quality_text
 from modal.recording.record_page import MOST_MARKS, _density_unit, marked
-from modal.synthesis import MeasuredFrf
 from okid.record import Record
 
 HOSTILE = "<script>alert(1)</script> |x| [y](http://z) \u202e"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from era.realisation import Realisation
-from modal.extraction import extract_modes
+from modal.modes.extraction import extract_modes
+from modal.modes.response_synthesis import frf, measured_frf
 from modal.plots.responses import model_grid
 from modal.report.response_picture import response_pictures, synthesised_alone
-from modal.synthesis import frf, measured_frf
 
 
 @pytest.fixture

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from modal.acceptance_limits import ModeForbidden
+from modal.modes.uncertainty import Uncertainty
 from modal.report.document_schema import document_schema, schema_text
 from modal.report.machine import json_text
 from modal.report.provenance import Provenance, SourceFile
 from modal.report.schema import schema_file, type_schema
 from modal.specification import SensorNote, Specification
-from modal.uncertainty import Uncertainty
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from era.realisation import Realisation
-from modal.mode import Mode, ModeKind
+from modal.modes.mode import Mode, ModeKind
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 __all__ = ["ModalBasis", "continuous_poles", "discrete_poles", "kind_of", "modal_basis"]

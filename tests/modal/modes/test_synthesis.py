@@ -5,8 +5,8 @@ from signals import random_inputs, with_noise
 from systems import markov, random_system, simulate
 
 from era.realisation import Realisation
-from modal.extraction import extract_modes
-from modal.synthesis import continuous_residue, frf, measured_frf, modal_frf
+from modal.modes.extraction import extract_modes
+from modal.modes.response_synthesis import continuous_residue, frf, measured_frf, modal_frf
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

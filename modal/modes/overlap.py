@@ -19,8 +19,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from modal.basis import discrete_poles
-from modal.mode import Mode
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 __all__ = [

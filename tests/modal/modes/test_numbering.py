@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from modal.numbering import numbered
+from modal.modes.numbering import numbered
 from modal.recording.plan import planned
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text

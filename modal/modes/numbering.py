@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from modal.mode import Mode
+from modal.modes.mode import Mode
 
 __all__ = ["numbered"]
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 import scipy
 
 from era.realisation import Realisation
-from modal.basis import discrete_poles
-from modal.mode import Mode
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import Mode
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

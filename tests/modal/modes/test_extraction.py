@@ -9,7 +9,7 @@ from textbook_modal import textbook_era
 
 from era.balanced import realise
 from era.realisation import HankelFactors, Realisation
-from modal.extraction import aliased_frequency, extract_modes
+from modal.modes.extraction import aliased_frequency, extract_modes
 from okid.markov import MarkovParameters
 
 INDICATORS = ("amplitude_coherence", "emac_output", "emac_input", "emac", "cmi", "msv", "mpd", "phase_collinearity")

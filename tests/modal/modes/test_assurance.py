@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.assurance import assurance
+from modal.modes.shape_comparison import assurance
 from okid.errors import InvalidDataError
 
 

@@ -32,7 +32,7 @@ from typing import cast
 import numpy as np
 
 from era.realisation import HankelFactors
-from modal.basis import ModalBasis, norms
+from modal.modes.modal_form import ModalBasis, norms
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = [

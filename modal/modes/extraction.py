@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.basis import ModalBasis, continuous_poles, kind_of, largest_component, modal_basis
-from modal.indicators import DECAY_LIMIT, Indicators, evaluate
-from modal.mode import ModalModel, Mode
+from modal.modes.indicators import DECAY_LIMIT, Indicators, evaluate
+from modal.modes.modal_form import ModalBasis, continuous_poles, kind_of, largest_component, modal_basis
+from modal.modes.mode import ModalModel, Mode
 from okid.arguments import require
 from okid.arrays import frozen_complex
 
@@ -33,7 +33,7 @@ def extract_modes(realisation: Realisation, *, decay_limit: float = DECAY_LIMIT)
 
     Args:
         realisation: from `era.realise`, or from any state-space model: without Hankel factors indicators are nan.
-        decay_limit: share of its first amplitude below which a mode counts as died out, see `modal.indicators`.
+        decay_limit: share of its first amplitude below which a mode counts as died out, see `modal.modes.indicators`.
 
     Returns:
         Modes with shape and participation such that outer(shape, participation) is the residue of the pulse response.

@@ -7,9 +7,8 @@ from systems import markov, modal_system, random_system
 from textbook_modal import textbook_era, textbook_indicators
 
 from era.realisation import HankelFactors, Realisation
-from modal.basis import modal_basis
-from modal.extraction import extract_modes
-from modal.indicators import (
+from modal.modes.extraction import extract_modes
+from modal.modes.indicators import (
     amplitude_coherence,
     evaluate,
     extended_amplitude_coherence,
@@ -17,6 +16,7 @@ from modal.indicators import (
     mode_singular_values,
     phase_collinearity,
 )
+from modal.modes.modal_form import modal_basis
 
 NAMES = ("amplitude_coherence", "emac_output", "emac_input", "emac", "phase_collinearity", "cmi", "msv")
 

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.mode import Mode
-from modal.overlap import energies, overlap_matrix, pair_greatest_first, pulses, repeatability
+from modal.modes.mode import Mode
+from modal.modes.overlap import energies, overlap_matrix, pair_greatest_first, pulses, repeatability
 
 DT = 0.01
 
