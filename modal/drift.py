@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal.free_run import ModalForm, free_run, free_runs, run_from_rest
+from modal.estimation.free_run import ModalForm, free_run, free_runs, run_from_rest
 from modal.identification import Choice
 from modal.quick_model import QuickModel, quick_model
 from okid.arrays import FloatArray

@@ -9,13 +9,13 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
+from modal.estimation.stretches import is_long, stretches_of
+from modal.estimation.trials import Trial
 from modal.identification import Choice, Fit, OrderEvidence
 from modal.modes.mode import ModalModel
 from modal.refined_choice import MOST_STEPS
 from modal.search import WITHIN, Search
 from modal.stability import stabilisation
-from modal.stretches import is_long, stretches_of
-from modal.trials import Trial
 from modal.verdict import Reruns
 from okid.excitation import Excitation
 from okid.record import Record

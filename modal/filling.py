@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.free_run import free_runs
-from modal.ground import scaled_record
+from modal.estimation.cross_validation import scaled_record
+from modal.estimation.free_run import free_runs
 from modal.identification import Choice
 from modal.quick_model import best_model, observer_markov
 from okid.arrays import BoolArray, FloatArray

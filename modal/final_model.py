@@ -13,13 +13,13 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
-from modal.fits import fit_of, model_runs
-from modal.free_run import modal_form, one_step_predictor
-from modal.ground import hankel_limits, markov_lags
+from modal.estimation.cross_validation import hankel_limits, markov_lags
+from modal.estimation.fits import fit_of, model_runs
+from modal.estimation.free_run import modal_form, one_step_predictor
+from modal.estimation.trials import Trial
 from modal.refined_model import RefinedModel, refined_model
 from modal.repetition import ORDER_SHARES
 from modal.search import Search
-from modal.trials import Trial
 from okid.errors import IdentificationWarning, NumericalError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit, fit_observer

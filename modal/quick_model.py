@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.balanced import decompose, realise_from
-from modal.free_run import ModalForm, free_runs, modal_form
-from modal.ground import LARGEST_PULSE, hankel_limits, markov_lags
-from modal.stretches import stretches_of
+from modal.estimation.cross_validation import LARGEST_PULSE, hankel_limits, markov_lags
+from modal.estimation.free_run import ModalForm, free_runs, modal_form
+from modal.estimation.stretches import stretches_of
 from okid.gram import lag_gram
 from okid.least_squares import solve
 from okid.markov import MarkovParameters

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal.ground import Ground, corner, training_decomposition
-from modal.growth import with_weak_mode
-from modal.modal_states import blocks_of
-from modal.refinement import OutputError, Step, refine
+from modal.estimation.cross_validation import Ground, corner, training_decomposition
+from modal.estimation.growth import with_weak_mode
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import OutputError, Step, refine
+from modal.estimation.starting import starting_parameters
+from modal.estimation.trials import Trial, trial_of
 from modal.search import Search, as_good, significantly_worse
-from modal.starting import starting_parameters
-from modal.trials import Trial, trial_of
 from okid.arrays import FloatArray
 
 __all__ = ["MOST_STEPS", "output_error_data", "refined_search"]

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
-from modal.free_run import filled
-from modal.ground import scaled_record
-from modal.growth import errors_of, with_weak_mode
-from modal.modal_realisation import in_units, scaled_model
-from modal.modal_states import blocks_of
+from modal.estimation.cross_validation import scaled_record
+from modal.estimation.free_run import filled
+from modal.estimation.growth import errors_of, with_weak_mode
+from modal.estimation.modal_parameters import in_units, scaled_model
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import SMALLEST_GAIN, OutputError, Step, refine
+from modal.estimation.starting import starting_parameters
 from modal.refined_choice import MOST_STEPS
-from modal.refinement import SMALLEST_GAIN, OutputError, Step, refine
-from modal.starting import starting_parameters
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal.estimation.output_error import NONE, LinearPart, normal_equations, training_gram
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode
 from modal.modes.uncertainty import Uncertainty
 from modal.refined_model import RefinedModel
-from modal.refinement import NONE, LinearPart, normal_equations, training_gram
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["output_error_uncertainty"]

@@ -12,16 +12,16 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
-from modal.fits import model_runs
-from modal.free_run import filled
+from modal.estimation.cross_validation import hankel_limits, markov_lags, scaled_record
+from modal.estimation.fits import model_runs
+from modal.estimation.free_run import filled
+from modal.estimation.modal_parameters import in_units, scaled_model
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import NONE, OutputError, refine
+from modal.estimation.starting import starting_parameters
 from modal.gain import driven_gain
-from modal.ground import hankel_limits, markov_lags, scaled_record
-from modal.modal_realisation import in_units, scaled_model
-from modal.modal_states import blocks_of
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.refinement import NONE, OutputError, refine
-from modal.starting import starting_parameters
 from modal.verdict import Rerun, Reruns
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError

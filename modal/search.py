@@ -16,10 +16,10 @@ from typing import Literal
 
 import numpy as np
 
-from modal.ground import Ground, hankel_shape, prepare_ground
+from modal.estimation.cross_validation import Ground, hankel_shape, prepare_ground
+from modal.estimation.trials import Trial, make_trials
 from modal.preparation import checked_parts
 from modal.search_grid import SearchLimits, search_limits, untried_neighbours
-from modal.trials import Trial, make_trials
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from modal.trials import Trial
+from modal.estimation.trials import Trial
 from okid.record import Record
 from okid.rows import check_enough_rows
 

@@ -19,11 +19,11 @@ from modal.discrepancy.free_decay import decay_windows
 from modal.discrepancy.gap import excitation_levels
 from modal.discrepancy.level_fits import LevelFit, follow_levels, partners
 from modal.discrepancy.level_starts import decay_start, driven_start
+from modal.estimation.threads import one_blas_thread
 from modal.modes.mode import Mode, ModeKind
 from modal.modes.overlap import IndexArray
 from modal.modes.shape_comparison import assurance
 from modal.preparation import split_at_input_gaps
-from modal.threads import one_blas_thread
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

@@ -11,13 +11,13 @@ import numpy as np
 from era.balanced import decompose, realise_from
 from era.realisation import Realisation
 from modal.discrepancy.free_decay import decay_markov
+from modal.estimation.cross_validation import hankel_limits
+from modal.estimation.free_run import free_runs, modal_form
+from modal.estimation.output_error import SMALLEST_GAIN
 from modal.filling import fill_where_needed
-from modal.free_run import free_runs, modal_form
-from modal.ground import hankel_limits
 from modal.quick_model import observer_markov
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import RefinedModel, refined_model
-from modal.refinement import SMALLEST_GAIN
 from okid.arrays import FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -39,8 +39,8 @@ from modal.discrepancy.setup import (
 )
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
+from modal.estimation.threads import one_blas_thread
 from modal.structure import SensorKind
-from modal.threads import one_blas_thread
 from modal.wording.numbers import listed
 from modal.wording.statements import quantity
 from okid.arrays import FloatArray

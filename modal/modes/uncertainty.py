@@ -1,7 +1,7 @@
 """How far every number of an identification can be trusted: standard deviations, and intervals from them.
 
 Two ways lead to the same type: the curvature of the output error at a refined model, and first-order propagation
-through OKID and ERA (`modal.propagation`).
+through OKID and ERA (`modal.estimation.propagation`).
 """
 
 from dataclasses import dataclass

@@ -4,9 +4,9 @@ from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.simulation import simulate as free_simulation
+from modal.estimation.trials import Trial
 from modal.final_model import fit_all_rows
 from modal.search import Search, search, search_limits
-from modal.trials import Trial
 from okid.errors import NumericalError
 from okid.record import Record
 

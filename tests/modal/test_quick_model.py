@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.free_run import free_runs
+from modal.estimation.free_run import free_runs
 from modal.quick_model import quick_model
 from okid.record import Record
 

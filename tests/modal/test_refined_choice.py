@@ -8,12 +8,12 @@ from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, loop_run
 
 from modal import refined_choice
-from modal.ground import corner, prepare_ground, training_decomposition
+from modal.estimation.cross_validation import corner, prepare_ground, training_decomposition
+from modal.estimation.output_error import refine
+from modal.estimation.starting import starting_parameters
+from modal.estimation.trials import Trial
 from modal.refined_choice import MOST_STEPS, output_error_data, refined_search
-from modal.refinement import refine
 from modal.search import search
-from modal.starting import starting_parameters
-from modal.trials import Trial
 from okid.record import Record
 
 

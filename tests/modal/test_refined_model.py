@@ -8,16 +8,16 @@ from systems import initial_state, markov, modal_system, simulate
 
 from era.balanced import realise
 from era.realisation import Realisation
-from modal.free_run import filled
-from modal.ground import scaled_record
-from modal.modal_realisation import scaled_model
-from modal.modal_states import blocks_of
+from modal.estimation.cross_validation import scaled_record
+from modal.estimation.free_run import filled
+from modal.estimation.modal_parameters import scaled_model
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import OutputError, refine
+from modal.estimation.starting import starting_parameters
 from modal.modes.extraction import extract_modes
 from modal.pipeline import identify
 from modal.refined_choice import MOST_STEPS
 from modal.refined_model import refined_model
-from modal.refinement import OutputError, refine
-from modal.starting import starting_parameters
 from okid.markov import MarkovParameters
 from okid.observer import fit_observer
 from okid.record import Record

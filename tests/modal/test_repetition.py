@@ -5,7 +5,7 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.balanced import decompose, realise
-from modal.ground import markov_lags
+from modal.estimation.cross_validation import markov_lags
 from modal.modes.extraction import extract_modes
 from modal.repetition import repeat
 from okid.observer import fit_observer

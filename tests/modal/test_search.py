@@ -8,6 +8,7 @@ from systems import initial_state, modal_system, simulate
 import era
 import modal
 import okid
+from modal.estimation.trials import Trial
 from modal.examples.demo import demo_record
 from modal.search import (
     ROUND_OFF,
@@ -20,7 +21,6 @@ from modal.search import (
     search_limits,
 )
 from modal.search_grid import untried_neighbours
-from modal.trials import Trial
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

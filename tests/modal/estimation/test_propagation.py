@@ -9,9 +9,9 @@ from systems import modal_system, random_system, simulate
 
 from era.balanced import realise
 from era.realisation import Realisation
-from modal import propagation
+from modal.estimation import propagation
+from modal.estimation.propagation import propagated
 from modal.modes.extraction import extract_modes
-from modal.propagation import propagated
 from okid.errors import InvalidDataError
 from okid.observer import fit_observer
 from okid.record import Record

@@ -8,14 +8,7 @@ from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.realisation import Realisation
-from modal.free_run import (
-    ModalForm,
-    driven_by_outputs,
-    filled,
-    free_run,
-    modal_form,
-    one_step_predictor,
-)
+from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
 from okid.record import Record
 
 LEVEL = np.array([3.0, -0.4, 20.0])

@@ -5,10 +5,10 @@ import pytest
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.growth import errors_of, with_weak_mode
-from modal.modal_states import blocks_of
-from modal.refinement import OutputError, refine
-from modal.starting import starting_parameters
+from modal.estimation.growth import errors_of, with_weak_mode
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import OutputError, refine
+from modal.estimation.starting import starting_parameters
 from okid.record import Record
 
 

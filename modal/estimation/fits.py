@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
+from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
 from modal.identification import Fit
 from modal.search import Search
 from okid.arrays import BoolArray, FloatArray

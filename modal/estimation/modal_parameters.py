@@ -8,7 +8,7 @@ import numpy as np
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.refinement import Step
+from modal.estimation.output_error import Step
 from okid.arrays import FloatArray
 from okid.scaling import ChannelScaling
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from era.realisation import Realisation
-from modal.free_run import ModalForm, free_run
-from modal.modal_states import ModalParameters
+from modal.estimation.free_run import ModalForm, free_run
+from modal.estimation.modal_states import ModalParameters
+from modal.estimation.output_error import NONE, OutputError, Step, evaluate
 from modal.modes.modal_form import modal_basis
-from modal.refinement import NONE, OutputError, Step, evaluate
 from okid.arrays import BoolArray, ComplexArray
 
 __all__ = ["starting_parameters"]

@@ -15,8 +15,8 @@ from textbook_output_error import (
     random_loop_model,
 )
 
-from modal import modal_states
-from modal.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, free_runs, whole_gram
+from modal.estimation import modal_states
+from modal.estimation.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, free_runs, whole_gram
 from okid.record import Record
 
 

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.ground import corner, decompose_coefficients
-from modal.modal_states import ModalParameters, free_runs
-from modal.refinement import NONE, OutputError, Step, evaluate
-from modal.starting import starting_parameters
+from modal.estimation.cross_validation import corner, decompose_coefficients
+from modal.estimation.modal_states import ModalParameters, free_runs
+from modal.estimation.output_error import NONE, OutputError, Step, evaluate
+from modal.estimation.starting import starting_parameters
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.gram import lag_gram

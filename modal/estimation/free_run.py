@@ -1,7 +1,7 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
-The run from rest is one pass of block products (`modal.modal_recursion`). The initial state and a constant level of
-each output come from the training samples of the same run by least squares (`modal.initial_fit`); an initial state
+The run from rest is one pass of block products (`modal.estimation.modal_recursion`). The initial state and a constant level of
+each output come from the training samples of the same run by least squares (`modal.estimation.initial_fit`); an initial state
 fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
 """
 
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.initial_fit import TrainingPattern, fit_initial_state
-from modal.modal_recursion import ModalRecursion
+from modal.estimation.initial_fit import TrainingPattern, fit_initial_state
+from modal.estimation.modal_recursion import ModalRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

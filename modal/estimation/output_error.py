@@ -3,7 +3,7 @@
 The model's free run, y = sum of Re(c_i x_i) + D u + level, is linear in the shapes c, in D and in the levels, which are
 projected out (variable projection, Kaufman's form), and nonlinear in poles, participations b and initial states. A
 complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit circle. With s a sensitivity of state i
-(`modal.modal_states`) and ' the transpose, * the conjugate transpose,
+(`modal.estimation.modal_states`) and ' the transpose, * the conjugate transpose,
 
     J'J = 1/2 Re(M1 + M2) for real, 1/2 Re(M1 - M2) for imaginary parts of parameters, Im between them,
     M1 = (c_i* W c_j) (s_i* P s_j),   M2 = (c_i' W c_j) (s_i' P s_j),   P = I - Phi (Phi' Phi)^-1 Phi'
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modal.modal_states import Block, ModalParameters, SignalLayout, block_grams, whole_gram
+from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, block_grams, whole_gram
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 

@@ -21,8 +21,8 @@ from textbook_output_error import (
     regressors,
 )
 
-from modal.modal_states import ModalParameters, blocks_of
-from modal.refinement import NONE, OutputError, evaluate, moved, normal_equations, refine
+from modal.estimation.modal_states import ModalParameters, blocks_of
+from modal.estimation.output_error import NONE, OutputError, evaluate, moved, normal_equations, refine
 from okid.record import Record
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose
 from era.hankel import block_sizes
 from era.realisation import Realisation
-from modal.free_run import driven_by_outputs, filled
-from modal.stretches import folds_of, stretches_of
+from modal.estimation.free_run import driven_by_outputs, filled
+from modal.estimation.stretches import folds_of, stretches_of
 from okid.arrays import BoolArray, FloatArray
 from okid.coefficients import ObserverCoefficients
 from okid.gram import LagGram, lag_gram

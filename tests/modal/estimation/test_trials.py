@@ -8,8 +8,15 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.hankel import block_sizes
-from modal.ground import hankel_shape, markov_lags, prepare_ground, scaled_record, training_decomposition, training_gram
-from modal.trials import make_trials
+from modal.estimation.cross_validation import (
+    hankel_shape,
+    markov_lags,
+    prepare_ground,
+    scaled_record,
+    training_decomposition,
+    training_gram,
+)
+from modal.estimation.trials import make_trials
 from okid.record import Record
 
 

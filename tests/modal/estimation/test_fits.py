@@ -4,9 +4,9 @@ from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.realisation import Realisation
-from modal.fits import fit_of, measure_fit, model_runs
+from modal.estimation.fits import fit_of, measure_fit, model_runs
+from modal.estimation.trials import Trial
 from modal.search import Search, search_limits
-from modal.trials import Trial
 from okid.errors import NumericalError
 from okid.record import Record
 

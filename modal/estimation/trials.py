@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.balanced import HankelDecomposition
-from modal.free_run import ModalForm, free_run, modal_form, modal_form_of, one_step_predictor
-from modal.ground import Ground, corner, training_decomposition
+from modal.estimation.cross_validation import Ground, corner, training_decomposition
+from modal.estimation.free_run import ModalForm, free_run, modal_form, modal_form_of, one_step_predictor
 from okid.arrays import FloatArray
 
 __all__ = ["Trial", "make_trials", "trial_of"]

@@ -1,0 +1,1 @@
+"""Candidates, free runs, the likelihood of output error, its refinement and its covariance."""
