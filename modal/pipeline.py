@@ -21,7 +21,7 @@ from modal.final_model import fit_all_rows
 from modal.gain import driven_gain
 from modal.identification import Identification
 from modal.modes.extraction import extract_modes
-from modal.preparation import Preparation, prepare
+from modal.preparation.steps import Preparation, prepare
 from modal.refined_choice import refined_search
 from modal.repetition import repeat
 from modal.search import choose_orders, given_orders

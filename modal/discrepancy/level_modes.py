@@ -23,7 +23,7 @@ from modal.estimation.threads import one_blas_thread
 from modal.modes.mode import Mode, ModeKind
 from modal.modes.overlap import IndexArray
 from modal.modes.shape_comparison import assurance
-from modal.preparation import split_at_input_gaps
+from modal.preparation.steps import split_at_input_gaps
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

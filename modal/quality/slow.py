@@ -1,6 +1,6 @@
 """Slow drift of the outputs that no input causes.
 
-As the identification decides it (`modal.drift`), but with the pulse response of an observer in the place of a
+As the identification decides it (`modal.preparation.drift`), but with the pulse response of an observer in the place of a
 model: what the inputs do is taken off, once with a response fitted to the records as they are and once with one
 fitted to records without slow motion, and slow functions of time must predict held-out blocks of the rest clearly
 better.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.drift import (
+from modal.preparation.drift import (
     CANDIDATES,
     LEAST_GAIN,
     SAMPLES_PER_FUNCTION,

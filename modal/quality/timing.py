@@ -1,6 +1,6 @@
 """An output that answers late, or before the input: channels of two recorders, or columns shifted against each other.
 
-The pulse response of a long observer says when an input begins to act (`modal.delay`). Every output is first made
+The pulse response of a long observer says when an input begins to act (`modal.preparation.delay`). Every output is first made
 late by sixteen samples, so that one that runs ahead shows as well.
 """
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.delay import LEAST_DELAY, choose_input_delay
+from modal.preparation.delay import LEAST_DELAY, choose_input_delay
 from modal.quality.channel import named, spoken
 from modal.quality.findings import Finding
 from okid.arrays import FloatArray

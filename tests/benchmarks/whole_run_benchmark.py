@@ -33,7 +33,7 @@ STAGES = {
     "read": ("okid.", "read_records"),
     "quality": ("modal.", "check_quality"),
     "identify": ("modal.", "identify"),
-    "preparation": ("modal.preparation", "prepare"),
+    "preparation": ("modal.preparation.steps", "prepare"),
     "search": ("modal.", "search"),
     "refinement": ("modal.", "refined_search", "fit_all_rows"),
     "verdict": ("modal.", "repeat", "judge", "driven_gain"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from modal.estimation.free_run import ModalForm, free_run, free_runs, run_from_rest
 from modal.identification import Choice
-from modal.quick_model import QuickModel, quick_model
+from modal.preparation.quick_model import QuickModel, quick_model
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.drift import CANDIDATES, choose_drift, held_out_squares, slow_functions, without_drift
+from modal.preparation.drift import CANDIDATES, choose_drift, held_out_squares, slow_functions, without_drift
 from okid.record import Record
 
 N = 3000

@@ -4,7 +4,7 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from modal.estimation.free_run import free_runs
-from modal.quick_model import quick_model
+from modal.preparation.quick_model import quick_model
 from okid.record import Record
 
 

@@ -6,7 +6,7 @@ from systems import modal_system, random_chain, simulate
 import era
 from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
-from modal.preparation import SHORTEST, prepare, split_at_input_gaps
+from modal.preparation.steps import SHORTEST, prepare, split_at_input_gaps
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

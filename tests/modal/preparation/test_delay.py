@@ -6,10 +6,10 @@ from signals import random_inputs, with_noise
 from systems import markov, modal_system, random_chain, simulate
 
 import era
-import modal.delay
+import modal.preparation.delay
 from era.realisation import Realisation
-from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
 from modal.modes.extraction import extract_modes
+from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
@@ -117,11 +117,11 @@ def test_a_given_delay_is_checked_and_decimated():
 
 
 def test_a_fit_that_leaves_less_than_nothing_by_rounding_does_no_harm(monkeypatch):
-    honest = modal.delay.solve
+    honest = modal.preparation.delay.solve
 
     def exact(gram, ridge):
         return replace(honest(gram, ridge), residual_covariance=-1e-20 * np.eye(2))
 
-    monkeypatch.setattr(modal.delay, "solve", exact)
+    monkeypatch.setattr(modal.preparation.delay, "solve", exact)
     rng = np.random.default_rng(0)
     assert len(choose_input_delay([record_of(rng, two_modes(rng, 1), (3,))]).samples) == 1

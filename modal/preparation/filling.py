@@ -15,7 +15,7 @@ import numpy as np
 from modal.estimation.cross_validation import scaled_record
 from modal.estimation.free_run import free_runs
 from modal.identification import Choice
-from modal.quick_model import best_model, observer_markov
+from modal.preparation.quick_model import best_model, observer_markov
 from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.filling import fill_where_needed
+from modal.preparation.filling import fill_where_needed
 from okid.record import Record
 
 N = 3000

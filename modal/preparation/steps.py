@@ -7,12 +7,19 @@ from typing import Literal
 import numpy as np
 
 from era.realisation import Realisation
-from modal.band import coherent_band
-from modal.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
-from modal.drift import FreedTrials, choose_drift, given_drift, integrator_drift, summed_inputs, without_drift
-from modal.filling import Filling, fill_where_needed
 from modal.identification import Choice
-from modal.integrators import choose_integrators, given_integrators, with_integrators
+from modal.preparation.band import coherent_band
+from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
+from modal.preparation.drift import (
+    FreedTrials,
+    choose_drift,
+    given_drift,
+    integrator_drift,
+    summed_inputs,
+    without_drift,
+)
+from modal.preparation.filling import Filling, fill_where_needed
+from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

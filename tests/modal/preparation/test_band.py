@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.band import COHERENT, coherent_band
+from modal.preparation.band import COHERENT, coherent_band
 from okid.record import Record
 
 

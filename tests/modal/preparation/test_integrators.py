@@ -5,8 +5,8 @@ from systems import modal_system, sampled, simulate, structure
 
 import era
 from era.realisation import Realisation
-from modal.drift import summed_inputs
-from modal.integrators import choose_integrators, given_integrators, with_integrators
+from modal.preparation.drift import summed_inputs
+from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from okid.errors import InvalidDataError
 from okid.record import Record
 

@@ -1,0 +1,1 @@
+"""What is done to records before a fit: band, means, delays, drift, integrators, gaps."""
