@@ -15,8 +15,8 @@ from modal.identification import Choice, Fit, OrderEvidence
 from modal.modes.mode import ModalModel
 from modal.refined_choice import MOST_STEPS
 from modal.search import WITHIN, Search
-from modal.stability import stabilisation
-from modal.verdict import Reruns
+from modal.verdict.judgement import Reruns
+from modal.verdict.stabilisation import stabilisation
 from okid.excitation import Excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck

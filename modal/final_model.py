@@ -18,8 +18,8 @@ from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
 from modal.estimation.trials import Trial
 from modal.refined_model import RefinedModel, refined_model
-from modal.repetition import ORDER_SHARES
 from modal.search import Search
+from modal.verdict.repeatability import ORDER_SHARES
 from okid.errors import IdentificationWarning, NumericalError
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit, fit_observer

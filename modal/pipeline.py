@@ -13,19 +13,19 @@ import numpy as np
 from era.innovation_check import check_innovations
 from era.realisation import Realisation
 from modal.deviations import with_deviations
-from modal.doubts import FILTER_EDGE
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.threads import one_blas_thread
 from modal.explanation import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.final_model import fit_all_rows
-from modal.gain import driven_gain
 from modal.identification import Identification
 from modal.modes.extraction import extract_modes
 from modal.preparation.steps import Preparation, prepare
 from modal.refined_choice import refined_search
-from modal.repetition import repeat
 from modal.search import choose_orders, given_orders
-from modal.verdict import judge
+from modal.verdict.doubts import FILTER_EDGE
+from modal.verdict.excitation import driven_gain
+from modal.verdict.judgement import judge
+from modal.verdict.repeatability import repeat
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.record import Record

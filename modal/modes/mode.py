@@ -39,7 +39,7 @@ class Mode:
         msv: mode singular value relative to the largest of the model.
         mpd: mean phase deviation [deg].
         repeatability: mean overlap with the same mode identified again from other data and orders, in [0, 1].
-        gain: share of the squared free-run error without the mode that the mode removes (`modal.gain`).
+        gain: share of the squared free-run error without the mode that the mode removes (`modal.verdict.excitation`).
         probability: that the mode belongs to the system.
         verdict: "system", "doubtful" or "noise".
         damping_resolved: False where the mode may exist but its damping ratio is not to be quoted.

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from modal.modes.mode import Mode
-from modal.verdict import DOUBTED, LEAST_PART, SYSTEM_FROM
+from modal.verdict.judgement import DOUBTED, LEAST_PART, SYSTEM_FROM
 
 __all__ = ["INDICATORS", "IndicatorColumn", "shown"]
 

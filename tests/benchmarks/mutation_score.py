@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
     "okid/observer.py", "okid/recovery.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
-    "era/decomposition.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/probability.py",
+    "era/decomposition.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
 )  # fmt: skip
 ALSO = {
     "era/decomposition.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),

@@ -83,8 +83,8 @@ def least(call, n_rounds=5):
 def ours(path):
     from era.balanced import decompose, realise_from
     from modal.modes.extraction import extract_modes
-    from modal.stability import stabilisation
-    from modal.verdict import Rerun, Reruns
+    from modal.verdict.judgement import Rerun, Reruns
+    from modal.verdict.stabilisation import stabilisation
     from okid.markov import MarkovParameters
     from okid.observer import fit_observer
     from okid.record import Record
@@ -171,8 +171,8 @@ def points_of_one_system(seed):
     from systems import random_system, simulate
 
     from era.balanced import decompose, realise_from
-    from modal.repetition import repeat
-    from modal.stability import stabilisation
+    from modal.verdict.repeatability import repeat
+    from modal.verdict.stabilisation import stabilisation
     from okid.observer import fit_observer
     from okid.record import Record
     from okid.recovery import recover_markov

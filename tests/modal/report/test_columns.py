@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal import verdict
 from modal.report.columns import INDICATORS
+from modal.verdict import judgement as verdict
 
 COLUMNS = {column.key: column for column in INDICATORS}
 

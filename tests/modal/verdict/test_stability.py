@@ -9,8 +9,8 @@ from textbook_modal import textbook_era
 
 from era.realisation import HankelFactors, Realisation
 from modal.modes.extraction import extract_modes
-from modal.stability import stabilisation
-from modal.verdict import Rerun, Reruns
+from modal.verdict.judgement import Rerun, Reruns
+from modal.verdict.stabilisation import stabilisation
 from okid.errors import InvalidDataError
 
 HIGHEST = 30

@@ -5,7 +5,7 @@ import pytest
 
 from modal.modes.mode import Mode
 from modal.modes.overlap import overlap_matrix, pulses
-from modal.resonance import LARGEST_BAND, LEAST_BAND, SAME_SHAPE, group_overlaps, groups
+from modal.verdict.resonance import LARGEST_BAND, LEAST_BAND, SAME_SHAPE, group_overlaps, groups
 
 DT, STEPS = 0.01, 300
 SHAPE = np.array([1.0, 0.6, -0.3])

@@ -7,7 +7,7 @@ from systems import initial_state, modal_system, simulate
 from era.balanced import decompose, realise
 from modal.estimation.cross_validation import markov_lags
 from modal.modes.extraction import extract_modes
-from modal.repetition import repeat
+from modal.verdict.repeatability import repeat
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.recovery import recover_markov

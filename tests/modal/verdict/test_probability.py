@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.modes.mode import Mode
-from modal.probability import f_ratio, probability
+from modal.verdict.probability import f_ratio, probability
 
 SHARES = st.floats(0.0, 1.0)
 

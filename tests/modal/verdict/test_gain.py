@@ -5,8 +5,8 @@ import pytest
 from systems import random_system, simulate
 
 from era.realisation import Realisation
-from modal.gain import driven_gain
 from modal.modes.extraction import extract_modes
+from modal.verdict.excitation import driven_gain
 from okid.record import Record
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict import Rerun, Reruns, judge, probability
+from modal.verdict.judgement import Rerun, Reruns, judge, probability
 from okid.excitation import Excitation
 
 DT = 0.01

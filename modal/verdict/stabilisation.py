@@ -3,7 +3,7 @@
 Two questions are asked of each pole. Does it continue a pole of the order below (`overlap`)? That one needs no more
 than the decomposition, and poles of a long observer answer it too well: all orders see the same data. Is it found
 again from halves of the data and with another observer (`repeatability`)? That one needs the reruns of
-`modal.repetition`, which are there anyway for the verdict. Both are closed-form overlaps of pulse responses
+`modal.verdict.repeatability`, which are there anyway for the verdict. Both are closed-form overlaps of pulse responses
 (`modal.modes.overlap`), paired one to one within an order.
 
 A lower order is a corner of the highest one, so an order costs one eigenvalue decomposition of a small matrix. All
@@ -21,7 +21,7 @@ from modal.identification import StabilisationPoint
 from modal.modes.indicators import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
 from modal.modes.overlap import Pulses, energies, inner_products, pair_greatest_first, pulses
-from modal.verdict import Change, Reruns
+from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray
 from okid.scalars import whole_number
 
@@ -51,7 +51,7 @@ def stabilisation(
         realisation: of the highest order, balanced: the lower ones are its corners.
         orders: to be shown; all from 1 to that of the realisation by default. A realisation without Hankel factors is
             not balanced and has but its own.
-        reruns: from `modal.repetition.repeat`; those that changed data or observer are asked. Without them
+        reruns: from `modal.verdict.repeatability.repeat`; those that changed data or observer are asked. Without them
             repeatability is nan.
 
     Returns:

@@ -19,10 +19,10 @@ from modal.estimation.modal_parameters import in_units, scaled_model
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import NONE, OutputError, refine
 from modal.estimation.starting import starting_parameters
-from modal.gain import driven_gain
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.verdict import Rerun, Reruns
+from modal.verdict.excitation import driven_gain
+from modal.verdict.judgement import Rerun, Reruns
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram
