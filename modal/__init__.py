@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from modal.elements import Element
     from modal.geometry import Geometry, Sensor
     from modal.geometry_file import read_geometry
-    from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+    from modal.identification.order_search import OrderChoice, choose_orders
+    from modal.identification.pipeline import identify
+    from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+    from modal.identification.storage import load
     from modal.model_file import read_model, write_model
     from modal.modes.extraction import extract_modes
     from modal.modes.mode import ModalModel, Mode
     from modal.modes.uncertainty import Uncertainty
-    from modal.pipeline import identify
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
-    from modal.search import OrderChoice, choose_orders
     from modal.simulation import simulate
     from modal.specification import read_specification
-    from modal.storage import load
     from modal.structure import StructuralModel
 
 __all__ = [
@@ -69,28 +69,28 @@ __all__ = [
 ]
 
 _PLACES = {
-    "Choice": "modal.identification",
+    "Choice": "modal.identification.result",
     "Element": "modal.elements",
-    "Fit": "modal.identification",
+    "Fit": "modal.identification.result",
     "Geometry": "modal.geometry",
-    "Identification": "modal.identification",
+    "Identification": "modal.identification.result",
     "ModalModel": "modal.modes.mode",
     "Mode": "modal.modes.mode",
-    "OrderChoice": "modal.search",
-    "OrderEvidence": "modal.identification",
+    "OrderChoice": "modal.identification.order_search",
+    "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.discrepancy.plant_model",
     "Sensor": "modal.geometry",
-    "StabilisationPoint": "modal.identification",
+    "StabilisationPoint": "modal.identification.result",
     "StructuralModel": "modal.structure",
     "Uncertainty": "modal.modes.uncertainty",
     "check_limits": "modal.acceptance",
     "check_quality": "modal.quality",
-    "choose_orders": "modal.search",
+    "choose_orders": "modal.identification.order_search",
     "compare_results": "modal.comparison",
     "discrepancy": "modal.discrepancy",
     "extract_modes": "modal.modes.extraction",
-    "identify": "modal.pipeline",
-    "load": "modal.storage",
+    "identify": "modal.identification.pipeline",
+    "load": "modal.identification.storage",
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
     "read_geometry": "modal.geometry_file",

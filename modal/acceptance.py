@@ -28,7 +28,7 @@ from modal.acceptance_limits import (
 from modal.acceptance_modes import check_damping, check_expected, check_forbidden, check_settled, check_uncertainty
 from modal.acceptance_values import check_count, check_fit, check_trust
 from modal.acceptance_words import Weighed
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.specification import Specification
 
 __all__ = ["LimitOutcome", "LimitState", "all_met", "check_limits"]

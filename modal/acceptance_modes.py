@@ -31,9 +31,9 @@ from modal.acceptance_words import (
     negated,
     range_text,
 )
-from modal.identification import Identification
+from modal.identification.result import Identification
+from modal.identification.trust import damping_text, frequency_text
 from modal.modes.mode import Mode
-from modal.trust import damping_text, frequency_text
 
 __all__ = ["check_damping", "check_expected", "check_forbidden", "check_settled", "check_uncertainty"]
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from modal.acceptance_limits import Range
 from modal.acceptance_words import band_text
-from modal.identification import Identification
+from modal.identification.result import Identification
 
 __all__ = ["blind_part", "uncovered"]
 

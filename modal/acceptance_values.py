@@ -7,8 +7,8 @@ import scipy
 
 from modal.acceptance_limits import FitAtLeast, ModeCount, TrustAtLeast
 from modal.acceptance_words import MAYBE, NO, YES, Answer, Weighed, inside
-from modal.identification import Identification
-from modal.trust import trust_of
+from modal.identification.result import Identification
+from modal.identification.trust import trust_of
 from modal.wording.numbers import fit_text
 
 __all__ = ["check_count", "check_fit", "check_trust"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from modal.acceptance_limits import Range
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.wording.numbers import hertz
 
 __all__ = [

@@ -25,7 +25,7 @@ from modal.comparison_differences import Difference, differences_of
 from modal.comparison_matching import match_modes, shared_shapes
 from modal.comparison_shifts import Shift, damping_shift, frequency_shift, shape_shift, with_verdicts
 from modal.comparison_source import ResultSummary, summary_of
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from okid.errors import InvalidDataError
@@ -136,7 +136,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
         InvalidDataError: something else.
 
     Example:
-        >>> from modal.identification import Choice
+        >>> from modal.identification.result import Choice
         >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
         ...                       trust="not carried", degrees_of_freedom=float("inf"), data=frozenset())
         >>> compare_results(empty, empty).changed

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from modal.acceptance import check_limits
 from modal.examples.demo import demo_record
+from modal.identification.pipeline import identify
 from modal.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
 from modal.live_view import live_view
-from modal.pipeline import identify
 from modal.progress import Progress, progress_bar
 from modal.quality.check import check_quality
 from modal.report import ReportFiles, write_report
@@ -28,7 +28,7 @@ from okid.record import InputHold, Record
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome
     from modal.geometry import Geometry
-    from modal.identification import Identification
+    from modal.identification.result import Identification
 
 __all__ = [
     "FileSource",

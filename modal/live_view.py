@@ -10,7 +10,7 @@ from okid.record import Record
 
 if TYPE_CHECKING:
     from modal.geometry import Geometry
-    from modal.identification import Identification
+    from modal.identification.result import Identification
 
 __all__ = ["LiveView", "live_view"]
 

@@ -15,13 +15,13 @@ from rich.text import Text
 
 from modal.acceptance import LimitOutcome
 from modal.examples.demo import ModeComparison
-from modal.identification import Identification
+from modal.identification.result import Identification
+from modal.identification.trust import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
 from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles
-from modal.trust import damping_text, frequency_text, trust_of
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
 

@@ -8,9 +8,9 @@ import typer
 from modal.acceptance import all_met
 from modal.command_options import name_list, number_or_auto, plain_name, whole_or_auto
 from modal.commands.common import Dt, Hold, Inputs, Outputs, Overwrite, Records, Traceback, examples, faults
+from modal.identification.trust import trust_of
 from modal.job import FileSource, Finished, Job, carry_out
 from modal.terminal import show_files
-from modal.trust import trust_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,12 +18,12 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.discrepancy.level_starts import NEGLIGIBLE, Start, refined, unexplained
+from modal.identification.covariance import output_error_uncertainty
+from modal.identification.refined_search import STANDS_STILL
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode
 from modal.modes.overlap import IndexArray, pair_greatest_first
 from modal.modes.shape_comparison import assurance
-from modal.refined_choice import STANDS_STILL
-from modal.refinement_covariance import output_error_uncertainty
 from okid.arrays import FloatArray
 from okid.record import Record
 

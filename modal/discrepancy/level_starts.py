@@ -14,10 +14,10 @@ from modal.discrepancy.free_decay import decay_markov
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.free_run import free_runs, modal_form
 from modal.estimation.output_error import SMALLEST_GAIN
+from modal.identification.refined_model import RefinedModel, refined_model
+from modal.identification.refined_search import MOST_STEPS
 from modal.preparation.filling import fill_where_needed
 from modal.preparation.quick_model import observer_markov
-from modal.refined_choice import MOST_STEPS
-from modal.refined_model import RefinedModel, refined_model
 from okid.arrays import FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -16,7 +16,7 @@ from era.decomposition import decompose
 from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
-from modal.search import choose_orders
+from modal.identification.order_search import choose_orders
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.observer import fit_observer

@@ -7,8 +7,8 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
-from modal.identification import Fit
-from modal.search import Search
+from modal.identification.order_search import Search
+from modal.identification.result import Fit
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record

@@ -35,8 +35,8 @@ from modal.comparison import Comparison, compare_results
 from modal.comparison_source import summary_of
 from modal.comparison_words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
-from modal.identification import Identification
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
+from modal.identification.result import Identification
 from modal.report.comparison_writing import write_comparison
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError

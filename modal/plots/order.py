@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.identification import OrderEvidence, StabilisationPoint
+from modal.identification.result import OrderEvidence, StabilisationPoint
 from modal.modes.mode import ModalModel
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import Panel

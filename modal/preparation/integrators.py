@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification import Choice
+from modal.identification.result import Choice
 from modal.preparation.drift import FreedTrials, choose_drift, held_out_squares, is_significant, lasting_share
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError

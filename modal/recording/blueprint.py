@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.evidence import Gathered
 from modal.recording.fit_blueprint import fit_page
 from modal.recording.modes_blueprint import modes_page

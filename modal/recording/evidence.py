@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.response_synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality

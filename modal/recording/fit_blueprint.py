@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.fit_page import FIT_TEXT, MARKOV, WHITENESS
 from modal.recording.names import label, name_with_unit
 from modal.recording.plan import SHOWN_INPUTS, DataPlan, Plan

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.axis import linear_axis
 from modal.recording.figure import Figure, Pane, legend_share
 from modal.recording.names import label

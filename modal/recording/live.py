@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.quality.check import check_quality
 from modal.recording.live_blueprint import live_blueprint
 from modal.recording.names import cell, label

@@ -4,7 +4,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
+from modal.identification.trust import damping_text
 from modal.recording.complexity import complexity_pane
 from modal.recording.modes_page import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TABLE, MODES_TEXT, placement_in
 from modal.recording.palette import BACKGROUND
@@ -12,7 +13,6 @@ from modal.recording.plan import Plan
 from modal.recording.shapes import shape_path
 from modal.recording.views_blueprint import document_view, plot_view
 from modal.scene import Scene, envelope_of, scene_of
-from modal.trust import damping_text
 from modal.wording.numbers import hertz, ratio_text
 from okid.arrays import FloatArray
 

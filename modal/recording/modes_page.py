@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.comparable import comparable_shapes
 from modal.complexity import complexity_words
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.shape_comparison import assurance
 from modal.placement import Placement, placed
 from modal.recording.complexity import log_complexity

@@ -7,13 +7,13 @@ import numpy as np
 
 from modal.comparable import comparison_words
 from modal.complexity import complexity_words
-from modal.identification import Identification
+from modal.identification.result import Identification
+from modal.identification.trust import damping_text
 from modal.modes.mode import Mode
 from modal.placement import Placement
 from modal.recording.names import cell
 from modal.recording.plan import Plan
 from modal.recording.words import UNKNOWN, bullets, table
-from modal.trust import damping_text
 from modal.wording.numbers import hertz, with_interval
 
 __all__ = ["modes_text"]

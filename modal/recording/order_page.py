@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification import Identification, OrderEvidence
+from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.recording.axis import linear_axis, log_axis
 from modal.recording.evidence import Gathered

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.identification import OrderEvidence, StabilisationPoint
+from modal.identification.result import OrderEvidence, StabilisationPoint
 from modal.recording.figure import Figure
 from modal.recording.palette import WHITE, by_share
 from modal.recording.plan import Plan

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.recording.levels import StoredStretch, row_budget

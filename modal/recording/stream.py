@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.blueprint import blueprint
 from modal.recording.discrepancy_blueprint import diagnosis_blueprint
 from modal.recording.discrepancy_page import log_discrepancy_page

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.evidence import Gathered
 from modal.recording.fit_blueprint import run_view
 from modal.recording.names import label

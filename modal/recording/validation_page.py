@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.axis import SHARE_AXIS, Axis, linear_axis
 from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane

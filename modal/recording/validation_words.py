@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.evidence import Gathered
 from modal.recording.names import cell
 from modal.recording.words import UNKNOWN, table

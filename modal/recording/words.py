@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
 from modal.report.words import data_sentences, modes_headline

@@ -5,10 +5,10 @@ import math
 from modal import comparison_words as words
 from modal.comparison import Comparison, ModePair
 from modal.comparison_shifts import Shift
+from modal.identification.trust import damping_text
 from modal.modes.mode import Mode
 from modal.report.page_environment import environment
 from modal.report.provenance import installed_version
-from modal.trust import damping_text
 from modal.wording.numbers import fit_text, hertz, ratio_text
 
 __all__ = ["comparison_html", "comparison_markdown"]

@@ -12,6 +12,7 @@ from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
 from modal.discrepancy.effect_names import one_of
 from modal.discrepancy.explained import unexplained_outputs
+from modal.identification.trust import Judgement
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
@@ -24,7 +25,6 @@ from modal.report.discrepancy_values import (
     times_text,
     value_with_unit,
 )
-from modal.trust import Judgement
 from modal.wording.numbers import exact_percent, listed, percent
 from modal.wording.statements import number
 

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 from era.realisation import Realisation
-from modal.identification import Choice, Fit, OrderEvidence
+from modal.identification.result import Choice, Fit, OrderEvidence
 from modal.modes.mode import Mode
 from modal.report.provenance import SourceFile
 from modal.report.schema import NUMBER, NUMBERS, described, record_schema, type_schema

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 
 __all__ = ["LARGEST_KEPT", "keep_result", "kept_size"]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.placement import Placement, placed
 from modal.report.setting import Setting
 from modal.wording.numbers import hertz

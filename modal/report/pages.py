@@ -5,7 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
+from modal.identification.trust import caution_sentence, trust_of
 from modal.modes.numbering import numbered
 from modal.report import words
 from modal.report.columns import INDICATORS
@@ -19,7 +20,6 @@ from modal.report.setting import NOTHING_BESIDES, Setting
 from modal.report.setup_values import about_lines, channel_rows, sensor_columns
 from modal.report.uncertainty_words import has_intervals, uncertainty_sentences
 from modal.report.validation_words import coherence_sentence, gap_command, gap_sentence, validation_sentences
-from modal.trust import caution_sentence, trust_of
 from okid.record import InputHold
 
 __all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]

@@ -7,7 +7,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal import plots
 from modal.comparable import comparable_shapes, comparison_words
-from modal.identification import Identification, OrderEvidence
+from modal.identification.result import Identification, OrderEvidence
 from modal.modes.shape_comparison import assurance
 from modal.plots.charts import Notes
 from modal.plots.order import colour_measure, pole_classes

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf
 from modal.plots.responses import frequency_responses, model_grid
 from modal.report.picture import Picture, readable

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from modal.acceptance import check_limits
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.quality import check_quality
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 
 if TYPE_CHECKING:
     from modal.specification import SensorNote, Specification

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.report.uff_nodes import NodePlan, dataset, geometry_datasets, node_plan

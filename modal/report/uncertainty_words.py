@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.wording.numbers import GOOD_FIT, fit_text
 
 __all__ = ["has_intervals", "uncertainty_sentences"]

@@ -5,7 +5,7 @@ The report, the Markdown page and the terminal all take their words from here, s
 
 import math
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, overload
 
 from modal import recording
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder
 from modal.report.kept_result import keep_result

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification import StabilisationPoint
+from modal.identification.result import StabilisationPoint
 from modal.modes.indicators import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
 from modal.modes.overlap import Pulses, energies, inner_products, pair_greatest_first, pulses

@@ -22,7 +22,7 @@ from random_problems import random_problem
 
 from modal.comparison import compare_results
 from modal.comparison_source import summary_of
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 from okid.record import Record
 
 SHARES = (0.0003, 0.001, 0.003, 0.01)

@@ -54,7 +54,14 @@ SHOWN = (
     "report",
     "recording",
 )
-ROOMS = ("modal.report", "modal.recording", "modal.plots", "modal.pipeline", "modal.quality", "modal.identification")
+ROOMS = (
+    "modal.report",
+    "modal.recording",
+    "modal.plots",
+    "modal.identification.pipeline",
+    "modal.quality",
+    "modal.identification.result",
+)
 """Imported before the functions are wrapped, where a checkout has them; a command imports them as it goes."""
 
 

@@ -18,7 +18,7 @@ def sources(repository):
 @pytest.fixture(scope="session")
 def small_identification():
     """The whole road on a short noisy record of two masses."""
-    from modal.pipeline import identify
+    from modal.identification.pipeline import identify
     from okid.record import Record
 
     rng = np.random.default_rng(1)

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_by_hand import make_diagnosis
 
 from era.realisation import Realisation
-from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
 from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

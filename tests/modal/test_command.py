@@ -16,13 +16,13 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-import modal.pipeline
+import modal.identification.pipeline
 import modal.recording
 from modal.command import _status, app
 from modal.command_options import plain_name, spread_files
 
 COMMAND = [sys.executable, "-c", "from modal.command import main; main()"]
-HERE = Path(modal.pipeline.__file__).parents[1]
+HERE = Path(modal.identification.pipeline.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -294,21 +294,21 @@ WAITING = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs in its background
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
-import modal.pipeline, modal.recording
+import modal.identification.pipeline, modal.recording
 
 def waiting(*_arguments, **_options):
     print("READY", flush=True)
     time.sleep(60)
 
 if {stage!r} == "identify":
-    identify = modal.pipeline.identify
+    identify = modal.identification.pipeline.identify
     def announced(*arguments, **options):
         print("READY", flush=True)
         return [identify(*arguments, **options) for _ in range(20)]
-    modal.pipeline.identify = announced
+    modal.identification.pipeline.identify = announced
 else:
-    from modal.storage import load
-    modal.pipeline.identify = lambda *_arguments, **_options: load("result.npz")
+    from modal.identification.storage import load
+    modal.identification.pipeline.identify = lambda *_arguments, **_options: load("result.npz")
     modal.recording.save_recording = waiting
 from modal.command import main
 sys.argv[1:] = {arguments!r}

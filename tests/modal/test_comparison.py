@@ -16,7 +16,7 @@ from modal.comparison import compare_results
 from modal.comparison_matching import TOO_FAR, match_modes, pair_costs
 from modal.comparison_shifts import holm
 from modal.comparison_source import read_result, summary_of
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 from modal.report.machine import json_text
 from modal.report.provenance import Provenance, SourceFile
 from okid.errors import InvalidDataError, UnreadableFileError

@@ -7,7 +7,7 @@ import scipy
 from modal.comparison import compare_results
 from modal.comparison_source import read_result
 from modal.examples import many_records
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import modal_system, simulate
 
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 from okid.record import Record
 
 FREQUENCIES, DAMPING = [5.0, 13.0, 21.0], [0.02, 0.01, 0.03]

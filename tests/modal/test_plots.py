@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal import plots
-from modal.identification import OrderEvidence
+from modal.identification.result import OrderEvidence
 from modal.modes.response_synthesis import measured_frf
 from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
 from modal.plots.spectra import power_spectra

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification import Fit, Identification, OrderEvidence, StabilisationPoint
+from modal.identification.result import Fit, Identification, OrderEvidence, StabilisationPoint
 from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

@@ -6,7 +6,7 @@ from systems import initial_state, modal_system, simulate
 from era.realisation import Realisation
 from modal.estimation.fits import fit_of, measure_fit, model_runs
 from modal.estimation.trials import Trial
-from modal.search import Search, search_limits
+from modal.identification.order_search import Search, search_limits
 from okid.errors import NumericalError
 from okid.record import Record
 

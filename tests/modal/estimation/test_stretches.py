@@ -6,7 +6,7 @@ from signals import random_inputs, with_noise
 from systems import random_system, simulate
 
 from modal.estimation.stretches import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 from okid.folds import interleaved_folds, whole_record_folds
 from okid.record import Record
 

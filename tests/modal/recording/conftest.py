@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from era.realisation import Realisation
-from modal.identification import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
 from modal.modes.mode import ModalModel, Mode
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

@@ -10,7 +10,7 @@ import pytest
 from systems import random_system, simulate
 
 from modal.acceptance import LimitOutcome
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
 from modal.report.pictures import draw_pictures

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.report.words import data_sentences, fit_word, modes_headline
-from modal.trust import (
+from modal.identification.trust import (
     caution_sentence,
     damping_sentence,
     damping_text,
@@ -15,6 +14,7 @@ from modal.trust import (
     frequency_text,
     trust_of,
 )
+from modal.report.words import data_sentences, fit_word, modes_headline
 from modal.wording.numbers import fit_text, hertz, ratio_text, with_interval
 
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from modal.estimation.propagation import propagated
-from modal.final_model import FinalModel
+from modal.identification.covariance import output_error_uncertainty
+from modal.identification.final_model import FinalModel
 from modal.modes.mode import ModalModel
 from modal.modes.uncertainty import Uncertainty
-from modal.refinement_covariance import output_error_uncertainty
 from okid.errors import InsufficientDataError
 from okid.record import Record
 

@@ -19,7 +19,7 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 import numpy as np
 import numpy.typing as npt
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["SCHEMA_VERSION", "Existing", "load", "save"]

@@ -17,8 +17,8 @@ from modal.estimation.cross_validation import hankel_limits, markov_lags
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
 from modal.estimation.trials import Trial
-from modal.refined_model import RefinedModel, refined_model
-from modal.search import Search
+from modal.identification.order_search import Search
+from modal.identification.refined_model import RefinedModel, refined_model
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.errors import IdentificationWarning, NumericalError
 from okid.markov import MarkovParameters

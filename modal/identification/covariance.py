@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.estimation.output_error import NONE, LinearPart, normal_equations, training_gram
+from modal.identification.refined_model import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode
 from modal.modes.uncertainty import Uncertainty
-from modal.refined_model import RefinedModel
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["output_error_uncertainty"]

@@ -7,8 +7,8 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_system, simulate
 
-from modal.identification import Identification
-from modal.pipeline import identify
+from modal.identification.pipeline import identify
+from modal.identification.result import Identification
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

@@ -11,10 +11,10 @@ from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
 from modal.estimation.stretches import is_long, stretches_of
 from modal.estimation.trials import Trial
-from modal.identification import Choice, Fit, OrderEvidence
+from modal.identification.order_search import WITHIN, Search
+from modal.identification.refined_search import MOST_STEPS
+from modal.identification.result import Choice, Fit, OrderEvidence
 from modal.modes.mode import ModalModel
-from modal.refined_choice import MOST_STEPS
-from modal.search import WITHIN, Search
 from modal.verdict.judgement import Reruns
 from modal.verdict.stabilisation import stabilisation
 from okid.excitation import Excitation

@@ -14,10 +14,10 @@ from modal.estimation.modal_parameters import scaled_model
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from modal.estimation.starting import starting_parameters
+from modal.identification.pipeline import identify
+from modal.identification.refined_model import refined_model
+from modal.identification.refined_search import MOST_STEPS
 from modal.modes.extraction import extract_modes
-from modal.pipeline import identify
-from modal.refined_choice import MOST_STEPS
-from modal.refined_model import refined_model
 from okid.markov import MarkovParameters
 from okid.observer import fit_observer
 from okid.record import Record

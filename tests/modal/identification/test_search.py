@@ -10,7 +10,7 @@ import modal
 import okid
 from modal.estimation.trials import Trial
 from modal.examples.demo import demo_record
-from modal.search import (
+from modal.identification.order_search import (
     ROUND_OFF,
     WITHIN,
     _chosen,
@@ -20,7 +20,7 @@ from modal.search import (
     search,
     search_limits,
 )
-from modal.search_grid import untried_neighbours
+from modal.identification.search_grid import untried_neighbours
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from modal.identification import Identification
+from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.wording.names import shorten
 from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, fit_text, hertz, ratio_text, with_interval

@@ -7,13 +7,13 @@ import pytest
 from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, loop_run
 
-from modal import refined_choice
 from modal.estimation.cross_validation import corner, prepare_ground, training_decomposition
 from modal.estimation.output_error import refine
 from modal.estimation.starting import starting_parameters
 from modal.estimation.trials import Trial
-from modal.refined_choice import MOST_STEPS, output_error_data, refined_search
-from modal.search import search
+from modal.identification import refined_search as refined_choice
+from modal.identification.order_search import search
+from modal.identification.refined_search import MOST_STEPS, output_error_data, refined_search
 from okid.record import Record
 
 

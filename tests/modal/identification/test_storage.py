@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from era.realisation import HankelFactors
-from modal import storage
-from modal.identification import Identification
+from modal.identification import storage
+from modal.identification.result import Identification
 from okid.errors import InvalidDataError, UnreadableFileError
 
 

@@ -165,6 +165,6 @@ class Identification:
         Raises:
             InvalidDataError: the file exists and may not be replaced, or it cannot be written.
         """
-        from modal.storage import save  # it needs this type, so it cannot be imported above
+        from modal.identification.storage import save  # it needs this type, so it cannot be imported above
 
         return save(self, path, existing=existing)

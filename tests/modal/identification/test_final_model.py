@@ -5,8 +5,8 @@ from systems import initial_state, modal_system, simulate
 
 from era.simulation import simulate as free_simulation
 from modal.estimation.trials import Trial
-from modal.final_model import fit_all_rows
-from modal.search import Search, search, search_limits
+from modal.identification.final_model import fit_all_rows
+from modal.identification.order_search import Search, search, search_limits
 from okid.errors import NumericalError
 from okid.record import Record
 

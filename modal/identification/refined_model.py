@@ -17,7 +17,7 @@ from modal.estimation.modal_parameters import in_units, scaled_model
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import SMALLEST_GAIN, OutputError, Step, refine
 from modal.estimation.starting import starting_parameters
-from modal.refined_choice import MOST_STEPS
+from modal.identification.refined_search import MOST_STEPS
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling

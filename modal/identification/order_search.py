@@ -18,8 +18,8 @@ import numpy as np
 
 from modal.estimation.cross_validation import Ground, hankel_shape, prepare_ground
 from modal.estimation.trials import Trial, make_trials
+from modal.identification.search_grid import SearchLimits, search_limits, untried_neighbours
 from modal.preparation.steps import checked_parts
-from modal.search_grid import SearchLimits, search_limits, untried_neighbours
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

@@ -20,7 +20,7 @@ from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, Step, refine
 from modal.estimation.starting import starting_parameters
 from modal.estimation.trials import Trial, trial_of
-from modal.search import Search, as_good, significantly_worse
+from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
 
 __all__ = ["MOST_STEPS", "output_error_data", "refined_search"]

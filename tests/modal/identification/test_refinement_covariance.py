@@ -9,10 +9,10 @@ from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, differences, loop_run, parameter_places
 
 from era.realisation import Realisation
+from modal.identification.covariance import output_error_uncertainty
+from modal.identification.refined_model import RefinedModel, refined_model
+from modal.identification.refined_search import MOST_STEPS
 from modal.modes.extraction import extract_modes
-from modal.refined_choice import MOST_STEPS
-from modal.refined_model import RefinedModel, refined_model
-from modal.refinement_covariance import output_error_uncertainty
 from okid.record import Record
 
 N_LAGS = 6

@@ -12,16 +12,16 @@ import numpy as np
 
 from era.innovation_check import check_innovations
 from era.realisation import Realisation
-from modal.deviations import with_deviations
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.threads import one_blas_thread
-from modal.explanation import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
-from modal.final_model import fit_all_rows
-from modal.identification import Identification
+from modal.identification.deviations import with_deviations
+from modal.identification.final_model import fit_all_rows
+from modal.identification.order_search import choose_orders, given_orders
+from modal.identification.refined_search import refined_search
+from modal.identification.result import Identification
+from modal.identification.words import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.modes.extraction import extract_modes
 from modal.preparation.steps import Preparation, prepare
-from modal.refined_choice import refined_search
-from modal.search import choose_orders, given_orders
 from modal.verdict.doubts import FILTER_EDGE
 from modal.verdict.excitation import driven_gain
 from modal.verdict.judgement import judge
