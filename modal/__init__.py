@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from modal.comparison_source import read_result
     from modal.discrepancy.plant_model import PlantModel
     from modal.elements import Element
-    from modal.geometry import Geometry, Sensor
-    from modal.geometry_file import read_geometry
+    from modal.geometry.file import read_geometry
+    from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
     from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
@@ -72,14 +72,14 @@ _PLACES = {
     "Choice": "modal.identification.result",
     "Element": "modal.elements",
     "Fit": "modal.identification.result",
-    "Geometry": "modal.geometry",
+    "Geometry": "modal.geometry.sensors",
     "Identification": "modal.identification.result",
     "ModalModel": "modal.modes.mode",
     "Mode": "modal.modes.mode",
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.discrepancy.plant_model",
-    "Sensor": "modal.geometry",
+    "Sensor": "modal.geometry.sensors",
     "StabilisationPoint": "modal.identification.result",
     "StructuralModel": "modal.structure",
     "Uncertainty": "modal.modes.uncertainty",
@@ -93,7 +93,7 @@ _PLACES = {
     "load": "modal.identification.storage",
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
-    "read_geometry": "modal.geometry_file",
+    "read_geometry": "modal.geometry.file",
     "read_model": "modal.model_file",
     "read_result": "modal.comparison_source",
     "read_specification": "modal.specification",

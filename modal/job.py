@@ -27,7 +27,7 @@ from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.identification.result import Identification
 
 __all__ = [

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from modal.geometry_file import read_geometry
+from modal.geometry.file import read_geometry
 from modal.report.folder import refuse_names
 from modal.report.pdf import NoBrowserError, find_browser
 from modal.report.writing import refuse_existing
@@ -14,7 +14,7 @@ from okid.errors import InvalidDataError
 from okid.record import Record
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.job import Job
     from modal.report import ReportFiles
     from modal.specification import Specification

@@ -9,7 +9,7 @@ from modal.recording.live import live_recording, log_progress, log_records, log_
 from okid.record import Record
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.identification.result import Identification
 
 __all__ = ["LiveView", "live_view"]

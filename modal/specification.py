@@ -41,7 +41,7 @@ from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
 
 __all__ = ["SensorNote", "Specification", "read_specification"]
 
@@ -181,7 +181,7 @@ def _sensors(table: Table) -> tuple[SensorNote, ...]:
 def _geometry(table: Table, path: Path) -> "Geometry | None":
     if not table.has("geometry"):
         return None
-    from modal.geometry_file import geometry_of_table, read_geometry
+    from modal.geometry.file import geometry_of_table, read_geometry
 
     given = table.values["geometry"]
     if isinstance(given, str):

@@ -7,7 +7,7 @@ moves by it, so it has no place here; the report says so, and the mode table and
 import numpy as np
 
 from modal.examples.demo import N_STOREYS, OUTPUT_NAMES, STOREY_HEIGHT
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 
 __all__ = ["demo_geometry"]
 

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.geometry import Geometry
+from modal.geometry.placement import at_rest, placed
+from modal.geometry.scene import Scene, scene_of
+from modal.geometry.sensors import Geometry
+from modal.geometry.sticks import stated_dofs
 from modal.modes.mode import Mode
-from modal.placement import at_rest, placed
 from modal.plots.layout import Chart, grid_of, row_of
 from modal.plots.panels import Panel
 from modal.plots.structure import draw_lines, draw_surfaces, frame_of, place_labels
 from modal.plots.style import STYLE, Role
-from modal.scene import Scene, scene_of
-from modal.sticks import stated_dofs
 from modal.wording.names import plot_label
 from modal.wording.numbers import hertz
 from okid.arrays import ComplexArray, FloatArray

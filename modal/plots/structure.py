@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from modal.geometry.scene import Scene
 from modal.plots.panels import Panel
 from modal.plots.style import Role, text_width
-from modal.scene import Scene
 from okid.arrays import FloatArray
 
 __all__ = ["Viewport", "draw_lines", "draw_surfaces", "frame_of", "place_labels"]

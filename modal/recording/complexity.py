@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.complexity import phasors
+from modal.geometry.complexity import phasors
 from modal.modes.mode import Mode
 from modal.recording.figure import Pane
 from modal.recording.names import label

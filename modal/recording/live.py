@@ -27,7 +27,7 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
 __all__ = ["LiveRecording", "live_recording", "log_progress", "log_records", "log_result"]

@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from modal.geometry.scene import Scene, envelope_of, scene_of
 from modal.identification.result import Identification
 from modal.identification.trust import damping_text
 from modal.recording.complexity import complexity_pane
@@ -12,7 +13,6 @@ from modal.recording.palette import BACKGROUND
 from modal.recording.plan import Plan
 from modal.recording.shapes import shape_path
 from modal.recording.views_blueprint import document_view, plot_view
-from modal.scene import Scene, envelope_of, scene_of
 from modal.wording.numbers import hertz, ratio_text
 from okid.arrays import FloatArray
 

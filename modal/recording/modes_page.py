@@ -4,11 +4,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.comparable import comparable_shapes
-from modal.complexity import complexity_words
+from modal.geometry.comparable import comparable_shapes
+from modal.geometry.complexity import complexity_words
+from modal.geometry.placement import Placement, placed
+from modal.geometry.scene import scene_of
 from modal.identification.result import Identification
 from modal.modes.shape_comparison import assurance
-from modal.placement import Placement, placed
 from modal.recording.complexity import log_complexity
 from modal.recording.modes_words import modes_text
 from modal.recording.palette import WHITE
@@ -16,7 +17,6 @@ from modal.recording.plan import Plan
 from modal.recording.shapes import log_shape
 from modal.recording.tables import log_table
 from modal.recording.words import choices_text
-from modal.scene import scene_of
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

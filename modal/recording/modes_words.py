@@ -5,12 +5,12 @@ from typing import Final
 
 import numpy as np
 
-from modal.comparable import comparison_words
-from modal.complexity import complexity_words
+from modal.geometry.comparable import comparison_words
+from modal.geometry.complexity import complexity_words
+from modal.geometry.placement import Placement
 from modal.identification.result import Identification
 from modal.identification.trust import damping_text
 from modal.modes.mode import Mode
-from modal.placement import Placement
 from modal.recording.names import cell
 from modal.recording.plan import Plan
 from modal.recording.words import UNKNOWN, bullets, table

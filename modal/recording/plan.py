@@ -21,7 +21,7 @@ from modal.recording.tracks import laid_out, stored_levels
 from okid.record import Record
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
 
 __all__ = [
     "DATA",

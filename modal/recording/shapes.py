@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
 from modal.recording.names import label
 from modal.recording.palette import BLUE, DIM_BLUE, GOLD, GREY, ORANGE
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
-from modal.scene import Scene, envelope_of
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
 __all__ = ["APPLICATION", "log_diagnosis", "log_identification", "save_recording", "strict_errors"]

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modal.geometry.placement import Placement, placed
 from modal.identification.result import Identification
-from modal.placement import Placement, placed
 from modal.report.setting import Setting
 from modal.wording.numbers import hertz
 from okid.arrays import ComplexArray, FloatArray

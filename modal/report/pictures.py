@@ -6,7 +6,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal import plots
-from modal.comparable import comparable_shapes, comparison_words
+from modal.geometry.comparable import comparable_shapes, comparison_words
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.shape_comparison import assurance
 from modal.plots.charts import Notes

@@ -9,7 +9,7 @@ from modal.quality import check_quality
 
 if TYPE_CHECKING:
     from modal.acceptance import LimitOutcome
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
     from modal.specification import Specification
 

@@ -27,7 +27,7 @@ from okid.arrays import ComplexArray
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
 
 __all__ = ["Form", "real_shape", "uff55_text"]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.dof_names import dof_of
-from modal.geometry import Geometry, Sensor
-from modal.node_motion import Motions, motion_of
+from modal.geometry.dof_names import dof_of
+from modal.geometry.node_motion import Motions, motion_of
+from modal.geometry.sensors import Geometry, Sensor
 
 __all__ = ["NodePlan", "dataset", "geometry_datasets", "node_labels", "node_plan"]
 

@@ -22,7 +22,7 @@ from okid.arguments import require
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry
+    from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
     from modal.specification import Specification
 

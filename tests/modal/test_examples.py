@@ -22,7 +22,7 @@ from modal.examples.struck_mass_models import (
     step_response,
     truncated_model,
 )
-from modal.geometry import Geometry
+from modal.geometry.sensors import Geometry
 from modal.modes.mode import ModalModel, Mode
 from okid.errors import InsufficientDataError, InvalidDataError
 

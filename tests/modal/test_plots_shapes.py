@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from modal import plots
-from modal.geometry import Geometry, Sensor
-from modal.placement import placed
+from modal.geometry.placement import placed
+from modal.geometry.scene import scene_of
+from modal.geometry.sensors import Geometry, Sensor
 from modal.plots.marks import Segments
 from modal.plots.structure import MOST_SEGMENTS
 from modal.plots.style import text_width
-from modal.scene import scene_of
 from okid.errors import InvalidDataError
 
 NAMES = ("2X+", "3X+", "4Y-")

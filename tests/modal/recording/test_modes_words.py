@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.placement import placed
+from modal.geometry.placement import placed
 from modal.recording.modes_words import modes_text
 from modal.recording.plan import planned
 

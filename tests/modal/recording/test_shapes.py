@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.geometry import Geometry
-from modal.placement import placed
+from modal.geometry.placement import placed
+from modal.geometry.scene import envelope_of, scene_of
+from modal.geometry.sensors import Geometry
 from modal.recording import save_recording
 from modal.recording.modes_blueprint import HALF_VIEW, modes_page
 from modal.recording.plan import planned
 from modal.recording.shapes import FEWEST_FRAMES, FEWEST_PERIODS, FRAMES, MOST_POINTS, PERIODS, pace_of
-from modal.scene import envelope_of, scene_of
 from okid.errors import InvalidDataError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from large_result import N_MODES, N_OUTPUTS, make_large
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 from modal.report.moving_shapes import moving_shapes
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, draw_pictures

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 from modal.report import moving_shapes as module
 from modal.report.moving_shapes import SWING, moving_shapes
 from modal.report.setting import Setting

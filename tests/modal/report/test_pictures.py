@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 from modal.report.pictures import _geometry_picture, _mode_pictures, _n_drawn, _order_pictures, draw_pictures
 from modal.report.setting import Setting
 

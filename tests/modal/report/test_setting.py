@@ -1,7 +1,7 @@
 import pytest
 
 from modal.acceptance_limits import FitAtLeast
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 from modal.report import setting as module
 from modal.report.setting import setting_of
 from modal.specification import Specification

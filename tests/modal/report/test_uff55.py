@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.sensors import Geometry, Sensor
 from modal.report.uff55 import real_shape, uff55_text
 from modal.report.uff_nodes import node_labels
 from okid.errors import InvalidDataError

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.geometry import Geometry
-from modal.placement import at_rest, placed
-from modal.scene import envelope_of, scene_of
+from modal.geometry.placement import at_rest, placed
+from modal.geometry.scene import envelope_of, scene_of
+from modal.geometry.sensors import Geometry
 
 HEIGHT = 2
 

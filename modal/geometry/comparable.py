@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modal.geometry.placement import ROTATION, TRANSLATION
 from modal.modes.mode import Mode
-from modal.placement import ROTATION, TRANSLATION
 from okid.arrays import ComplexArray
 from okid.readers.units import convert_unit
 

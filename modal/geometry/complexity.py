@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from modal.geometry.placement import derivatives_of, turned
+from modal.geometry.sticks import rows_by_unit
 from modal.modes.mode import Mode
-from modal.placement import derivatives_of, turned
-from modal.sticks import rows_by_unit
 from okid.arrays import ComplexArray
 
 __all__ = ["complexity_words", "phasors"]

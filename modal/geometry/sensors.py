@@ -1,11 +1,11 @@
 """Where a structure is measured: nodes, the lines between them, and which way each sensor looks.
 
 A geometry knows nothing of a record; names tie the two together. A channel belongs to the sensor of its name, or, where
-there is none, to the node and axis that its name states (`modal.dof_names`: `12X+`).
+there is none, to the node and axis that its name states (`modal.geometry.dof_names`: `12X+`).
 
 Motion is drawn where it was seen and nowhere else. At a node, the sensors' directions d_i and readings y_i give the
 motion of least size that repeats them, v = D^+ y; across their span it is not known and stays zero. Only what the
-geometry itself declares is carried further: nodes of one rigid body (`modal.node_motion`).
+geometry itself declares is carried further: nodes of one rigid body (`modal.geometry.node_motion`).
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from modal.dof_names import Motion, dof_of
-from modal.node_motion import motion_of
+from modal.geometry.dof_names import Motion, dof_of
+from modal.geometry.node_motion import motion_of
 from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError
@@ -142,7 +142,7 @@ class Geometry:
         """Motion of every node in one shape; zero where no sensor saw it.
 
         Args:
-            shape: (n_outputs,) real or complex, components that can be compared (`modal.placement` makes them so).
+            shape: (n_outputs,) real or complex, components that can be compared (`modal.geometry.placement` makes them so).
             output_names: of the channels.
 
         Returns:

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from modal.eye import Eye, chosen_eye
+from modal.geometry.eye import Eye, chosen_eye
+from modal.geometry.placement import Placement
 from modal.modes.mode import Mode
-from modal.placement import Placement
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 __all__ = ["Scene", "envelope_of", "scene_of"]

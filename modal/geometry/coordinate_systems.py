@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from modal.uff_fields import numbers, whole_numbers
+from modal.geometry.uff_fields import numbers, whole_numbers
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 

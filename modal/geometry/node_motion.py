@@ -24,7 +24,7 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
-    from modal.geometry import Geometry, Sensor
+    from modal.geometry.sensors import Geometry, Sensor
 
 __all__ = ["RESOLVED", "Motions", "motion_of"]
 

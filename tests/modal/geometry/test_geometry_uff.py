@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.geometry_file import read_geometry
+from modal.geometry.file import read_geometry
 from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError
 
 NODES = {1: (0.0, 0.0, 0.0), 2: (0.0, 0.0, 0.4), 30: (0.3, -0.1, 0.4), 1004: (0.3, 0.0, 0.0)}
@@ -212,6 +212,6 @@ def test_cutting_or_changing_a_file_anywhere_gives_a_geometry_or_one_of_our_erro
 
 
 def test_too_many_lines_are_refused_without_reading_on(tmp_path, monkeypatch):
-    monkeypatch.setattr("modal.geometry_uff.MOST_LINES", 6)
+    monkeypatch.setattr("modal.geometry.uff.MOST_LINES", 6)
     with pytest.raises(UnreadableFileError, match="more than 6 lines"):
         read(tmp_path, set_2411())

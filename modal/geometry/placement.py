@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.node_motion import Motions, motion_of
+from modal.geometry.sensors import Geometry, Sensor
+from modal.geometry.sticks import rows_by_unit, stated_dofs, stick_geometry
 from modal.modes.mode import Mode
-from modal.node_motion import Motions, motion_of
-from modal.sticks import rows_by_unit, stated_dofs, stick_geometry
 from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from modal.dof_names import Dof, dof_of
-from modal.geometry import Geometry, Sensor
+from modal.geometry.dof_names import Dof, dof_of
+from modal.geometry.sensors import Geometry, Sensor
 
 __all__ = ["SPACING", "rows_by_unit", "stated_dofs", "stick_geometry"]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from modal.geometry import Geometry
-from modal.geometry_file import geometry_of_table, read_geometry, with_dofs
+from modal.geometry.file import geometry_of_table, read_geometry, with_dofs
+from modal.geometry.sensors import Geometry
 from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError
 
 FRAME = """

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from modal.geometry import Geometry, Sensor
+from modal.geometry.placement import derivatives_of, placed, turned
+from modal.geometry.sensors import Geometry, Sensor
 from modal.modes.mode import Mode
-from modal.placement import derivatives_of, placed, turned
 from okid.errors import InvalidDataError
 
 POLE = complex(-0.7, 31.0)

@@ -27,8 +27,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.dof_names import dof_of
-from modal.geometry import MOST_NODES, Geometry, Sensor, node_numbers
+from modal.geometry.dof_names import dof_of
+from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, node_numbers
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.guard import check_file, first_line
@@ -72,7 +72,7 @@ def read_geometry(path: str | Path) -> Geometry:
     path = Path(path)
     check_file(path)
     if _is_universal(path):
-        from modal.geometry_uff import read_uff_geometry
+        from modal.geometry.uff import read_uff_geometry
 
         return read_uff_geometry(path)
     name = shorten(visible(path.name), 80)

@@ -19,9 +19,9 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from modal.coordinate_systems import CoordinateSystem, systems_of_set_18, systems_of_set_2420
-from modal.geometry import MOST_NODES, Geometry
-from modal.uff_fields import numbers, whole_numbers
+from modal.geometry.coordinate_systems import CoordinateSystem, systems_of_set_18, systems_of_set_2420
+from modal.geometry.sensors import MOST_NODES, Geometry
+from modal.geometry.uff_fields import numbers, whole_numbers
 from modal.wording.names import shorten, visible
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.placement import Placement
+from modal.geometry.placement import Placement
 from okid.arrays import FloatArray
 
 __all__ = ["Eye", "chosen_eye"]
@@ -60,7 +60,7 @@ def chosen_eye(placement: Placement) -> Eye:
         placement: extent by its nodes, motion by its sensors.
 
     Example:
-        >>> from modal.placement import placed
+        >>> from modal.geometry.placement import placed
         >>> chosen_eye(placed(None, ["a", "b", "c"])).towards.round(2).tolist()  # right, front, above
         [0.17, -0.92, 0.36]
     """

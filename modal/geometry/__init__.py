@@ -1,0 +1,1 @@
+"""Nodes, lines and sensors, and from where to look at them."""
