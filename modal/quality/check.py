@@ -12,8 +12,8 @@ from modal.modes.response_synthesis import (
     measured_frf_of,
     segment_length,
 )
+from modal.quality.amplitude import clipping_findings
 from modal.quality.channel import Channel, channels_of
-from modal.quality.clipping import clipping_findings
 from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.copies import copy_findings
 from modal.quality.findings import LEVELS, ChannelQuality, ChannelStatistics, DataQuality, Finding
@@ -24,9 +24,9 @@ from modal.quality.length import length_findings
 from modal.quality.level import is_steady, level_findings, offset_findings
 from modal.quality.missing import gap_findings, missing_findings
 from modal.quality.resolution import resolution_findings, resolution_of
+from modal.quality.samples import sharp_samples, spike_findings
 from modal.quality.slow import drift_findings
 from modal.quality.spectrum import alias_findings, most_white_noise, period_findings, white_findings
-from modal.quality.spikes import sharp_samples, spike_findings
 from modal.quality.stuck import constant_findings, repeat_findings, stuck_findings
 from modal.quality.timing import timing_findings
 from okid.arrays import BoolArray, FloatArray
