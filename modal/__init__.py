@@ -14,24 +14,24 @@ if TYPE_CHECKING:
     from modal.acceptance import check_limits
     from modal.comparison import compare_results
     from modal.comparison_source import read_result
-    from modal.discrepancy.plant_model import PlantModel
-    from modal.elements import Element
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
     from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
     from modal.identification.storage import load
-    from modal.model_file import read_model, write_model
     from modal.modes.extraction import extract_modes
     from modal.modes.mode import ModalModel, Mode
     from modal.modes.uncertainty import Uncertainty
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
-    from modal.simulation import simulate
     from modal.specification import read_specification
-    from modal.structure import StructuralModel
+    from modal.structure.elements import Element
+    from modal.structure.model_file import read_model, write_model
+    from modal.structure.plant_model import PlantModel
+    from modal.structure.simulation import simulate
+    from modal.structure.structural_model import StructuralModel
 
 __all__ = [
     "Choice",
@@ -70,7 +70,7 @@ __all__ = [
 
 _PLACES = {
     "Choice": "modal.identification.result",
-    "Element": "modal.elements",
+    "Element": "modal.structure.elements",
     "Fit": "modal.identification.result",
     "Geometry": "modal.geometry.sensors",
     "Identification": "modal.identification.result",
@@ -78,10 +78,10 @@ _PLACES = {
     "Mode": "modal.modes.mode",
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
-    "PlantModel": "modal.discrepancy.plant_model",
+    "PlantModel": "modal.structure.plant_model",
     "Sensor": "modal.geometry.sensors",
     "StabilisationPoint": "modal.identification.result",
-    "StructuralModel": "modal.structure",
+    "StructuralModel": "modal.structure.structural_model",
     "Uncertainty": "modal.modes.uncertainty",
     "check_limits": "modal.acceptance",
     "check_quality": "modal.quality",
@@ -94,12 +94,12 @@ _PLACES = {
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
     "read_geometry": "modal.geometry.file",
-    "read_model": "modal.model_file",
+    "read_model": "modal.structure.model_file",
     "read_result": "modal.comparison_source",
     "read_specification": "modal.specification",
     "save_recording": "modal.recording",
-    "simulate": "modal.simulation",
-    "write_model": "modal.model_file",
+    "simulate": "modal.structure.simulation",
+    "write_model": "modal.structure.model_file",
     "write_report": "modal.report",
 }
 """Modules of the names above: each is imported when it is first asked for, so that a script pays for what it uses."""

@@ -21,18 +21,18 @@ from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.doubted_units import doubted_units
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.gap import measure_gap
-from modal.discrepancy.given import Given, given_model
 from modal.discrepancy.level_modes import level_modes
 from modal.discrepancy.lines import measure_lines
 from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.noise_floor import NoiseFloor, noise_floor
-from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.proof import Runs, prove
 from modal.discrepancy.proved_diagnosis import proved, without_search
 from modal.discrepancy.search import search_effects
 from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, with_uncovered_floor
 from modal.discrepancy.workflow import diagnosis_of
-from modal.structure import SensorKind
+from modal.structure.given import Given, given_model
+from modal.structure.plant_model import PlantModel
+from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import Record

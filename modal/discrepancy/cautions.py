@@ -9,8 +9,8 @@ from dataclasses import replace
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.explained import explained_words
 from modal.discrepancy.hold_hint import hold_words
-from modal.discrepancy.internal_changes import INTERNAL_FORCE
 from modal.quality.check import spoiled_channels
+from modal.structure.internal_changes import INTERNAL_FORCE
 from modal.wording.statements import number
 from okid.record import Record
 

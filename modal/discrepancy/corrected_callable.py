@@ -22,11 +22,11 @@ from modal.discrepancy.drive import drive_of
 from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
 from modal.discrepancy.estimation import Problem, simulate_at
-from modal.discrepancy.given import placed_assembly
-from modal.discrepancy.placed import PlacedEffect
-from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.steps import steps_per_sample
 from modal.discrepancy.trajectory import SHARP
+from modal.structure.given import placed_assembly
+from modal.structure.placed import PlacedEffect
+from modal.structure.plant_model import PlantModel
 from okid.arrays import FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
@@ -128,7 +128,7 @@ class CorrectedCallable:
 
     def equations(self) -> str:
         """The equations of the correction with numbers and units, in plain text."""
-        from modal.equations import equations_of_plant
+        from modal.structure.equations import equations_of_plant
 
         model = self.correction or (None if self.linear is None else replace(self.linear, effects=self.effects))
         return "" if model is None else f"Linear part of {self!r}\n{equations_of_plant(model)}"

@@ -10,11 +10,11 @@ from modal.discrepancy.callable_model import Simulator, run_callable
 from modal.discrepancy.corrected_callable import CorrectedCallable
 from modal.discrepancy.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.discrepancy.estimation import Estimate
-from modal.discrepancy.given import Given, returned_model
 from modal.discrepancy.nodes import Node
-from modal.discrepancy.placed import PlacedEffect
-from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.residual_model import mean_squares, with_start
+from modal.structure.given import Given, returned_model
+from modal.structure.placed import PlacedEffect
+from modal.structure.plant_model import PlantModel
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

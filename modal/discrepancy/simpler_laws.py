@@ -15,8 +15,8 @@ from modal.discrepancy.assembly import Assembly, EffectPlacement
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.nodes import Node, Task
-from modal.discrepancy.placed import possible_places
 from modal.discrepancy.smaller_models import instead
+from modal.structure.placed import possible_places
 from okid.arrays import FloatArray
 
 __all__ = ["LIMITS", "Law", "Limit", "has_limit", "is_limit", "simple_first", "with_limits", "with_twins"]

@@ -17,14 +17,14 @@ from modal.discrepancy.diagnosis import Calibrated
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.given import Given, given_model, placed_assembly, returned_model
 from modal.discrepancy.nodes import Node, node_of, polished
 from modal.discrepancy.noise_floor import noise_floor
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate, screen_candidates
 from modal.discrepancy.setup import prepare_setup
 from modal.discrepancy.steps import steps_per_sample
-from modal.structure import SensorKind
+from modal.structure.given import Given, given_model, placed_assembly, returned_model
+from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
@@ -78,8 +78,8 @@ def fit(
         NumericalError: A model that cannot be simulated along the records.
 
     Example:
-        >>> from modal.simulation import simulate
-        >>> from modal.structure import StructuralModel
+        >>> from modal.structure.simulation import simulate
+        >>> from modal.structure.structural_model import StructuralModel
         >>> truth = StructuralModel.chain([1.0], [100.0], [0.4], force_dofs=[0], sensor_dofs=[0])
         >>> push = np.random.default_rng(1).standard_normal((800, 1))
         >>> record = simulate(truth, push, dt=0.02)

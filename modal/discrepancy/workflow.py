@@ -17,7 +17,6 @@ from modal.discrepancy.doubted_units import doubted_units
 from modal.discrepancy.effect_names import effect_name
 from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.findings import findings_of, hypothesis_of
-from modal.discrepancy.given import given_model, returned_model
 from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
@@ -40,7 +39,8 @@ from modal.discrepancy.setup import (
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
 from modal.estimation.threads import one_blas_thread
-from modal.structure import SensorKind
+from modal.structure.given import given_model, returned_model
+from modal.structure.structural_model import SensorKind
 from modal.wording.numbers import listed
 from modal.wording.statements import quantity
 from okid.arrays import FloatArray

@@ -30,9 +30,9 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.workflow import diagnose
-from modal.elements import Element
 from modal.examples.story import options, parameter, shrinking, write_when_asked
-from modal.structure import StructuralModel
+from modal.structure.elements import Element
+from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
 from okid.record import Record
 

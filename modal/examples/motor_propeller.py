@@ -35,7 +35,7 @@ from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.workflow import diagnose
 from modal.examples.motor_propeller_thrust import thrust_sentences
 from modal.examples.story import options, parameter, shrinking, write_when_asked
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
 __all__ = ["Motor", "linear_model", "main", "measured_record", "study", "summary"]

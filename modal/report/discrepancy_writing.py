@@ -7,13 +7,13 @@ from pathlib import Path
 
 from modal import recording
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.plant_model import PlantModel
 from modal.report.discrepancy_machine import diagnosis_csv, diagnosis_json
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder
 from modal.report.provenance import Provenance
-from modal.structure import StructuralModel
+from modal.structure.plant_model import PlantModel
+from modal.structure.structural_model import StructuralModel
 
 __all__ = ["DiagnosisFiles", "refuse_existing_diagnosis", "write_diagnosis"]
 

@@ -10,7 +10,7 @@ from modal.command import _status
 from modal.command_options import spread_files
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.gap_job import chosen_effects
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.errors import InsufficientDataError, InvalidDataError
 
 MODEL = """

@@ -21,7 +21,7 @@ from modal.discrepancy.diagnosis import (
     Step,
 )
 from modal.discrepancy.noise_floor import NoiseFloor
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
 DT = 0.02

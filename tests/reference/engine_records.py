@@ -3,7 +3,7 @@
 import numpy as np
 from systems import chain_matrices
 
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
 DT = 0.02

@@ -11,8 +11,8 @@ import systems
 from modal.discrepancy.black_box import diagnose_callable
 from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.corrected_callable import CorrectedCallable
-from modal.discrepancy.placed import PlacedEffect
 from modal.discrepancy.workflow import diagnose
+from modal.structure.placed import PlacedEffect
 from okid.errors import InvalidDataError
 from okid.record import Record
 

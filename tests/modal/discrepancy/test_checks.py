@@ -142,8 +142,8 @@ def test_too_few_values():
 @pytest.mark.parametrize(("n_samples", "refused"), [(63, True), (64, False)])
 def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
     from modal.discrepancy.checks import check_long_enough
-    from modal.discrepancy.structural_plant import structural_plant
-    from modal.structure import StructuralModel
+    from modal.structure.structural_model import StructuralModel
+    from modal.structure.structural_plant import structural_plant
 
     plant = structural_plant(StructuralModel.chain([1.0], [400.0], [0.6], force_dofs=[0], sensor_dofs=[0]))
     record = Record(np.ones(n_samples), np.arange(n_samples, dtype=float), 0.02)
@@ -155,8 +155,8 @@ def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
 
 
 def test_a_model_beyond_the_sampling_frequency_is_refused():
-    from modal.discrepancy.structural_plant import structural_plant
-    from modal.structure import StructuralModel
+    from modal.structure.structural_model import StructuralModel
+    from modal.structure.structural_plant import structural_plant
 
     model = StructuralModel.chain([1.0], [400.0], [0.6], force_dofs=[0], sensor_dofs=[0])  # 3.18 Hz
     plant = structural_plant(model)

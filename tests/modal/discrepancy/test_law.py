@@ -15,8 +15,8 @@ from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.law_points import bins_of
-from modal.discrepancy.structural_plant import structural_plant
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_plant import structural_plant
 from okid.record import Record
 
 DT, N, K, C = 0.01, 1024, 1000.0, 2.0

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from modal.discrepancy.noise_floor import noise_floor
-from modal.discrepancy.plant_model import PlantModel
 from modal.discrepancy.stages import fit
 from modal.discrepancy.workflow import diagnose
-from modal.simulation import simulate
-from modal.structure import StructuralModel
+from modal.structure.plant_model import PlantModel
+from modal.structure.simulation import simulate
+from modal.structure.structural_model import StructuralModel
 from okid.readers import read_record
 from okid.record import Record
 

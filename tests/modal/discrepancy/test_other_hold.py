@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal.discrepancy import diagnose
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
 DT, SUBSTEPS, FRICTION = 0.02, 20, 0.5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modal.discrepancy.workflow import diagnose
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
 DT, SUBSTEPS = 0.001, 50

@@ -14,9 +14,9 @@ from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.drive import drive_of
 from modal.discrepancy.plant import plant_matrices
 from modal.discrepancy.scheme import scheme_and_slopes
-from modal.discrepancy.structural_plant import structural_plant
 from modal.discrepancy.trajectory import resting_states, simulate_states
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_plant import structural_plant
 from okid.record import Record
 
 MASS, STIFFNESS, DAMPING, DT = 1.0, 100.0, 1.0, 0.04

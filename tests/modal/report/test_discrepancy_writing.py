@@ -3,7 +3,7 @@ import pytest
 import modal.recording
 from modal.report import DiagnosisFiles, ReportFiles, write_report
 from modal.report.discrepancy_writing import refuse_existing_diagnosis
-from modal.structure import StructuralModel
+from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError
 
 NAMES = ["findings.csv", "model.json", "recording.rrd", "report.html", "report.json", "report.md"]

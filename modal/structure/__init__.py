@@ -1,0 +1,1 @@
+"""Models of structures and machines: masses, springs, elements, plants with ports, model files."""

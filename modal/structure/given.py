@@ -1,0 +1,245 @@
+"""From the model that a user gives to a plant with ports, and back to a model of the same type.
+
+Structural models keep their M, C, K and take the effects; a state space becomes a `PlantModel`, which is the same with
+ports. What was found is written back into a model that simulates, saves and loads.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
+from modal.discrepancy.catalogue import CATALOGUE
+from modal.discrepancy.drive import Drive
+from modal.discrepancy.effects.effect import Effect, ForceEffect
+from modal.discrepancy.plant import Plant
+from modal.discrepancy.scheme import scheme_and_slopes
+from modal.discrepancy.trajectory import resting_states, simulate_states
+from modal.structure.placed import PlacedEffect
+from modal.structure.plant_model import PlantModel
+from modal.structure.static_plant import static_plant_of_records
+from modal.structure.structural_model import SensorKind, StructuralModel
+from modal.structure.structural_parameters import updated_structure
+from modal.structure.structural_plant import structural_plant
+from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
+from okid.record import Record
+
+__all__ = ["Given", "given_model", "placed_assembly", "returned_model", "with_channel_names"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Given:
+    """A model as it was given.
+
+    Attributes:
+        model: A StructuralModel or a PlantModel.
+        plant: Its plant.
+        linear: (n_parameters,) values of its linear parameters.
+        effects: Effects that it has already.
+    """
+
+    model: StructuralModel | PlantModel
+    plant: Plant
+    linear: FloatArray
+    effects: tuple[PlacedEffect, ...]
+
+
+def given_model(
+    model: Any, records: Sequence[Record], *, sensor_kind: SensorKind | Sequence[SensorKind] | None = None
+) -> Given:
+    """The plant of a model.
+
+    Args:
+        model: `StructuralModel`, `PlantModel`, `era.Realisation`, `control.StateSpace`, or anything with A, B, C, D,
+            dt.
+        records: Records that it is to be compared with.
+        sensor_kind: What the outputs of a state space are; by default from the units of the records' outputs, and
+            "displacement" where they say nothing.
+
+    Returns:
+        The model with its plant.
+
+    Raises:
+        InvalidDataError: If it is no such model, or it and the records do not match.
+    """
+    if isinstance(model, StructuralModel):
+        called = with_channel_names(model, records[0])
+        plant = structural_plant(called)
+        return Given(model=called, plant=plant, linear=plant.nominal, effects=called.effects)
+    if isinstance(model, PlantModel):
+        plant = static_plant_of_records(model.plant, records)
+        return Given(model=model, plant=plant, linear=model.linear, effects=model.effects)
+    if not all(hasattr(model, name) for name in "ABCD"):
+        raise InvalidDataError(
+            f"a model is a StructuralModel, a state space (control.StateSpace, era.Realisation) or a callable that "
+            f"takes a Record and returns one; a {type(model).__name__} was given"
+        )
+    first = records[0]
+    kinds = _kinds(first) if sensor_kind is None else sensor_kind
+    made = PlantModel.from_state_space(
+        model,
+        sensor_kind=kinds,
+        input_hold=first.input_hold,
+        dt=first.dt,
+        records=tuple(records),
+        input_names=first.input_names,
+        output_names=first.output_names,
+        input_units=first.input_units,
+        output_units=first.output_units,
+    )
+    return Given(model=made, plant=made.plant, linear=made.linear, effects=())
+
+
+def with_channel_names(model: StructuralModel, record: Record) -> StructuralModel:
+    """The model with the record's names of inputs and outputs, where it has none of its own.
+
+    Places are then called as the person who measured calls them ("tip" rather than "output_1"), as those of a state
+    space are. Names that an element bears already, or that belong to another number of channels, are left alone.
+
+    Args:
+        model: With its own names, or with "input_0", "output_0" and so on for those that were not given.
+        record: With names.
+    """
+    taken = {element.name for element in model.elements} | {f"dof_{i}" for i in range(model.n_dofs)}
+    new: dict[str, str] = {}
+    for kind in ("input", "output"):
+        ours, theirs = getattr(model, f"{kind}_names"), getattr(record, f"{kind}_names")
+        nameless = ours == tuple(f"{kind}_{i}" for i in range(len(ours)))
+        if nameless and len(ours) == len(theirs) and not taken.intersection(theirs):
+            new |= dict(zip(ours, theirs, strict=True))
+    inputs = tuple(new.get(name, name) for name in model.input_names)
+    outputs = tuple(new.get(name, name) for name in model.output_names)
+    if all(one == other for one, other in new.items()) or len({*inputs, *outputs}) < len(inputs + outputs):
+        return model
+    effects = tuple(replace(one, where=new.get(one.where, one.where)) for one in model.effects)
+    return replace(model, effects=effects, input_names=inputs, output_names=outputs)
+
+
+def _kinds(record: Record) -> tuple[SensorKind, ...]:
+    """What each output is, from its unit: per second is a velocity, per second squared (or g) an acceleration."""
+    return tuple(_kind(unit) for unit in (*record.output_units, *[""] * record.n_outputs)[: record.n_outputs])
+
+
+def _kind(unit: str) -> SensorKind:
+    plain = unit.replace(" ", "").replace("^", "").replace("**", "").replace("²", "2")
+    if plain.endswith(("/s2", "/s/s")) or plain in {"g", "gn", "mg"} or "s-2" in plain:
+        return "acceleration"
+    if plain.endswith("/s") or plain in {"rpm", "kn"} or "s-1" in plain:
+        return "velocity"
+    return "displacement"
+
+
+def placed_assembly(
+    plant: Plant,
+    linear: FloatArray,
+    effects: Sequence[PlacedEffect],
+    drive: Drive,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    *,
+    initial: FloatArray | None = None,
+) -> tuple[Assembly, Unknowns]:
+    """A plant with its effects at their places, and the values of everything.
+
+    The scales of the motion, in proportion to which sharp laws are smoothed, are those of the linear plant under the
+    same inputs.
+
+    Args:
+        plant: The plant.
+        linear: Values of its linear parameters.
+        effects: Effects with values.
+        drive: What drives it.
+        catalogue: Where the effects are found.
+        initial: (n_records, n_states) initial states; at rest by default.
+
+    Returns:
+        The assembly, and the unknowns.
+    """
+    begun = np.zeros((drive.n_records, plant.n_states)) if initial is None else initial
+    placements = [
+        _scaled(place_effect(plant, catalogue[one.effect], one.where), plant, linear, drive, begun) for one in effects
+    ]
+    assembly = assemble(plant, placements)
+    common = np.zeros(assembly.n_common)
+    common[: assembly.n_linear] = linear
+    local = np.zeros((drive.n_records, assembly.n_local))
+    local[:, : plant.n_states] = begun
+    for i, (item, one) in enumerate(zip(placements, effects, strict=True)):
+        free = _directions(item, one)
+        common[assembly.common_of(i)] = [*(one.values[j] for j in item.common), *free]
+        for position, j in enumerate(item.local):
+            own = one.local_values[j]
+            values = own if len(own) == drive.n_records else (one.values[j],) * drive.n_records
+            local[:, assembly.local_of(i).start + position] = values
+    return assembly, Unknowns(common=common, local=local)
+
+
+def _directions(item: EffectPlacement, one: PlacedEffect) -> FloatArray:
+    if not item.n_directions:
+        return np.zeros(0)
+    if not one.direction:
+        return np.zeros(item.n_directions)
+    return np.array(one.direction[1:]) / one.direction[0]
+
+
+def _scaled(
+    item: EffectPlacement, plant: Plant, linear: FloatArray, drive: Drive, initial: FloatArray
+) -> EffectPlacement:
+    if item.port is None:
+        return item
+    bare = assemble(plant)
+    common = np.array(linear, dtype=float)
+    scheme, _ = scheme_and_slopes(plant, common, drive.dt)
+    unknowns = Unknowns(common=common, local=initial)
+    trajectory = simulate_states(bare, unknowns, drive, scheme, resting_states(bare, drive))
+    if trajectory is None:
+        return item
+    n = plant.n_states
+
+    def size(row: FloatArray | None) -> float:
+        if row is None:
+            return 1.0
+        return float(np.std(trajectory.states[:, :n] @ row[:n] + drive.sample @ row[n:])) or 1.0  # nothing moves
+
+    return replace(item, displacement_scale=size(item.port.displacement), velocity_scale=size(item.port.velocity))
+
+
+def returned_model(
+    given: Given, assembly: Assembly, unknowns: Unknowns, deviations: FloatArray
+) -> StructuralModel | PlantModel:
+    """The model with what was found.
+
+    Args:
+        given: The model as given.
+        assembly: The plant with the effects found.
+        unknowns: All values.
+        deviations: (n_common,) standard deviations of the common unknowns.
+
+    Returns:
+        A model of the same type, with calibrated linear parameters and the effects.
+    """
+    effects = tuple(_placed(assembly, unknowns, deviations, i) for i in range(len(assembly.placements)))
+    linear = unknowns.common[: assembly.n_linear]
+    if isinstance(given.model, StructuralModel):
+        return replace(updated_structure(given.model, linear), effects=effects)
+    return replace(given.model, linear=linear, effects=effects)
+
+
+def _placed(assembly: Assembly, unknowns: Unknowns, deviations: FloatArray, placement: int) -> PlacedEffect:
+    item = assembly.placements[placement]
+    values = unknowns.values(assembly, placement)
+    spread = dict(zip(item.common, deviations[assembly.common_of(placement)], strict=False))
+    direction = unknowns.directions(assembly, placement) if isinstance(item.effect, ForceEffect) else np.ones(1)
+    return PlacedEffect(
+        effect=item.effect.key,
+        where=item.where,
+        names=tuple(kind.name for kind in item.effect.parameters),
+        values=tuple(float(np.mean(value)) for value in values),
+        deviations=tuple(float(spread.get(j, np.nan)) for j in range(len(values))),
+        local_values=tuple(
+            tuple(float(one) for one in np.ravel(value)) if j in item.local else () for j, value in enumerate(values)
+        ),
+        direction=tuple(float(one) for one in direction) if len(direction) > 1 else (),
+    )

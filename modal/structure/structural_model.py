@@ -1,0 +1,306 @@
+"""A linear model of a structure or a machine: mass, damping and stiffness, where it is driven and where it is measured.
+
+    M x'' + C x' + K x + effects = F u - M iota a
+
+x are the degrees of freedom, u forces that are applied to them, a base accelerations; x is then the motion relative to
+the base. A shaft is the same with angles and moments, a first-order plant the same with K = 0 and a velocity sensor.
+Units are the user's as long as they fit together: the defaults are N, m, kg, s.
+"""
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from modal.structure.checks import (
+    as_column,
+    check_base_motion,
+    checked_matrices,
+    default_units,
+    map_of_dofs,
+    matched_names,
+    sensor_kinds,
+    tolerance,
+)
+from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
+from modal.structure.kept_model import KeptModel
+from okid.arrays import ComplexArray, FloatArray, frozen
+
+if TYPE_CHECKING:
+    from modal.discrepancy.effects.effect import Effect
+    from modal.structure.placed import PlacedEffect  # importing it here would import the package that imports us
+
+__all__ = ["SensorKind", "StructuralModel"]
+
+SensorKind = Literal["displacement", "velocity", "acceleration"]
+"""What a sensor reads of the motion of the degrees of freedom."""
+
+_COUPLINGS: Any = None
+"""Default of `elements`: those that stand in the matrices."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class StructuralModel(KeptModel):
+    """Mass, damping and stiffness with inputs, sensors, and effects that were added.
+
+    Args:
+        mass: (n_dofs, n_dofs) symmetric, positive definite.
+        damping: (n_dofs, n_dofs) symmetric, positive semidefinite.
+        stiffness: (n_dofs, n_dofs) symmetric, positive semidefinite; singular where the structure is free.
+        force_map: (n_dofs, n_inputs) forces on the DOFs for a unit of each input; zeros for a base acceleration.
+        sensor_map: (n_outputs, n_dofs) what each output reads of the DOFs.
+        sensor_kind: "displacement", "velocity" or "acceleration": one word, or one an output.
+        elements: `Element`s or pairs (start, end), end None for the ground: where springs and dampers act, and so where
+            an effect may be. By default every coupling in K and C.
+        base_motion: (n_dofs, n_inputs) displacement of the DOFs for a unit displacement of the base, zero columns for
+            inputs that are forces. Inputs with such a column are base accelerations: displacement and velocity sensors
+            then read the motion relative to the base, acceleration sensors the absolute one.
+        input_names: One an input; "input_0", ... unless given.
+        output_names: One an output; "output_0", ... unless given.
+        input_units: One an input; unless given, the force unit or, for a base acceleration, length unit / s^2.
+        output_units: One an output; unless given, by sensor kind.
+        length_unit: Unit of a displacement ("rad" for a shaft).
+        force_unit: Unit of a force ("N m" for a shaft).
+        stiffness_tolerance: Relative standard deviation of the weak prior on each stiffness; the calibrated value stays
+            within a factor 1 + 3 stiffness_tolerance of the nominal one.
+        damping_tolerance: Likewise for each damping. Where the damping of a spring is 0, the standard deviation is 2 %
+            of its critical damping, and the calibrated value lies between 0 and three of them.
+        effects: That were added by `with_effect`.
+
+    Raises:
+        InvalidDataError: Matrices that do not fit together or belong to no passive structure, unknown sensor kinds,
+            elements that do not exist.
+
+    Example:
+        >>> model = StructuralModel.chain([1.0, 1.0], [400.0, 400.0], [0.4, 0.4], force_dofs=[1], sensor_dofs=[0, 1])
+        >>> model
+        StructuralModel(2 DOFs, inputs ['input_0'], outputs ['output_0', 'output_1'], elements ['element_0',
+            'element_1'])
+        >>> model.natural_frequencies.round(3)
+        array([1.967, 5.15 ])
+    """
+
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    _: KW_ONLY
+    force_map: FloatArray
+    sensor_map: FloatArray
+    sensor_kind: tuple[SensorKind, ...]
+    elements: tuple[Element, ...] = _COUPLINGS
+    base_motion: FloatArray | None = None
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
+    input_units: tuple[str, ...] = ()
+    output_units: tuple[str, ...] = ()
+    length_unit: str = "m"
+    force_unit: str = "N"
+    stiffness_tolerance: float = 0.1
+    damping_tolerance: float = 0.5
+    effects: tuple["PlacedEffect", ...] = ()
+
+    if TYPE_CHECKING:  # what the fields are made from; at run time the constructor is the dataclass's own
+
+        def __init__(
+            self,
+            mass: npt.ArrayLike,
+            damping: npt.ArrayLike,
+            stiffness: npt.ArrayLike,
+            *,
+            force_map: npt.ArrayLike,
+            sensor_map: npt.ArrayLike,
+            sensor_kind: SensorKind | Sequence[SensorKind],
+            elements: Sequence[Element | tuple[int, int | None]] | None = None,
+            base_motion: npt.ArrayLike | None = None,
+            input_names: Sequence[str] = (),
+            output_names: Sequence[str] = (),
+            input_units: Sequence[str] = (),
+            output_units: Sequence[str] = (),
+            length_unit: str = "m",
+            force_unit: str = "N",
+            stiffness_tolerance: float = 0.1,
+            damping_tolerance: float = 0.5,
+            effects: Sequence["PlacedEffect"] = (),
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        matrices = checked_matrices(self.mass, self.damping, self.stiffness)
+        for name, matrix in zip(("mass", "damping", "stiffness"), matrices, strict=True):
+            set_(self, name, matrix)
+        n_dofs, (_, damping, stiffness) = len(self.mass), matrices
+        set_(self, "force_map", frozen(self.force_map, name="force_map", shape=(n_dofs, None)))
+        set_(self, "sensor_map", frozen(self.sensor_map, name="sensor_map", shape=(None, n_dofs)))
+        set_(self, "sensor_kind", sensor_kinds(self.sensor_kind, len(self.sensor_map)))
+        if self.base_motion is not None:
+            set_(self, "base_motion", check_base_motion(self.base_motion, self.force_map))
+        derived = coupled_elements(stiffness, damping) if self.elements is _COUPLINGS else self.elements
+        set_(self, "elements", named_elements(derived, stiffness, damping))
+        names = matched_names(self.input_names, self.output_names, n_inputs=self.n_inputs, n_outputs=self.n_outputs)
+        units = default_units(
+            self.input_units,
+            self.output_units,
+            base=self._base_inputs(),
+            kinds=self.sensor_kind,
+            length_unit=self.length_unit,
+            force_unit=self.force_unit,
+        )
+        channels = ("input_names", "output_names", "input_units", "output_units")
+        for name, words in zip(channels, (*names, *units), strict=True):
+            set_(self, name, words)
+        for name in ("stiffness_tolerance", "damping_tolerance"):
+            set_(self, name, tolerance(getattr(self, name), name=name))
+        set_(self, "effects", tuple(self.effects))
+
+    def __repr__(self) -> str:
+        effects = f", with {', '.join(f'{one.effect} at {one.where}' for one in self.effects)}" if self.effects else ""
+        return (
+            f"StructuralModel({self.n_dofs} DOFs, inputs {list(self.input_names)}, outputs {list(self.output_names)}, "
+            f"elements {[element.name for element in self.elements]}{effects})"
+        )
+
+    @classmethod
+    def chain(
+        cls,
+        masses: npt.ArrayLike,
+        stiffnesses: npt.ArrayLike,
+        dampings: npt.ArrayLike,
+        *,
+        force_dofs: int | Sequence[int],
+        sensor_dofs: int | Sequence[int],
+        sensor_kind: SensorKind | Sequence[SensorKind] = "displacement",
+        base_motion: npt.ArrayLike | None = None,
+        input_names: Sequence[str] = (),
+        output_names: Sequence[str] = (),
+        input_units: Sequence[str] = (),
+        output_units: Sequence[str] = (),
+        length_unit: str = "m",
+        force_unit: str = "N",
+        stiffness_tolerance: float = 0.1,
+        damping_tolerance: float = 0.5,
+    ) -> "StructuralModel":
+        """A chain of masses: "element_0" joins mass 0 and the ground, "element_e" mass e - 1 and mass e.
+
+        Args:
+            masses: (n_dofs,); a number for one mass.
+            stiffnesses: (n_dofs,) of the elements; 0 where there is no spring.
+            dampings: (n_dofs,) of the elements.
+            force_dofs: DOF that each input drives by a force; () for none.
+            sensor_dofs: DOF that each output reads.
+            sensor_kind: As in the class.
+            base_motion: As in the class, (n_dofs, n_inputs); its inputs stand after those of `force_dofs`, so its
+                first columns are zero.
+            input_names: As in the class.
+            output_names: As in the class.
+            input_units: As in the class.
+            output_units: As in the class.
+            length_unit: As in the class.
+            force_unit: As in the class.
+            stiffness_tolerance: As in the class.
+            damping_tolerance: As in the class.
+
+        Raises:
+            InvalidDataError: Not one stiffness and one damping a mass, a DOF that is not there, or what the class
+                refuses.
+        """
+        m = as_column(masses, name="masses")
+        k = as_column(stiffnesses, name="stiffnesses", length=len(m))
+        c = as_column(dampings, name="dampings", length=len(m))
+        join = np.eye(len(m)) - np.diag(np.ones(len(m) - 1), -1)  # row e: x[e] - x[e-1]
+        force_map = map_of_dofs(force_dofs, len(m), name="force_dofs").T
+        if base_motion is not None:
+            base_motion = frozen(base_motion, name="base_motion", shape=(len(m), None))
+            n_more = base_motion.shape[1] - force_map.shape[1]
+            force_map = np.hstack([force_map, np.zeros((len(m), max(n_more, 0)))])
+        return cls(
+            np.diag(m),
+            join.T @ np.diag(c) @ join,
+            join.T @ np.diag(k) @ join,
+            force_map=force_map,
+            sensor_map=map_of_dofs(sensor_dofs, len(m), name="sensor_dofs"),
+            sensor_kind=sensor_kind,
+            elements=chain_elements(k, c),
+            base_motion=base_motion,
+            input_names=tuple(input_names),
+            output_names=tuple(output_names),
+            input_units=tuple(input_units),
+            output_units=tuple(output_units),
+            length_unit=length_unit,
+            force_unit=force_unit,
+            stiffness_tolerance=stiffness_tolerance,
+            damping_tolerance=damping_tolerance,
+        )
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.mass)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.force_map.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.sensor_map)
+
+    @property
+    def natural_frequencies(self) -> FloatArray:
+        """(n_modes,) |pole| / 2 pi [Hz] of the linear part, rising; see `damping_ratios`."""
+        return np.abs(self._poles()) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> FloatArray:
+        """(n_modes,) of the linear part, in the order of `natural_frequencies`.
+
+        One entry for each oscillatory pair of poles, one (of ratio 1) for each real pole; none for rigid-body motion.
+        """
+        poles = self._poles()
+        return -poles.real / np.abs(poles)
+
+    def with_effect(self, effect: "str | Effect", where: str, **values: float | Sequence[float]) -> "StructuralModel":
+        """The model with one more effect of the catalogue.
+
+        Args:
+            effect: Key in `modal.discrepancy.CATALOGUE`, or an effect of your own.
+            where: Name of an element, "dof_i", of an input or of an output, as the effect asks for.
+            **values: All parameters of the effect by name, in the units of the place; of a parameter that each record
+                has a value of its own of (the phase of a disturbance), a number or one a record.
+
+        Raises:
+            InvalidDataError: No such effect or place, a parameter that is missing, unknown or out of its bounds.
+        """
+        from modal.structure.placed import placed_effect
+        from modal.structure.structural_plant import place_name, structural_plant
+
+        added = placed_effect(structural_plant(self), effect, place_name(self, where), values)
+        return replace(self, effects=(*self.effects, added))
+
+    def equations(self) -> str:
+        """The equations of motion with numbers and units, effects included, in plain text."""
+        from modal.structure.equations import equations_of_motion
+
+        return equations_of_motion(self)
+
+    def _poles(self) -> ComplexArray:
+        """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""
+        from modal.discrepancy.plant import split_matrices
+        from modal.structure.structural_plant import structural_plant
+
+        plant = structural_plant(self)
+        whole = plant.system[0] + np.tensordot(plant.nominal, plant.system[1:], axes=(0, 0))
+        poles = np.linalg.eigvals(split_matrices(plant, whole).A).astype(np.complex128)
+        # a double pole at zero comes out at the root of the rounding
+        poles = poles[(poles.imag >= 0) & (np.abs(poles) > 1e-7 * np.abs(poles).max(initial=0.0))]
+        ordered: ComplexArray = poles[np.argsort(np.abs(poles), kind="stable")]
+        return ordered
+
+    def _base_inputs(self) -> tuple[bool, ...]:
+        """Whether each input is a base acceleration."""
+        if self.base_motion is None:
+            return (False,) * self.n_inputs
+        return tuple(bool(column.any()) for column in self.base_motion.T)

@@ -1,0 +1,121 @@
+"""From discrete to continuous time: against systems that were sampled by textbook formulas."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy
+from systems import TruthSystem, random_chain, random_system, sampled
+
+from era.realisation import Realisation
+from modal.structure.continuous_time import continuous_system
+from okid.errors import InvalidDataError
+
+
+def poles_of(A: np.ndarray) -> np.ndarray:
+    values = np.linalg.eigvals(A)
+    return np.sort_complex(values[values.imag >= 0])
+
+
+@pytest.mark.parametrize("hold", ["zero_order", "linear"])
+@pytest.mark.parametrize("seed", range(6))
+def test_recovers_the_system_that_was_sampled(hold: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((5, 5)) * 3 - 7 * np.eye(5)
+    B, C, D = rng.standard_normal((5, 2)), rng.standard_normal((3, 5)), rng.standard_normal((3, 2))
+    truth = sampled(A, B, C, D, dt=0.02, hold=hold)
+    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, 0.02), input_hold=hold)
+    for name, exact in (("A", A), ("B", B), ("C", C), ("D", D)):
+        np.testing.assert_allclose(getattr(found, name), exact, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poles_of_random_systems(seed: int) -> None:
+    truth: TruthSystem = random_system(np.random.default_rng(seed), n_real_poles=1)
+    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt), input_hold="zero_order")
+    np.testing.assert_allclose(poles_of(found.A), np.sort_complex(truth.poles), rtol=1e-8)
+
+
+def test_an_integrator_is_no_obstacle() -> None:
+    A, B = np.array([[0.0, 1.0], [0.0, -0.5]]), np.array([[0.0], [2.0]])
+    truth = sampled(A, B, np.eye(2), np.zeros((2, 1)), dt=0.1)
+    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, 0.1), input_hold="zero_order")
+    np.testing.assert_allclose(np.hstack([found.A, found.B]), np.hstack([A, B]), atol=1e-10)
+
+
+def test_band_limited_relation_is_the_frequency_response_itself() -> None:
+    """A discrete model fitted to H(i w) below half the sampling frequency must give H back."""
+    dt = 0.01
+    truth = random_chain(np.random.default_rng(5), n_masses=2, highest_share=0.12, dt=dt, sensor_kinds="acceleration")
+    zero_order = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, dt), input_hold="zero_order")
+    angular = np.linspace(0.0, 0.8 * np.pi / dt, 300)
+    wanted = zero_order.response(angular)
+    # same poles, numerators of a discrete model that come nearest to H
+    shifted = np.exp(1j * angular * dt)[:, None, None] * np.eye(4) - truth.A
+    rows = np.concatenate([truth.C @ np.linalg.inv(shifted), np.broadcast_to(np.eye(2), (300, 2, 2))], axis=2)
+    stacked, right = rows.reshape(-1, 6), wanted.reshape(-1, 2)
+    solution = np.linalg.lstsq(np.vstack([stacked.real, stacked.imag]), np.vstack([right.real, right.imag]), rcond=None)
+    Bd, Dd = solution[0][:4], solution[0][4:]
+    found = continuous_system(Realisation(truth.A, Bd, truth.C, Dd, dt), input_hold="band_limited")
+    near = angular < 0.5 * np.pi / dt
+    miss = np.abs(found.response(angular) - wanted)[near].max() / np.abs(wanted).max()
+    as_held = continuous_system(Realisation(truth.A, Bd, truth.C, Dd, dt), input_hold="zero_order")
+    miss_as_held = np.abs(as_held.response(angular) - wanted)[near].max() / np.abs(wanted).max()
+    assert miss < 0.01 < miss_as_held
+
+
+def test_continuous_systems_pass_untouched() -> None:
+    import control
+
+    given = control.ss([[-1.0, 2.0], [-2.0, -1.0]], [[1.0], [0.5]], [[1.0, 0.0]], [[0.3]])
+    for hold in ("zero_order", "linear", "band_limited"):
+        found = continuous_system(given, input_hold=hold, dt=0.01)
+        np.testing.assert_array_equal(found.A, given.A)
+        np.testing.assert_array_equal(found.D, given.D)
+
+
+def test_an_unspecified_step_is_that_of_the_records() -> None:
+    given = SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], dt=True)
+    assert continuous_system(given, input_hold="zero_order", dt=0.1).A[0, 0] == pytest.approx(np.log(0.5) / 0.1)
+    with pytest.raises(InvalidDataError, match=r"dt=True; give it that of the record\.$"):
+        continuous_system(given, input_hold="zero_order")
+
+
+@pytest.mark.parametrize(
+    ("pole", "words"),
+    [(-0.4, r"negative real axis, but this one has one at -0\.4"), (0.0, "no discrete pole at 0, but this one has 1")],
+)
+def test_poles_that_no_continuous_system_has(pole: float, words: str) -> None:
+    with pytest.raises(InvalidDataError, match=words):
+        continuous_system(Realisation([[pole]], [[1.0]], [[1.0]], [[0.0]], 0.1), input_hold="zero_order")
+
+
+def test_refuses_another_time_step_and_what_is_no_state_space() -> None:
+    with pytest.raises(InvalidDataError, match=r"the model has 0\.1 s and the records 0\.2 s"):
+        continuous_system(Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), input_hold="linear", dt=0.2)
+    with pytest.raises(InvalidDataError, match="str lacks A, B, C, D, dt"):
+        continuous_system("model", input_hold="linear")
+
+
+def test_static_gain_of_all_holds_agrees() -> None:
+    """A constant input is held, straight and band-limited at once: H(0) must be the same."""
+    truth = random_chain(np.random.default_rng(2), n_masses=2, sensor_kinds="displacement", highest_share=0.2)
+    given = Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
+    exact = truth.C @ np.linalg.solve(np.eye(4) - truth.A, truth.B) + truth.D
+    for hold, tolerance in (("zero_order", 1e-8), ("linear", 1e-8), ("band_limited", 0.05)):
+        found = continuous_system(given, input_hold=hold)
+        static = found.D - found.C @ np.linalg.solve(found.A, found.B)
+        np.testing.assert_allclose(static, exact, atol=tolerance * np.abs(exact).max())
+
+
+def test_step_response_is_that_of_the_discrete_system() -> None:
+    truth = random_system(np.random.default_rng(8), feedthrough=0.5)
+    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt), input_hold="zero_order")
+    n = len(truth.A)
+    block = np.zeros((n + 2, n + 2))
+    block[:n] = np.hstack([found.A, found.B])
+    state = np.zeros(n)
+    for k in range(1, 6):
+        state = truth.A @ state + truth.B @ [1.0, -0.5]
+        flow = scipy.linalg.expm(block * truth.dt * k)
+        np.testing.assert_allclose(flow[:n, n:] @ [1.0, -0.5], state, rtol=1e-7, atol=1e-9 * np.abs(state).max())

@@ -1,0 +1,186 @@
+"""StructuralModel: what it holds, what it refuses, and the numbers that it derives."""
+
+import numpy as np
+import pytest
+from systems import chain_matrices, structure
+
+from modal.structure.elements import Element
+from modal.structure.structural_model import StructuralModel
+from okid.errors import InvalidDataError
+
+MASSES, SPRINGS, DAMPERS = [1.5, 0.8, 1.1], [900.0, 700.0, 400.0], [0.9, 0.4, 0.3]
+
+
+def chain(**options: object) -> StructuralModel:
+    return StructuralModel.chain(MASSES, SPRINGS, DAMPERS, **{"force_dofs": [2], "sensor_dofs": [0, 2], **options})
+
+
+def matrices(**options: object) -> StructuralModel:
+    given = {"force_map": np.eye(3)[:, [2]], "sensor_map": np.eye(3)[[0, 2]], "sensor_kind": "displacement"}
+    return StructuralModel(*chain_matrices(MASSES, SPRINGS, DAMPERS), **{**given, **options})
+
+
+def test_a_chain_is_its_matrices() -> None:
+    built, given = chain(), matrices()
+    for name in ("mass", "damping", "stiffness", "force_map", "sensor_map"):
+        np.testing.assert_allclose(getattr(built, name), getattr(given, name), rtol=1e-15)
+        assert not getattr(built, name).flags.writeable
+    assert [e.name for e in built.elements] == [e.name for e in given.elements]
+    assert (built.n_dofs, built.n_inputs, built.n_outputs) == (3, 1, 2)
+
+
+def test_names_and_units() -> None:
+    model = chain(sensor_kind=("velocity", "acceleration"))
+    assert (model.input_names, model.output_names) == (("input_0",), ("output_0", "output_1"))
+    assert (model.input_units, model.output_units) == (("N",), ("m/s", "m/s^2"))
+    turned = chain(length_unit="rad", force_unit="N m", output_units=("deg", "deg"))
+    assert (turned.input_units, turned.output_units) == (("N m",), ("deg", "deg"))
+
+
+def test_numbers_stand_for_one_mass() -> None:
+    model = StructuralModel.chain(2.0, 50.0, 0.1, force_dofs=0, sensor_dofs=0, sensor_kind="velocity")
+    assert model.stiffness.tolist() == [[50.0]]
+    assert model.elements == (Element(name="element_0", start=0, end=None, stiffness=50.0, damping=0.1),)
+
+
+def test_free_decay_needs_no_input() -> None:
+    model = StructuralModel.chain([1.0], [9.0], [0.1], force_dofs=(), sensor_dofs=[0])
+    assert model.n_inputs == 0
+    assert model.input_names == ()
+
+
+def test_a_base_acceleration_stands_after_the_forces() -> None:
+    model = chain(base_motion=np.column_stack([np.zeros(3), np.ones(3)]))
+    assert model.force_map.shape == (3, 2)
+    assert model.input_units == ("N", "m/s^2")
+    with pytest.raises(InvalidDataError, match="input 0 has a column in force_map and in base_motion"):
+        chain(base_motion=np.ones((3, 1)))
+
+
+def test_frequencies_and_damping_are_those_of_the_poles() -> None:
+    truth = structure(
+        *chain_matrices(MASSES, SPRINGS, DAMPERS), force_dofs=[2], sensor_dofs=[0], sensor_kinds="velocity", dt=0.01
+    )
+    model = chain()
+    np.testing.assert_allclose(model.natural_frequencies, truth.frequencies, rtol=1e-9)
+    np.testing.assert_allclose(model.damping_ratios, truth.damping_ratios, rtol=1e-9)
+
+
+def test_rigid_body_motion_is_no_mode_and_a_real_pole_is_one() -> None:
+    free = StructuralModel.chain([1.0, 1.0], [0.0, 50.0], [0.0, 0.1], force_dofs=0, sensor_dofs=0)
+    np.testing.assert_allclose(free.natural_frequencies, [np.sqrt(100.0) / (2 * np.pi)], rtol=1e-3)
+    shaft = StructuralModel([[2.0]], [[0.5]], [[0.0]], force_map=[[1.0]], sensor_map=[[1.0]], sensor_kind="velocity")
+    np.testing.assert_allclose(shaft.natural_frequencies, [0.25 / (2 * np.pi)])
+    np.testing.assert_allclose(shaft.damping_ratios, [1.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sensor_kind": "strain"}, "sensor_kind must be displacement or velocity or acceleration, but is 'strain'"),
+        ({"sensor_kind": ("velocity",)}, "1 sensor kinds were given for 2 outputs"),
+        ({"force_map": np.eye(2)}, r"force_map must have shape \(3, any\), but has \(2, 2\)"),
+        ({"sensor_map": np.eye(4)}, r"sensor_map must have shape \(any, 3\)"),
+        ({"sensor_map": np.zeros((0, 3))}, "at least one output"),
+        ({"input_names": ("a", "b")}, "2 input names were given for 1 inputs"),
+        ({"input_names": ("a",), "output_names": ("a", "b")}, "names must be unique, but 'a'"),
+        ({"stiffness_tolerance": 0.0}, "stiffness_tolerance must be a positive relative deviation"),
+        ({"damping_tolerance": "much"}, "damping_tolerance must be a positive relative deviation"),
+        ({"sensor_map": np.full((1, 3), np.nan)}, "sensor_map must be finite"),
+        ({"elements": [(0, 7)]}, "joins two of the DOFs 0 to 2"),
+    ],
+)
+def test_refuses_parts(change: dict[str, object], words: str) -> None:
+    with pytest.raises(InvalidDataError, match=words) as caught:
+        matrices(**change)
+    assert str(caught.value).count(". ") == 0
+
+
+@pytest.mark.parametrize(
+    ("mass", "damping", "stiffness", "words"),
+    [
+        ([[1.0, 0.2], [0.0, 1.0]], None, None, r"mass must be symmetric, but entry \(0, 1\) is 0\.2"),
+        ([[1.0, 0.0], [0.0, 0.0]], None, None, "mass must be positive definite, but its eigenvalues reach from 0 to 1"),
+        ([[1.0, 2.0], [2.0, 1.0]], None, None, "mass must be positive definite"),
+        (None, None, [[1.0, -3.0], [-3.0, 1.0]], "stiffness must be positive semidefinite.* lowest eigenvalue is -2"),
+        (None, [[-0.1, 0.0], [0.0, 0.1]], None, "damping must be positive semidefinite"),
+        (None, np.eye(3), None, r"damping must have shape \(2, 2\), but has \(3, 3\)"),
+        (np.zeros((0, 0)), None, None, "at least one degree of freedom"),
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], None, None, r"mass must have shape \(2, 2\), but has \(2, 3\)"),
+    ],
+)
+def test_refuses_matrices(mass: object, damping: object, stiffness: object, words: str) -> None:
+    two = np.eye(2)
+    with pytest.raises(InvalidDataError, match=words):
+        StructuralModel(
+            two if mass is None else mass,
+            two if damping is None else damping,
+            two if stiffness is None else stiffness,
+            force_map=two,
+            sensor_map=two,
+            sensor_kind="displacement",
+        )
+
+
+def test_singular_stiffness_is_a_free_structure_not_an_error() -> None:
+    rounding = np.array([[1.0, -1.0], [-1.0, 1.0 - 1e-13]])
+    StructuralModel(
+        np.eye(2), np.zeros((2, 2)), rounding, force_map=np.eye(2), sensor_map=np.eye(2), sensor_kind="velocity"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"force_dofs": [3]}, "force_dofs must be DOF numbers from 0 to 2, but holds 3"),
+        ({"sensor_dofs": [0.5]}, r"sensor_dofs must be DOF numbers from 0 to 2, but holds 0\.5"),
+        ({"sensor_dofs": []}, "at least one output"),
+    ],
+)
+def test_chain_refuses(options: dict[str, object], words: str) -> None:
+    with pytest.raises(InvalidDataError, match=words):
+        chain(**options)
+
+
+def test_chain_needs_one_entry_a_mass() -> None:
+    with pytest.raises(InvalidDataError, match="has 2 masses and 1 dampings"):
+        StructuralModel.chain([1.0, 1.0], [1.0, 1.0], [1.0], force_dofs=0, sensor_dofs=0)
+
+
+def test_with_effect_adds_and_leaves_the_first_alone() -> None:
+    plain = chain()
+    rubbing = plain.with_effect("coulomb_friction", "element_1", Fc=0.5)
+    both = rubbing.with_effect("input_delay", "input_0", tau=0.01)
+    assert plain.effects == ()
+    assert [(one.effect, one.where, one.values) for one in both.effects] == [
+        ("coulomb_friction", "element_1", (0.5,)),
+        ("input_delay", "input_0", (0.01,)),
+    ]
+    assert plain.with_effect("cubic_stiffness", "dof_0", k3=1.0).effects[0].where == "element_0"
+    assert "coulomb_friction at element_1" in repr(rubbing)
+    assert "element_1" in rubbing.equations()
+
+
+@pytest.mark.parametrize(
+    ("effect", "where", "values", "words"),
+    [
+        ("stiction", "element_1", {}, "no effect 'stiction' in the catalogue; it holds cubic_stiffness"),
+        ("cubic_stiffness", "element_9", {"k3": 1.0}, "no place 'element_9'; cubic_stiffness can act at element_0"),
+        ("cubic_stiffness", "output_0", {"k3": 1.0}, "cubic_stiffness cannot act at 'output_0'; cubic_stiffness can"),
+        (
+            "missing_mode",
+            "element_1",
+            {},
+            "missing_mode cannot act at 'element_1'; missing_mode can act at element_0, dof_1",
+        ),
+        ("input_delay", "dof_1", {"tau": 0.1}, "input_delay can act at input_0"),
+        ("coulomb_friction", "element_1", {}, "coulomb_friction lacks Fc; its parameters are Fc: friction force"),
+        ("coulomb_friction", "element_1", {"Fc": 1.0, "mu": 2.0}, "coulomb_friction has no parameter mu"),
+        ("coulomb_friction", "element_1", {"Fc": -1.0}, "must be at least 0, but is -1"),
+        ("coulomb_friction", "element_1", {"Fc": float("nan")}, "must be a number, but is nan"),
+        ("coulomb_friction", "element_1", {"Fc": [1.0, 2.0]}, "Fc of coulomb_friction is one number for all records"),
+    ],
+)
+def test_with_effect_refuses(effect: str, where: str, values: dict[str, float], words: str) -> None:
+    with pytest.raises(InvalidDataError, match=words):
+        chain().with_effect(effect, where, **values)
