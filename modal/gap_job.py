@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
-from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.workflow import diagnose
+from modal.effects.catalogue import CATALOGUE
 from modal.job import FileSource, Reading, own_warnings, progress_bar
 from modal.job_setup import refuse_other_report, refuse_pdf, refuse_sources
 from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
@@ -23,7 +23,7 @@ from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
     from modal.discrepancy.diagnosis import Diagnosis
-    from modal.discrepancy.effects.effect import Effect
+    from modal.effects.effect import Effect
 
 __all__ = ["GapJob", "carry_out_gap"]
 

@@ -8,7 +8,7 @@ import typer
 from modal.command_options import name_list, plain_name
 from modal.commands.common import Dt, Overwrite, Traceback, examples, faults
 from modal.commands.run import Pdf, extras_of
-from modal.discrepancy.catalogue import CATALOGUE
+from modal.effects.catalogue import CATALOGUE
 from modal.gap_job import GapJob, carry_out_gap
 from modal.terminal import plain
 from modal.terminal_discrepancy import show_diagnosis_files

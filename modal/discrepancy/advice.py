@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.ambiguity import Circumstance, ambiguous_with
 from modal.discrepancy.checks import SAME_LEVEL
 from modal.discrepancy.decision import Decision
-from modal.discrepancy.effect_names import effect_name, one_of
 from modal.discrepancy.findings import even_rivals
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.plant import Plant
+from modal.effects.ambiguity import Circumstance, ambiguous_with
+from modal.effects.effect_names import effect_name, one_of
 from okid.record import Record
 
 __all__ = ["advise", "circumstances_of"]

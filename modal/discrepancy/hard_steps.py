@@ -14,8 +14,8 @@ from a wall is one, and its rate is held there.
 import numpy as np
 
 from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.effects.stiff_step import WALL
 from modal.discrepancy.port_motion import step_compliance
+from modal.effects.stiff_step import WALL
 from okid.arrays import FloatArray
 
 __all__ = ["moved_by_reciprocals", "reach_of", "walls"]

@@ -15,7 +15,6 @@ are such components of forces in the direction that was found.
 import numpy as np
 
 from modal.discrepancy.diagnosis import LawCurve
-from modal.discrepancy.effects.effect import ForceEffect, InputEffect, SensorEffect
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.law_channels import input_law_curve, sensor_law_curve
 from modal.discrepancy.law_curve import N_GRID, LawTask, law_curve, law_grid, law_loop
@@ -24,6 +23,7 @@ from modal.discrepancy.law_points import bins_of
 from modal.discrepancy.law_shape import force_law, loaded_law, reading_of
 from modal.discrepancy.plant import Plant, Port
 from modal.discrepancy.port_motion import motion_at
+from modal.effects.effect import ForceEffect, InputEffect, SensorEffect
 from okid.arrays import FloatArray
 
 __all__ = ["law_curves"]

@@ -3,11 +3,11 @@
 import numpy as np
 
 from modal.discrepancy.diagnosis import DetectionLimit
-from modal.discrepancy.effect_units import parameter_units
 from modal.discrepancy.estimation import Estimate
 from modal.discrepancy.nodes import SMALLEST_FALL, SMALLEST_GAIN, Task
 from modal.discrepancy.plant import Plant
 from modal.discrepancy.screen import Candidate, screen_candidates
+from modal.effects.effect_units import parameter_units
 
 __all__ = ["detection_limits"]
 

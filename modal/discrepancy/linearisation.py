@@ -18,11 +18,11 @@ from modal.discrepancy.acting_force import Heard, acting_forces
 from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import per_time
-from modal.discrepancy.effects.effect import Force, Memory
 from modal.discrepancy.force_line import ForceLine
 from modal.discrepancy.output_dependence import OutputDependence
 from modal.discrepancy.scheme import Scheme
 from modal.discrepancy.step_dependence import StepDependence, step_dependence
+from modal.effects.effect import Force, Memory
 from okid.arrays import FloatArray
 
 __all__ = ["Linearisation", "linearise"]

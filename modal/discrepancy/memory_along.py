@@ -10,7 +10,7 @@ import numpy as np
 
 from modal.discrepancy.banded import band_of, solve_band
 from modal.discrepancy.drive import Drive, IndexArray
-from modal.discrepancy.effects.effect import ForceEffect, Motion, Values
+from modal.effects.effect import ForceEffect, Motion, Values
 from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = ["memory_along"]

@@ -6,8 +6,8 @@ import numpy as np
 
 from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.drive import Drive
-from modal.discrepancy.effects.effect import Motion
 from modal.discrepancy.plant import Plant, Port, plant_matrices
+from modal.effects.effect import Motion
 from okid.arrays import FloatArray
 
 __all__ = ["midway", "motion_at", "one_on", "shifted", "step_compliance", "step_mobility"]

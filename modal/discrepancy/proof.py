@@ -8,10 +8,10 @@ import numpy as np
 from era.realisation import Realisation
 from modal.discrepancy.callable_model import Simulator, run_callable
 from modal.discrepancy.corrected_callable import CorrectedCallable
-from modal.discrepancy.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.discrepancy.estimation import Estimate
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.residual_model import mean_squares, with_start
+from modal.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.structure.given import Given, returned_model
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel

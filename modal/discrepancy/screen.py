@@ -15,11 +15,11 @@ import scipy
 
 from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.drive import Drive
-from modal.discrepancy.effects.effect import Effect, ForceEffect
 from modal.discrepancy.estimation import Estimate, Problem, weights_along
 from modal.discrepancy.screen_trials import TriedShape, trials_of
 from modal.discrepancy.sensitivity import respond, sensitivity
 from modal.discrepancy.tolerances import ROUNDING
+from modal.effects.effect import Effect, ForceEffect
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, FloatArray
 

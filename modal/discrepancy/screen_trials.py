@@ -11,11 +11,11 @@ import numpy as np
 
 from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, initial_unknowns, place_effect
 from modal.discrepancy.driven import drive_inputs
-from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.memory_along import memory_along
 from modal.discrepancy.port_motion import motion_at
 from modal.discrepancy.sensitivity import Source, force_response
+from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["TriedShape", "trials_of"]

@@ -15,9 +15,9 @@ from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.banded import band_of, solve_band
 from modal.discrepancy.drive import Drive
 from modal.discrepancy.driven import drive_inputs
-from modal.discrepancy.effects.effect import jumps
 from modal.discrepancy.linearisation import Linearisation, linearise
 from modal.discrepancy.scheme import Scheme
+from modal.effects.effect import jumps
 from okid.arrays import FloatArray
 
 __all__ = ["SHARP", "Trajectory", "resting_states", "simulate_states"]

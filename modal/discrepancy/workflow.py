@@ -6,16 +6,12 @@ from typing import Any
 import numpy as np
 
 from modal.discrepancy.advice import advise, circumstances_of
-from modal.discrepancy.ambiguity import Circumstance
-from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.cautions import with_cautions
 from modal.discrepancy.checks import check_records, fewest_samples
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.decision import Decision, decide_nodes
 from modal.discrepancy.diagnosis import Calibrated, Diagnosis, Step
 from modal.discrepancy.doubted_units import doubted_units
-from modal.discrepancy.effect_names import effect_name
-from modal.discrepancy.effects.effect import Effect
 from modal.discrepancy.findings import findings_of, hypothesis_of
 from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
@@ -38,6 +34,10 @@ from modal.discrepancy.setup import (
 )
 from modal.discrepancy.spans import cut_into_spans, floor_of_spans, span_words
 from modal.discrepancy.stages import calibrated_parameters
+from modal.effects.ambiguity import Circumstance
+from modal.effects.catalogue import CATALOGUE
+from modal.effects.effect import Effect
+from modal.effects.effect_names import effect_name
 from modal.estimation.threads import one_blas_thread
 from modal.structure.given import given_model, returned_model
 from modal.structure.structural_model import SensorKind

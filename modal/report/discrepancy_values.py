@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
-from modal.discrepancy.effect_names import effect_name
+from modal.effects.effect_names import effect_name
 from modal.wording.numbers import listed
 from modal.wording.statements import number
 

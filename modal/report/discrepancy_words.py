@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.ambiguity import AMBIGUOUS
 from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
-from modal.discrepancy.effect_names import one_of
 from modal.discrepancy.explained import unexplained_outputs
+from modal.effects.ambiguity import AMBIGUOUS
+from modal.effects.effect_names import one_of
 from modal.identification.trust import Judgement
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,

@@ -26,8 +26,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.catalogue import CATALOGUE
-from modal.discrepancy.effects.effect import Effect
+from modal.effects.catalogue import CATALOGUE
+from modal.effects.effect import Effect
 from modal.structure.model_document import document_of, model_of
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modal.discrepancy.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
 from modal.discrepancy.plant import Plant, Port
+from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
 from okid.errors import InvalidDataError
 from okid.scalars import real_number
 
@@ -111,7 +111,7 @@ def placed_effect(
 
 
 def _effect(effect: str | Effect) -> Effect:
-    from modal.discrepancy.catalogue import CATALOGUE  # the catalogue imports every effect
+    from modal.effects.catalogue import CATALOGUE  # the catalogue imports every effect
 
     if isinstance(effect, Effect):
         return effect

@@ -29,7 +29,7 @@ from modal.structure.kept_model import KeptModel
 from okid.arrays import ComplexArray, FloatArray, frozen
 
 if TYPE_CHECKING:
-    from modal.discrepancy.effects.effect import Effect
+    from modal.effects.effect import Effect
     from modal.structure.placed import PlacedEffect  # importing it here would import the package that imports us
 
 __all__ = ["SensorKind", "StructuralModel"]

@@ -8,7 +8,7 @@ import pytest
 import modal.recording
 from modal.command import _status
 from modal.command_options import spread_files
-from modal.discrepancy.catalogue import CATALOGUE
+from modal.effects.catalogue import CATALOGUE
 from modal.gap_job import chosen_effects
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InsufficientDataError, InvalidDataError

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
-from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.plant import LinearParameter, Plant, Port
+from modal.effects.catalogue import CATALOGUE
 from okid.record import Record
 
 EVERYTHING = frozenset({"motion", "force", "mass", "flow"})

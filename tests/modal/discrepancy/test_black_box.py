@@ -9,9 +9,9 @@ import scipy
 import systems
 
 from modal.discrepancy.black_box import diagnose_callable
-from modal.discrepancy.catalogue import CATALOGUE
 from modal.discrepancy.corrected_callable import CorrectedCallable
 from modal.discrepancy.workflow import diagnose
+from modal.effects.catalogue import CATALOGUE
 from modal.structure.placed import PlacedEffect
 from okid.errors import InvalidDataError
 from okid.record import Record

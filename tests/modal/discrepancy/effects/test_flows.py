@@ -6,10 +6,10 @@ from differences import by_value, central, disagreement, force_disagreement
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.discrepancy.effects.effect import Motion, Situation
-from modal.discrepancy.effects.overflow import Overflow
-from modal.discrepancy.effects.power_law_flow import PowerLawFlow
-from modal.discrepancy.effects.stiff_step import WALL
+from modal.effects.effect import Motion, Situation
+from modal.effects.overflow import Overflow
+from modal.effects.power_law_flow import PowerLawFlow
+from modal.effects.stiff_step import WALL
 
 exponents = st.floats(0.06, 2.9)
 rates = st.floats(0.01, 100.0)

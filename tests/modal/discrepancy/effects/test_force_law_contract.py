@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.discrepancy.effects.bilinear_stiffness import BilinearStiffness
-from modal.discrepancy.effects.bouc_wen_hysteresis import BoucWenHysteresis
-from modal.discrepancy.effects.coulomb_friction import CoulombFriction
-from modal.discrepancy.effects.cubic_stiffness import CubicStiffness
-from modal.discrepancy.effects.effect import Motion, Situation
-from modal.discrepancy.effects.gap_spring import GapSpring
-from modal.discrepancy.effects.quadratic_drag import QuadraticDrag
-from modal.discrepancy.effects.quadratic_stiffness import QuadraticStiffness
-from modal.discrepancy.effects.sine_softening import SineSoftening
-from modal.discrepancy.effects.slack_in_hysteresis import SlackInHysteresis
-from modal.discrepancy.effects.time_varying_stiffness import TimeVaryingStiffness
+from modal.effects.bilinear_stiffness import BilinearStiffness
+from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from modal.effects.coulomb_friction import CoulombFriction
+from modal.effects.cubic_stiffness import CubicStiffness
+from modal.effects.effect import Motion, Situation
+from modal.effects.gap_spring import GapSpring
+from modal.effects.quadratic_drag import QuadraticDrag
+from modal.effects.quadratic_stiffness import QuadraticStiffness
+from modal.effects.sine_softening import SineSoftening
+from modal.effects.slack_in_hysteresis import SlackInHysteresis
+from modal.effects.time_varying_stiffness import TimeVaryingStiffness
 
 LAWS = {
     CubicStiffness(): (-2.3,),

@@ -8,11 +8,11 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.discrepancy.effects.bouc_wen_flow import bouc_wen_flow
-from modal.discrepancy.effects.bouc_wen_hysteresis import BoucWenHysteresis
-from modal.discrepancy.effects.effect import Motion
-from modal.discrepancy.effects.rate_independent import stop_operator
-from modal.discrepancy.effects.slack_in_hysteresis import SlackInHysteresis
+from modal.effects.bouc_wen_flow import bouc_wen_flow
+from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from modal.effects.effect import Motion
+from modal.effects.rate_independent import stop_operator
+from modal.effects.slack_in_hysteresis import SlackInHysteresis
 
 seeds = given(seed=st.integers(0, 2**32 - 1))
 

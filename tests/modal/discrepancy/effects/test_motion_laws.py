@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.discrepancy.effects.bilinear_stiffness import BilinearStiffness
-from modal.discrepancy.effects.coulomb_friction import CoulombFriction
-from modal.discrepancy.effects.cubic_stiffness import CubicStiffness
-from modal.discrepancy.effects.effect import Motion
-from modal.discrepancy.effects.gap_spring import GapSpring
-from modal.discrepancy.effects.quadratic_drag import QuadraticDrag
-from modal.discrepancy.effects.quadratic_stiffness import QuadraticStiffness
-from modal.discrepancy.effects.sine_softening import SineSoftening
-from modal.discrepancy.effects.time_varying_stiffness import TimeVaryingStiffness
+from modal.effects.bilinear_stiffness import BilinearStiffness
+from modal.effects.coulomb_friction import CoulombFriction
+from modal.effects.cubic_stiffness import CubicStiffness
+from modal.effects.effect import Motion
+from modal.effects.gap_spring import GapSpring
+from modal.effects.quadratic_drag import QuadraticDrag
+from modal.effects.quadratic_stiffness import QuadraticStiffness
+from modal.effects.sine_softening import SineSoftening
+from modal.effects.time_varying_stiffness import TimeVaryingStiffness
 
 coordinates = st.floats(-100.0, 100.0).map(lambda x: round(x, 6))  # no subnormal numbers: their squares are 0
 positive = st.floats(1e-3, 100.0)

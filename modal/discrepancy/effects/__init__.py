@@ -1,1 +1,0 @@
-"""The effects of the catalogue, one a file."""

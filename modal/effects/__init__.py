@@ -1,0 +1,1 @@
+"""The catalogue of what a model may lack, one file an effect."""

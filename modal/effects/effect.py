@@ -1,0 +1,255 @@
+"""What an effect is: a force law at a port, a change of an input, or a change of a sensor.
+
+A force law is given with its derivatives, so that the simulation's Newton steps and every sensitivity are exact. All
+arrays run over samples; parameter values arrive as a sequence with one entry a parameter, each a float or, where the
+parameter has a value of its own in each record, an array over the samples: `values[j]` broadcasts either way.
+Force laws stand on the left-hand side of the equation of motion: a positive force opposes positive motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from modal.effects.motion import Force, Memory, Motion, StepForce
+from okid.arrays import FloatArray
+
+__all__ = [
+    "N_PEAKS",
+    "Effect",
+    "Force",
+    "ForceEffect",
+    "InputEffect",
+    "Memory",
+    "Motion",
+    "ParameterKind",
+    "SensorEffect",
+    "Situation",
+    "StepForce",
+    "Values",
+    "is_sharp",
+    "jumps",
+]
+
+Values = Sequence[float | FloatArray] | FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterKind:
+    """What a parameter of an effect is.
+
+    Attributes:
+        name: Its name.
+        meaning: What it is, in a few words.
+        dimension: Powers of (force, length, time) that make its unit; the length is that of the port's displacement
+            (an angle at a rotary port), for sensors and inputs "force" is the channel's own unit.
+        lower: Hard lower bound (0 forbids a negative friction, drag or gap).
+        upper: Hard upper bound.
+        role: "amplitude": the effect is proportional to its distance from the neutral value (of these together);
+            "shape": it is not.
+        local: Whether every record has a value of its own (the phase of a disturbance).
+    """
+
+    name: str
+    meaning: str
+    dimension: tuple[int, int, int]
+    lower: float = -np.inf
+    upper: float = np.inf
+    role: Literal["amplitude", "shape"] = "amplitude"
+    local: bool = False
+
+
+N_PEAKS = 3
+"""Try an effect with a frequency of its own at so many of the highest peaks of what the model leaves."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Situation:
+    """What an effect may look at to propose values to start from.
+
+    Attributes:
+        motion: Motion at its port over the records to fit (of an input or a sensor: the signal as displacement).
+        residual_frequencies: Frequencies [Hz] at which what the model leaves has its highest peaks, greatest first.
+        dt: Sampling interval [s].
+        longest: Duration of the longest record [s].
+    """
+
+    motion: Motion
+    residual_frequencies: tuple[float, ...]
+    dt: float
+    longest: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """What every effect has.
+
+    Class attributes:
+        key: Key in the catalogue.
+        law: The law in one line of plain text.
+        parameters: Its parameters, in the order of `values`.
+        neutral: Values at which the effect vanishes (amplitude 0, gain 1, delay 0, limit infinite); shapes any.
+        family: Effects that may be taken for each other share a family; the search keeps the best of each.
+        signature: How it shows in the data, in a few words.
+        reference: Source of the law.
+    """
+
+    key: ClassVar[str]
+    law: ClassVar[str]
+    parameters: ClassVar[tuple[ParameterKind, ...]]
+    neutral: ClassVar[tuple[float, ...]]
+    family: ClassVar[str]
+    signature: ClassVar[str]
+    reference: ClassVar[str]
+
+    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
+        """Values to start from: one tuple for each shape worth a try, amplitudes of 1 (they enter linearly)."""
+        raise NotImplementedError
+
+    def known_values(self, length_unit: str) -> tuple[float | None, ...]:  # noqa: ARG002 - for laws of angles
+        """Value of each parameter that is known before any data, where the port's displacement has this unit.
+
+        A parameter that is found at its known value was predicted, not fitted, and counts for nothing in a comparison
+        with laws that have a free one.
+        """
+        return (None,) * len(self.parameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceEffect(Effect):
+    """A force that the motion at a port calls up.
+
+    Class attributes:
+        needs: What the law reads ("displacement", "velocity", "stiffness"); a port without it is no place for the
+            effect.
+        acts_at: What a port must accept: "motion", "force", "mass" or "flow".
+        n_memory: Number of states of its own.
+        rate_independent: Whether these depend on where the motion went and not on how fast or when; a law that adds
+            such a dependence to one without sets it to False.
+        has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
+        is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
+        per_stiffness: Whether the force is proportional to the linear stiffness at the place.
+        beside_stiffness: Parameters of which, where the linear stiffness at the place is free as well, only the
+            differences are determined: the smallest is held at zero.
+    """
+
+    needs: ClassVar[frozenset[str]] = frozenset({"displacement"})
+    acts_at: ClassVar[str] = "motion"
+    n_memory: ClassVar[int] = 0
+    rate_independent: ClassVar[bool] = False
+    has_corners: ClassVar[bool] = False
+    is_brim: ClassVar[bool] = False
+    per_stiffness: ClassVar[bool] = False
+    beside_stiffness: ClassVar[tuple[str, ...]] = ()
+
+    def force(self, values: Values, motion: Motion) -> Force:
+        """The force and its derivatives."""
+        raise NotImplementedError
+
+    def step_force(self, values: Values, before: Motion, after: Motion) -> StepForce | None:  # noqa: ARG002 - most laws have none
+        """The line that stands for the force over each step.
+
+        None (most laws): the line between its values at the ends.
+        """
+        return None
+
+    def screen_columns(self, values: Values, motion: Motion) -> FloatArray:
+        """Force histories (n, n_columns) whose weighted sum is the effect at the shape in `values`.
+
+        One column an amplitude, unless an effect says otherwise (a disturbance of unknown phase: sine and cosine).
+        Where a parameter is local to a record, each record has weights of its own.
+        """
+        amplitudes = [index for index, kind in enumerate(self.parameters) if kind.role == "amplitude"]
+        return self.force(values, motion).by_parameter[:, amplitudes]
+
+    def from_screen(self, values: Values, weights: Sequence[float] | FloatArray) -> tuple[float, ...]:
+        """Values for one record at the shape in `values` with these weights (n_columns,), within the sign bounds."""
+        left = iter(weights)
+        return tuple(
+            min(max(float(next(left)), kind.lower), kind.upper) if kind.role == "amplitude" else float(value)
+            for kind, value in zip(self.parameters, values, strict=True)
+        )
+
+    def advance(self, values: Values, before: Motion, after: Motion, dt: float) -> Memory:
+        """The effect's own states one sample on (only where `n_memory` > 0)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputEffect(Effect):
+    """A change of an input before it drives the plant.
+
+    The input is piecewise linear: `start` and `end` (n_steps,) are its values at both ends of each step.
+    """
+
+    def apply(self, values: Values, start: FloatArray, end: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+        """Start and end of each step after the change, (n_steps,) each; one record at a time."""
+        raise NotImplementedError
+
+    def at_samples(
+        self,
+        values: Values,
+        sample: FloatArray,
+        start: FloatArray,  # noqa: ARG002 - for changes that do not act at each moment by itself
+        end: FloatArray,  # noqa: ARG002 - likewise
+        dt: float,
+    ) -> FloatArray:
+        """The input at each time itself, as it reaches the outputs directly, (n_times,); one record at a time.
+
+        `sample`, `start` and `end` are those before the change. A change that acts at each moment by itself is applied
+        to the samples.
+        """
+        return self.apply(values, sample, sample, dt)[0]
+
+    def unheard(self, values: Values, dt: float) -> tuple[int, int]:  # noqa: ARG002 - most changes act at once
+        """Times at the start and at the end of a record whose drive lies outside of it, and is not known."""
+        return 0, 0
+
+    def by_parameter(
+        self, values: Values, sample: FloatArray, start: FloatArray, end: FloatArray, dt: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives of start and end of each step and of the samples, (n_parameters, n_times) each.
+
+        Central differences, unless an effect knows better: where a parameter has a bend or a jump (a delay of whole
+        steps), it gives those of one side, because differences across a jump have no bound.
+        """
+
+        def changed(at: list[float]) -> FloatArray:
+            return np.stack([*self.apply(at, start, end, dt), self.at_samples(at, sample, start, end, dt)])
+
+        found = []
+        given = [float(value) for value in values]
+        for j, kind in enumerate(self.parameters):
+            width = 1e-5 * max(abs(given[j]), dt if kind.dimension == (0, 0, 1) else 1e-2)
+            above, below = ([*given[:j], given[j] + step, *given[j + 1 :]] for step in (width, -width))
+            found.append((changed(above) - changed(below)) / (2.0 * width))
+        by_start, by_end, by_sample = np.moveaxis(np.array(found), 1, 0)
+        return by_start, by_end, by_sample
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorEffect(Effect):
+    """A change of an output after the plant: y becomes gain(values) y + offset(values, time)."""
+
+    def gain(self, values: Values) -> float | FloatArray:
+        """Factor on the output."""
+        raise NotImplementedError
+
+    def offset(self, values: Values, time: FloatArray) -> FloatArray:
+        """What is added, (n,)."""
+        raise NotImplementedError
+
+    def by_parameter(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:
+        """Derivative (n, n_parameters) for the true output `output` (n,)."""
+        raise NotImplementedError
+
+
+def jumps(effect: Effect) -> bool:
+    """Whether an effect is a force that changes all at once and brings its own line over a step (friction, a brim)."""
+    return isinstance(effect, ForceEffect) and type(effect).step_force is not ForceEffect.step_force
+
+
+def is_sharp(effect: Effect) -> bool:
+    """Whether the grid of time and the smoothing limit how well an effect is known: it jumps or has corners."""
+    return jumps(effect) or (isinstance(effect, ForceEffect) and effect.has_corners)

@@ -1,0 +1,206 @@
+"""A law that jumps at zero, x / sqrt(x^2 + width^2), and the straight line that stands for it over a step.
+
+Where the velocity reverses or sticks inside a step, neither end of the step knows when. Two paths from v0 to v1 tell.
+
+A straight one, right while the law is resolved: mean and first moment of the law follow from its integrals
+(`modal.effects.straight_path`).
+
+That of a constant load, right where friction changes the velocity by c = mobility x size within the step, far more than
+the law's width. Between a start v0 > 0 and an end v1 = -b < 0 friction is +1 up to the reversal at the share t and -1
+from then on, and the load that leads there gives
+
+    2 c t^2 - (v0 + b + 2 c) t + v0 = 0        mean = 2 t - 1        moment = -t (1 - t)
+
+For an end v1 > 0 the law is 1 all the while, and between the two, at v1 = 0, the mass sticks and the law is whatever
+holds it: the mean rises over the law's width as in an implicit Euler step, so that a sticking mass stays where it is.
+On a straight path it would ring about zero for ever (mean of the ends: a trapezoidal rule on a stiff law).
+
+The line from mean - 6 moment to mean + 6 moment has both: impulse and displacement of the step are right.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal.effects.straight_path import PathMoments, straight_path
+from okid.arrays import TINY, FloatArray
+
+__all__ = ["JumpLine", "jump", "jump_line"]
+
+RESOLVED = 2.8
+"""Change of velocity by the law within a step, in widths, at which both paths count alike: the greatest at which no
+change makes a sticking mass ring."""
+
+STUCK = 4.0
+"""Velocity in widths below which a mass sticks at the start of a step: there the smoothed sign is 0.97."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JumpLine:
+    """The line over each step and its slopes, (n,) each.
+
+    Attributes:
+        start: Value at the start of the step.
+        end: Value at its end.
+        start_by_before: Slope of `start` by the velocity at the start of the step.
+        start_by_after: Slope of `start` by the velocity at its end.
+        start_by_change: Slope of `start` by the change of velocity that the law makes in a step.
+        end_by_before: Slope of `end` by the velocity at the start of the step.
+        end_by_after: Slope of `end` by the velocity at its end.
+        end_by_change: Slope of `end` by that change.
+        lift: What to add to the law at the start of the step for its value at that moment: while a mass sticks, the
+            law at a time is the mean over the step before, and half of the rise to the next one is missing.
+        lift_by_before: Slope of `lift` by the velocity at the start of the step.
+        lift_by_after: Slope of `lift` by the velocity at its end.
+        lift_by_change: Slope of `lift` by that change.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    start_by_before: FloatArray
+    start_by_after: FloatArray
+    start_by_change: FloatArray
+    end_by_before: FloatArray
+    end_by_after: FloatArray
+    end_by_change: FloatArray
+    lift: FloatArray
+    lift_by_before: FloatArray
+    lift_by_after: FloatArray
+    lift_by_change: FloatArray
+
+
+def jump(x: FloatArray, width: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The smoothed sign of x and its slope.
+
+    Args:
+        x: (n,).
+        width: Where it bends, in the unit of x, one for all or (n,); 0: the sign itself, with slope 0.
+
+    Returns:
+        Value and slope, (n,) each.
+
+    Example:
+        >>> jump(np.array([-3.0, 0.0, 3.0]), 0.0)[0]
+        array([-1.,  0.,  1.])
+        >>> jump(np.array([0.0, 4.0]), 3.0)[0]
+        array([0. , 0.8])
+    """
+    if not np.any(np.asarray(width) > 0.0):
+        return np.sign(x), np.zeros_like(x)
+    size = np.maximum(np.hypot(x, width), TINY)
+    value = x / size
+    return value, (1.0 - value) * (1.0 + value) / size
+
+
+def jump_line(
+    before: FloatArray, after: FloatArray, width: float | FloatArray, *, change: float | FloatArray = 0.0
+) -> JumpLine:
+    """The line that stands for the law over each step.
+
+    Args:
+        before: (n,) velocity at the start of each step.
+        after: (n,) at its end.
+        width: Where the law bends, in the unit of the velocity, one for all or (n,); more than 0.
+        change: Velocity that the law takes away in a step, one for all or (n,); at least 0.
+
+    Returns:
+        The line and its slopes.
+
+    Example:
+        >>> line = jump_line(np.array([1.0]), np.array([-3.0]), 1e-9)
+        >>> (0.5 * (line.start + line.end)).round(6)  # a quarter of the step forwards, three back
+        array([-0.5])
+        >>> line = jump_line(np.array([0.1]), np.array([0.0]), 1e-9, change=10.0)  # stops, and sticks without a load
+        >>> (0.5 * (line.start + line.end)).round(2)
+        array([0.])
+    """
+    straight = straight_path(before, after, width)
+    size = np.asarray(change, dtype=float) + np.zeros_like(before)
+    if not np.any(size > 0.0):
+        return _line(straight, np.zeros_like(before), np.zeros_like(before), _no_lift(before))
+    held = _under_load(before, after, width, size)
+    bend = (RESOLVED * np.asarray(width)) ** 2
+    share = size**2 / (size**2 + bend)
+    share_by_change = 2.0 * size * bend / (size**2 + bend) ** 2
+    path = PathMoments(
+        *(share * one + (1.0 - share) * other for one, other in zip(held.path.parts, straight.parts, strict=True))
+    )
+    mean_by_change = share * held.mean_by_change + share_by_change * (held.path.mean - straight.mean)
+    moment_by_change = share * held.moment_by_change + share_by_change * (held.path.moment - straight.moment)
+    lift = _lift(before, after, width)
+    return _line(path, mean_by_change, moment_by_change, (*(share * one for one in lift), share_by_change * lift[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Held:
+    path: PathMoments
+    mean_by_change: FloatArray
+    moment_by_change: FloatArray
+
+
+def _under_load(before: FloatArray, after: FloatArray, width: float | FloatArray, change: FloatArray) -> _Held:
+    """Mean and moment under a constant load. `ahead`: velocity at the end in the direction of the start."""
+    direction = np.where(before < 0.0, -1.0, 1.0)
+    start, ahead = np.abs(before), direction * after
+    sign, slope = jump(ahead, width)
+    forward, forward_by = 0.5 * (1.0 + sign), 0.5 * slope
+    back, back_by = 0.5 * (np.hypot(ahead, width) - ahead), 0.5 * (sign - 1.0)
+    total = start + back + 2.0 * change
+    root = np.sqrt(np.maximum((start - 2.0 * change) ** 2 + back**2 + 2.0 * back * (start + 2.0 * change), TINY))
+    t = 2.0 * start / (total + root)
+    t_start, t_back, t_change = (1.0 - t) / root, -t / root, -2.0 * t * (1.0 - t) / root
+    behind, lever = 1.0 - forward, 1.0 - 2.0 * t
+    mean = 2.0 * forward * (1.0 - t) + 2.0 * t - 1.0
+    moment = -behind * t * (1.0 - t)
+    return _Held(
+        path=PathMoments(
+            direction * mean,
+            2.0 * behind * t_start,
+            2.0 * forward_by * (1.0 - t) + 2.0 * behind * t_back * back_by,
+            direction * moment,
+            -behind * lever * t_start,
+            forward_by * t * (1.0 - t) - behind * lever * t_back * back_by,
+        ),
+        mean_by_change=direction * 2.0 * behind * t_change,
+        moment_by_change=-direction * behind * lever * t_change,
+    )
+
+
+def _lift(
+    before: FloatArray, after: FloatArray, width: float | FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Half of the law's rise over the step where the mass sticks at its start, and its slopes by both velocities."""
+    sign_before, slope_before = jump(before, width)
+    sign_after, slope_after = jump(after, width)
+    reach = np.square(before / (STUCK * np.asarray(width)))
+    stuck = 1.0 / (1.0 + reach**2)
+    stuck_by = -4.0 * stuck**2 * reach * before / (STUCK * np.asarray(width)) ** 2
+    rise = 0.5 * (sign_after - sign_before)
+    return stuck * rise, stuck_by * rise - 0.5 * stuck * slope_before, 0.5 * stuck * slope_after
+
+
+def _no_lift(like: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    none = np.zeros_like(like)
+    return none, none, none, none
+
+
+def _line(
+    path: PathMoments,
+    mean_by_change: FloatArray,
+    moment_by_change: FloatArray,
+    lift: tuple[FloatArray, ...],
+) -> JumpLine:
+    return JumpLine(
+        start=path.mean - 6.0 * path.moment,
+        end=path.mean + 6.0 * path.moment,
+        start_by_before=path.mean_by_before - 6.0 * path.moment_by_before,
+        start_by_after=path.mean_by_after - 6.0 * path.moment_by_after,
+        start_by_change=mean_by_change - 6.0 * moment_by_change,
+        end_by_before=path.mean_by_before + 6.0 * path.moment_by_before,
+        end_by_after=path.mean_by_after + 6.0 * path.moment_by_after,
+        end_by_change=mean_by_change + 6.0 * moment_by_change,
+        lift=lift[0],
+        lift_by_before=lift[1],
+        lift_by_after=lift[2],
+        lift_by_change=lift[3],
+    )

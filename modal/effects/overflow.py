@@ -1,0 +1,99 @@
+"""A level that cannot rise above the brim: what comes in beyond it runs off."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
+from modal.effects.memoryless import memoryless
+from modal.effects.smoothing import positive_part
+from modal.effects.stiff_step import WALL, share_of_end
+from okid.arrays import FloatArray
+
+__all__ = ["Overflow"]
+
+QUANTILES = (0.95, 0.9, 0.8, 0.65)
+"""Shares of the samples below the brims to start from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overflow(ForceEffect):
+    """An outflow that begins where the level exceeds a limit.
+
+    Signature: the measured level is flat at the top, near one value, where the simulated level goes on rising; below
+    the brim the simulation is right.
+
+    Law: `q = rate max(h - limit, 0)`, with a large rate; a parabola over limit +- smoothing x scale rounds the corner,
+    over less where the rate is large for a step of the simulation: what the level does within a step is then as smooth
+    as with a soft brim, and the level at which a full tank stands is not blurred.
+
+    Parameters: rate [flow / level], not negative; limit [level]. Of a brim as hard as a wall any large rate does: only
+    the limit is known then, and a rate that no step of the simulation can tell from a wall's is held there.
+
+    Confused with: the saturation of the pump (the loss then follows the drive, not the level); the saturation of the
+    level sensor (the level downstream is then right); a power-law outflow, where the level only just reaches the brim.
+
+    References:
+        M. Schoukens, J. P. Noël, Three benchmarks addressing open challenges in nonlinear system identification,
+        IFAC-PapersOnLine 50(1), 2017, 446-451, doi 10.1016/j.ifacol.2017.08.071 (cascaded tanks: overflow).
+    """
+
+    key = "overflow"
+    law = "q = rate max(h - limit, 0)"
+    parameters = (
+        ParameterKind(name="rate", meaning="flow by level above the limit", dimension=(1, -1, 0), lower=0.0),
+        ParameterKind(name="limit", meaning="level at which it begins", dimension=(0, 1, 0), role="shape"),
+    )
+    neutral = (0.0, 0.0)
+    family = "flow"
+    signature = "level flat at the top"
+    reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
+    needs = frozenset({"displacement"})
+    acts_at = "flow"
+    is_brim = True
+
+    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
+        """High quantiles of the level."""
+        level = situation.motion.displacement
+        if level.size == 0:
+            return ()
+        limits = sorted({float(limit) for limit in np.quantile(level, QUANTILES)}, reverse=True)
+        return tuple((1.0, limit) for limit in limits)
+
+    def force(self, values: Values, motion: Motion) -> Force:
+        """The overflow and its derivatives: a ramp with a corner of finite width."""
+        (rate, softer), limit = _told(values[0], motion), values[1]
+        hardness = 1.0 + rate * motion.step_compliance
+        width = motion.smoothing * motion.displacement_scale / hardness
+        ramp, slope = positive_part(motion.displacement - limit, width)
+        narrower = -width * motion.step_compliance / hardness * slope * (1.0 - slope)
+        by_rate = softer * (ramp + rate * narrower)
+        return memoryless(motion, rate * ramp, (by_rate, -rate * slope), by_displacement=rate * slope)
+
+    def step_force(self, values: Values, before: Motion, after: Motion) -> StepForce | None:
+        """The line over each step, with more of its end the harder the brim: the level neither rings nor escapes."""
+        if before.step_compliance <= 0.0:
+            return None
+        rate, softer = _told(values[0], before)
+        share, stiffer = share_of_end(rate * before.step_compliance)
+        start, end = self.force(values, before), self.force(values, after)
+        of_start, of_end = 2.0 - 2.0 * share, 2.0 * share - 1.0
+        by_parameter = np.expand_dims(of_start, -1) * start.by_parameter + np.expand_dims(of_end, -1) * end.by_parameter
+        by_parameter[:, 0] += 2.0 * stiffer * softer * before.step_compliance * (end.value - start.value)
+        return StepForce(
+            start=of_start * start.value + of_end * end.value,
+            end=end.value,
+            start_by_before=of_start * start.by_displacement,
+            start_by_after=of_end * end.by_displacement,
+            end_by_before=np.zeros_like(end.value),
+            end_by_after=end.by_displacement,
+            start_by_parameter=by_parameter,
+            end_by_parameter=end.by_parameter,
+            reads="displacement",
+        )
+
+
+def _told(rate: float | FloatArray, motion: Motion) -> tuple[float | FloatArray, float | FloatArray]:
+    """The rate as far as a step can tell it from that of a wall, and its slope: 1 / rate plus that of a wall."""
+    share = 1.0 / (1.0 + rate * motion.step_compliance / WALL)
+    return rate * share, share**2
