@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, place_effect
 from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.nodes import SMALLEST_GAIN, Node, Task, node_of
 from modal.discrepancy.smaller_models import run_without
-from modal.discrepancy.tolerances import NEAR_FLOOR
-from modal.discrepancy.trajectory import SHARP
 from modal.effects.catalogue import CATALOGUE
+from modal.simulation.assembly import Unknowns, place_effect
+from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.trajectory import SHARP
 from modal.structure.internal_changes import INTERNAL_FORCE
 
 __all__ = ["AbsorbedGain", "absorbed_gain"]

@@ -8,9 +8,9 @@ from modal.discrepancy.checks import SAME_LEVEL
 from modal.discrepancy.decision import Decision
 from modal.discrepancy.findings import even_rivals
 from modal.discrepancy.nodes import Node
-from modal.discrepancy.plant import Plant
 from modal.effects.ambiguity import Circumstance, ambiguous_with
 from modal.effects.effect_names import effect_name, one_of
+from modal.simulation.plant import Plant
 from okid.record import Record
 
 __all__ = ["advise", "circumstances_of"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.discrepancy.quiet_band import ResidualSpectrum
-from modal.discrepancy.tolerances import SURE
+from modal.simulation.tolerances import SURE
 from okid.arrays import FloatArray
 
 __all__ = ["SteadyLevel", "steady_level"]

@@ -11,11 +11,11 @@ wider bounds are taken where they explain all of it, and only then, because an e
 
 from dataclasses import replace
 
-from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task, node_of, polished
 from modal.discrepancy.observer import observer_gain
-from modal.discrepancy.tolerances import AT_FLOOR
+from modal.simulation.assembly import Assembly
+from modal.simulation.tolerances import AT_FLOOR
 
 __all__ = ["calibrated_node", "fitted_either_way"]
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant, plant_matrices
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.plant import Plant, plant_matrices
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

@@ -17,13 +17,13 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.callable_model import Simulator, run_callable
-from modal.discrepancy.drive import drive_of
-from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.estimation import Problem, simulate_at
-from modal.discrepancy.steps import steps_per_sample
-from modal.discrepancy.trajectory import SHARP
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
+from modal.simulation.drive import drive_of
+from modal.simulation.driven import drive_inputs
+from modal.simulation.steps import steps_per_sample
+from modal.simulation.trajectory import SHARP
 from modal.structure.given import placed_assembly
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel

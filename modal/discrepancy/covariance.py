@@ -3,8 +3,8 @@
 import numpy as np
 import scipy
 
-from modal.discrepancy.drive import IndexArray
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of
+from modal.simulation.drive import IndexArray
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["covariance", "held_unknowns"]

@@ -18,9 +18,9 @@ from modal.discrepancy.nodes import Node, Task, counts, log_likelihood_gain
 from modal.discrepancy.simpler_laws import has_limit, with_limits, with_twins
 from modal.discrepancy.smaller_models import without
 from modal.discrepancy.sureness import sureness
-from modal.discrepancy.tolerances import NEAR_FLOOR, SURE
 from modal.effects.ambiguity import Circumstance, ambiguous_with
 from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR, SURE
 from modal.wording.statements import number, times_floor_text
 
 __all__ = ["Decision", "decide_nodes"]

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.numbers import listed
 from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray

@@ -10,14 +10,14 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.bounded_step import bounded_step
-from modal.discrepancy.budget import Budget
-from modal.discrepancy.drive import Drive
 from modal.discrepancy.hard_steps import moved_by_reciprocals, reach_of, walls
-from modal.discrepancy.scheme import Scheme, scheme_and_slopes
-from modal.discrepancy.sensitivity import Sensitivity, sensitivity
-from modal.discrepancy.trajectory import SHARP, Trajectory, resting_states, simulate_states
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.budget import Budget
+from modal.simulation.drive import Drive
+from modal.simulation.scheme import Scheme, scheme_and_slopes
+from modal.simulation.sensitivity import Sensitivity, sensitivity
+from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = [

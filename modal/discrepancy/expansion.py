@@ -10,9 +10,9 @@ from modal.discrepancy.observed_fits import CLEAR, SOFT, observed_fits
 from modal.discrepancy.promising import seen
 from modal.discrepancy.settling import settled_stiffness
 from modal.discrepancy.simpler_laws import Law, is_limit, simple_first
-from modal.discrepancy.tolerances import AT_FLOOR
-from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import amplitudes, scaled, within_reach
+from modal.simulation.tolerances import AT_FLOOR
+from modal.simulation.trajectory import SHARP
 
 __all__ = ["expand"]
 

@@ -5,9 +5,9 @@ import numpy as np
 from modal.discrepancy.decision import CLOSE_COMPANY, Decision
 from modal.discrepancy.diagnosis import Evidence, Finding, Hypothesis, Parameter
 from modal.discrepancy.nodes import Node, Task, log_likelihood_gain
-from modal.discrepancy.plant import Plant
 from modal.effects.ambiguity import Circumstance, ambiguous_with
 from modal.effects.effect_units import parameter_units
+from modal.simulation.plant import Plant
 from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray
 

@@ -15,7 +15,7 @@ from modal.discrepancy.gap_bands import GapBand, check_bands, octave_bands
 from modal.discrepancy.gap_tables import BandTable, CellTable, WindowTable, spectral_tables, window_table
 from modal.discrepancy.gap_time import TimeTrend, time_trend
 from modal.discrepancy.gap_trend import LevelTrend, level_trends
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

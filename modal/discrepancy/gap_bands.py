@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from modal.wording.statements import number
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.gap_tables import WindowTable
-from modal.discrepancy.tolerances import UNLIKELY
+from modal.simulation.tolerances import UNLIKELY
 from okid.arrays import FloatArray
 
 __all__ = ["TimeDirection", "TimeTrend", "time_trend"]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.discrepancy.gap_tables import WindowTable
-from modal.discrepancy.tolerances import SURE
+from modal.simulation.tolerances import SURE
 from okid.arrays import FloatArray
 
 __all__ = ["LevelDirection", "LevelTrend", "level_trends"]

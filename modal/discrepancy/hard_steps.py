@@ -13,9 +13,9 @@ from a wall is one, and its rate is held there.
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.port_motion import step_compliance
 from modal.effects.stiff_step import WALL
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.port_motion import step_compliance
 from okid.arrays import FloatArray
 
 __all__ = ["moved_by_reciprocals", "reach_of", "walls"]

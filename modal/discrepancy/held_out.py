@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, assemble
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.graded import LOST, LostMotion, graded_run
 from modal.discrepancy.observer import observer_gain
+from modal.simulation.assembly import Unknowns, assemble
 from okid.arrays import FloatArray
 
 __all__ = ["judged", "rested"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
 from modal.discrepancy.other_hold import has_half_a_sample, other_hold
-from modal.discrepancy.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.statements import number
 from okid.arrays import FloatArray
 from okid.record import Record

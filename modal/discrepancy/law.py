@@ -21,9 +21,9 @@ from modal.discrepancy.law_curve import N_GRID, LawTask, law_curve, law_grid, la
 from modal.discrepancy.law_forces import binned_force
 from modal.discrepancy.law_points import bins_of
 from modal.discrepancy.law_shape import force_law, loaded_law, reading_of
-from modal.discrepancy.plant import Plant, Port
-from modal.discrepancy.port_motion import motion_at
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect
+from modal.simulation.plant import Plant, Port
+from modal.simulation.port_motion import motion_at
 from okid.arrays import FloatArray
 
 __all__ = ["law_curves"]

@@ -5,13 +5,13 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.diagnosis import LawCurve
-from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.law_curve import N_GRID, LawGrid, LawTask, law_curve, law_grid, law_loop
 from modal.discrepancy.law_inputs import drive_before, input_sources
 from modal.discrepancy.law_points import bins_of, told_by_sources
-from modal.discrepancy.sensitivity import Source
-from modal.discrepancy.tolerances import ROUNDING
 from modal.effects.effect import InputEffect, SensorEffect
+from modal.simulation.driven import drive_inputs
+from modal.simulation.sensitivity import Source
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["input_law_curve", "sensor_law_curve"]

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import EffectPlacement
 from modal.discrepancy.diagnosis import LawCurve
-from modal.discrepancy.drive import Drive
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.law_points import Bins
-from modal.discrepancy.plant import Plant
+from modal.simulation.assembly import EffectPlacement
+from modal.simulation.drive import Drive
+from modal.simulation.plant import Plant
 from okid.arrays import FloatArray
 
 __all__ = ["N_GRID", "LawAt", "LawGrid", "LawTask", "law_curve", "law_grid", "law_loop"]

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import EffectPlacement, Unknowns
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, simulate_at
 from modal.discrepancy.law_points import N_BINS, Bins, Told, derivatives, told_by, unknowns_but
 from modal.discrepancy.law_shape import Reading
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
+from modal.simulation.assembly import EffectPlacement, Unknowns
 from okid.arrays import FloatArray
 
 __all__ = ["BinnedForce", "binned_force"]

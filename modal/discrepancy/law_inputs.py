@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.law_points import Bins
-from modal.discrepancy.sensitivity import Source
+from modal.simulation.drive import Drive
+from modal.simulation.driven import drive_inputs
+from modal.simulation.sensitivity import Source
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["drive_before", "input_sources"]

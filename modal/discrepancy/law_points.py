@@ -30,8 +30,8 @@ import numpy.typing as npt
 import scipy
 
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
-from modal.discrepancy.sensitivity import Sensitivity, Source, respond, sensitivity
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.sensitivity import Sensitivity, Source, respond, sensitivity
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["N_BINS", "Bins", "Told", "bins_of", "derivatives", "told_by", "told_by_sources", "unknowns_but"]

@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import EffectPlacement
-from modal.discrepancy.tolerances import DIFFERENCE_STEP, ROUNDING
 from modal.effects.effect import ForceEffect, Motion, Values
+from modal.simulation.assembly import EffectPlacement
+from modal.simulation.tolerances import DIFFERENCE_STEP, ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["Reading", "force_law", "loaded_law", "reading_of", "still_motion"]

@@ -5,9 +5,9 @@ import numpy as np
 from modal.discrepancy.diagnosis import DetectionLimit
 from modal.discrepancy.estimation import Estimate
 from modal.discrepancy.nodes import SMALLEST_FALL, SMALLEST_GAIN, Task
-from modal.discrepancy.plant import Plant
 from modal.discrepancy.screen import Candidate, screen_candidates
 from modal.effects.effect_units import parameter_units
+from modal.simulation.plant import Plant
 
 __all__ = ["detection_limits"]
 

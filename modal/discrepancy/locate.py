@@ -15,7 +15,7 @@ from modal.discrepancy.level_modes import LevelModes
 from modal.discrepancy.level_words import mode_statements
 from modal.discrepancy.line_words import line_statements
 from modal.discrepancy.lines import Lines
-from modal.discrepancy.tolerances import AT_FLOOR
+from modal.simulation.tolerances import AT_FLOOR
 from modal.wording.statements import Statement
 from okid.arrays import BoolArray, FloatArray
 

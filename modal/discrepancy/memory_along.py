@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.banded import band_of, solve_band
-from modal.discrepancy.drive import Drive, IndexArray
 from modal.effects.effect import ForceEffect, Motion, Values
+from modal.simulation.banded import band_of, solve_band
+from modal.simulation.drive import Drive, IndexArray
 from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = ["memory_along"]

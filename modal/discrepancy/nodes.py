@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns
-from modal.discrepancy.budget import Budget
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.held_out import judged
-from modal.discrepancy.trajectory import SHARP
 from modal.effects.effect import Effect, is_sharp
+from modal.simulation.assembly import Unknowns
+from modal.simulation.budget import Budget
+from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
 __all__ = [

@@ -6,15 +6,15 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.budget import Budget, simulation_work
 from modal.discrepancy.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate
-from modal.discrepancy.tolerances import NEAR_FLOOR
-from modal.discrepancy.trajectory import SHARP
 from modal.discrepancy.within_reach import within_reach
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.budget import Budget, simulation_work
+from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
 __all__ = ["CLEAR", "SOFT", "observed_fits", "observed_form", "weaker_form"]

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.effects.effect import Effect
 from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR
 from okid.record import InputHold, Record
 
 __all__ = ["by_the_better_hold", "half_a_sample", "has_half_a_sample", "other_hold"]

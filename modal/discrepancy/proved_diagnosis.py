@@ -14,8 +14,8 @@ from modal.discrepancy.locate import Location
 from modal.discrepancy.noise_floor import NoiseFloor
 from modal.discrepancy.proof import Proof, Runs, unproved
 from modal.discrepancy.residual_model import residual_model, with_start
-from modal.discrepancy.tolerances import NEAR_FLOOR
 from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 __all__ = ["QuietBand", "ResidualSpectrum", "quiet_band", "residual_spectrum"]

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.periods import input_period
-from modal.discrepancy.tolerances import ROUNDING, UNLIKELY
+from modal.simulation.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray
 from okid.record import Record
 

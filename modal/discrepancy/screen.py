@@ -13,13 +13,13 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.assembly import EffectPlacement
-from modal.discrepancy.drive import Drive
 from modal.discrepancy.estimation import Estimate, Problem, weights_along
 from modal.discrepancy.screen_trials import TriedShape, trials_of
-from modal.discrepancy.sensitivity import respond, sensitivity
-from modal.discrepancy.tolerances import ROUNDING
 from modal.effects.effect import Effect, ForceEffect
+from modal.simulation.assembly import EffectPlacement
+from modal.simulation.drive import Drive
+from modal.simulation.sensitivity import respond, sensitivity
+from modal.simulation.tolerances import ROUNDING
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, FloatArray
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, initial_unknowns, place_effect
-from modal.discrepancy.driven import drive_inputs
 from modal.discrepancy.estimation import Estimate, Problem
 from modal.discrepancy.memory_along import memory_along
-from modal.discrepancy.port_motion import motion_at
-from modal.discrepancy.sensitivity import Source, force_response
 from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
+from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, initial_unknowns, place_effect
+from modal.simulation.driven import drive_inputs
+from modal.simulation.port_motion import motion_at
+from modal.simulation.sensitivity import Source, force_response
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["TriedShape", "trials_of"]

@@ -20,7 +20,7 @@ import numpy as np
 
 from modal.discrepancy.expansion import expand
 from modal.discrepancy.nodes import Node, Task, counts
-from modal.discrepancy.tolerances import AT_FLOOR
+from modal.simulation.tolerances import AT_FLOOR
 
 __all__ = ["search_effects"]
 

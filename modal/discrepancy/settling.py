@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.estimation import Estimate
+from modal.simulation.assembly import Assembly, Unknowns
 
 __all__ = ["settled_stiffness"]
 

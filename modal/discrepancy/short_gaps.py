@@ -8,7 +8,7 @@ high frequencies: there the level of the noise falls by the share of bridged sam
 
 import numpy as np
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import BoolArray, FloatArray
 from okid.rows import runs_of
 

@@ -11,11 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, EffectPlacement
 from modal.discrepancy.nodes import Node, Task
 from modal.discrepancy.smaller_models import instead
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
+from modal.simulation.assembly import Assembly, EffectPlacement
 from modal.structure.placed import possible_places
 from okid.arrays import FloatArray
 

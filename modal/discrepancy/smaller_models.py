@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, Task, node_of, polished
-from modal.discrepancy.trajectory import SHARP
+from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns
+from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
 __all__ = ["dropped", "instead", "run_without", "without"]

@@ -13,16 +13,16 @@ from modal.discrepancy.checks import check_plant, check_records
 from modal.discrepancy.covariance import covariance
 from modal.discrepancy.decision import Decision, decide_nodes
 from modal.discrepancy.diagnosis import Calibrated
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.nodes import Node, node_of, polished
 from modal.discrepancy.noise_floor import noise_floor
 from modal.discrepancy.observer import observer_gain
 from modal.discrepancy.screen import Candidate, screen_candidates
 from modal.discrepancy.setup import prepare_setup
-from modal.discrepancy.steps import steps_per_sample
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
+from modal.simulation.drive import drive_of
+from modal.simulation.steps import steps_per_sample
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
 from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray

@@ -17,12 +17,12 @@ no amplitude (a delay, the limit of a drive) nothing of its own does.
 import numpy as np
 import scipy
 
-from modal.discrepancy.assembly import Assembly
 from modal.discrepancy.covariance import held_unknowns
 from modal.discrepancy.estimation import Estimate, Problem, score_equations, sensitivity_of, weights_along
 from modal.discrepancy.nodes import Node, Task
-from modal.discrepancy.sensitivity import Sensitivity
 from modal.discrepancy.smaller_models import run_without
+from modal.simulation.assembly import Assembly
+from modal.simulation.sensitivity import Sensitivity
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["sureness"]

@@ -4,9 +4,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
 from modal.discrepancy.estimation import Estimate, simulate_at
 from modal.discrepancy.nodes import Task
+from modal.simulation.assembly import Assembly, Unknowns
 from okid.arrays import FloatArray
 
 __all__ = ["amplitudes", "scaled", "within_reach"]

@@ -21,7 +21,6 @@ from modal.discrepancy.limits import detection_limits
 from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
-from modal.discrepancy.plant import Plant
 from modal.discrepancy.search import search_effects
 from modal.discrepancy.setup import (
     Progress,
@@ -39,6 +38,7 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.effects.effect_names import effect_name
 from modal.estimation.threads import one_blas_thread
+from modal.simulation.plant import Plant
 from modal.structure.given import given_model, returned_model
 from modal.structure.structural_model import SensorKind
 from modal.wording.numbers import listed

@@ -1,7 +1,7 @@
 """Units of the parameters of an effect at its place."""
 
-from modal.discrepancy.plant import Plant
 from modal.effects.effect import Effect, ForceEffect, ParameterKind
+from modal.simulation.plant import Plant
 
 __all__ = ["composed_unit", "parameter_units"]
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold

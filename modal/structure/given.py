@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.plant import Plant
-from modal.discrepancy.scheme import scheme_and_slopes
-from modal.discrepancy.trajectory import resting_states, simulate_states
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect
+from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
+from modal.simulation.drive import Drive
+from modal.simulation.plant import Plant
+from modal.simulation.scheme import scheme_and_slopes
+from modal.simulation.trajectory import resting_states, simulate_states
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel
 from modal.structure.static_plant import static_plant_of_records

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.plant import LinearParameter
+from modal.simulation.plant import LinearParameter
 from modal.structure.motion_rows import OutputMotion
 from okid.arrays import FloatArray
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.plant import LinearParameter
-from modal.discrepancy.tolerances import ROUNDING, UNDAMPED_DEVIATION
+from modal.simulation.plant import LinearParameter
+from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.continuous_time import ContinuousSystem
 from okid.arrays import FloatArray
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
+from modal.simulation.plant import Plant
 from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.plant_document import CHANNELS, check_table, plant_document, plant_of, table_of

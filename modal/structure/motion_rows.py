@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from modal.structure.continuous_time import ContinuousSystem
 from modal.structure.structural_model import SensorKind
 from okid.arrays import TINY, FloatArray

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modal.discrepancy.plant import Plant, Port
 from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
+from modal.simulation.plant import Plant, Port
 from okid.errors import InvalidDataError
 from okid.scalars import real_number
 

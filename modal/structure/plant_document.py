@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.plant import LinearParameter, Plant, Port
+from modal.simulation.plant import LinearParameter, Plant, Port
 from modal.structure.elements import Element
 from modal.structure.plant_model import PlantModel
 from okid.errors import InvalidDataError

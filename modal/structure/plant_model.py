@@ -10,8 +10,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from modal.discrepancy.plant import Plant, PlantMatrices, plant_matrices
 from modal.effects.effect import Effect
+from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.state_space_plant import state_space_plant
 from modal.structure.structural_model import SensorKind

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.tolerances import ROUNDING
 from modal.structure.continuous_time import ContinuousSystem
 from okid.arrays import FloatArray
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
-from modal.discrepancy.steps import steps_per_sample
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
+from modal.simulation.drive import drive_of
+from modal.simulation.steps import steps_per_sample
 from modal.structure.given import given_model, placed_assembly
 from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant
+from modal.simulation.plant import Plant
 from modal.structure.checks import matched_names, sensor_kinds, tolerance
 from modal.structure.continuous_time import ContinuousSystem, continuous_system
 from modal.structure.internal_changes import internal_changes

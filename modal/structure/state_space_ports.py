@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.plant import Port
-from modal.discrepancy.tolerances import ROUNDING
+from modal.simulation.plant import Port
+from modal.simulation.tolerances import ROUNDING
 from modal.structure.continuous_time import ContinuousSystem
 from modal.structure.motion_rows import OutputMotion
 from modal.structure.tank_levels import is_length, tank_levels

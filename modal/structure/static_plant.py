@@ -11,8 +11,8 @@ from itertools import product
 
 import numpy as np
 
-from modal.discrepancy.plant import LinearParameter, Plant, Port, plant_matrices
 from modal.effects.effect_units import composed_unit
+from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -288,7 +288,7 @@ class StructuralModel(KeptModel):
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""
-        from modal.discrepancy.plant import split_matrices
+        from modal.simulation.plant import split_matrices
         from modal.structure.structural_plant import structural_plant
 
         plant = structural_plant(self)

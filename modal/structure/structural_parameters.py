@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modal.discrepancy.plant import LinearParameter
-from modal.discrepancy.tolerances import ROUNDING, UNDAMPED_DEVIATION
+from modal.simulation.plant import LinearParameter
+from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.elements import relative_vector
 from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray

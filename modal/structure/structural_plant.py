@@ -9,7 +9,7 @@ displacement is no state: nothing depends on it, and an integrator would drift f
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant, Port
+from modal.simulation.plant import Plant, Port
 from modal.structure.elements import relative_vector
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_parameters import changes_of

@@ -10,8 +10,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from modal.discrepancy.plant import LinearParameter
-from modal.discrepancy.tolerances import UNDAMPED_DEVIATION
+from modal.simulation.plant import LinearParameter
+from modal.simulation.tolerances import UNDAMPED_DEVIATION
 from modal.structure.internal_changes import MOST, InternalChanges
 from modal.structure.motion_rows import OutputMotion
 from modal.structure.reciprocity import Structure

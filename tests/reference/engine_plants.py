@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
-from modal.discrepancy.plant import LinearParameter, Plant, Port
 from modal.effects.catalogue import CATALOGUE
+from modal.simulation.assembly import Unknowns, assemble, initial_unknowns, place_effect
+from modal.simulation.plant import LinearParameter, Plant, Port
 from okid.record import Record
 
 EVERYTHING = frozenset({"motion", "force", "mass", "flow"})

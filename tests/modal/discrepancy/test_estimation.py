@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses, with_effects
 
-from modal.discrepancy.budget import Budget
 from modal.discrepancy.covariance import covariance
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import (
     Problem,
     estimate,
@@ -18,7 +16,9 @@ from modal.discrepancy.estimation import (
     weighted_residual,
     weights_along,
 )
-from modal.discrepancy.sensitivity import sensitivity
+from modal.simulation.budget import Budget
+from modal.simulation.drive import drive_of
+from modal.simulation.sensitivity import sensitivity
 
 KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]
 

@@ -8,13 +8,13 @@ import scipy
 import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.assembly import assemble, initial_unknowns, place_effect
 from modal.discrepancy.covariance import covariance
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, estimate, simulate_at
 from modal.discrepancy.law import law_curves
 from modal.discrepancy.law_points import bins_of
 from modal.effects.catalogue import CATALOGUE
+from modal.simulation.assembly import assemble, initial_unknowns, place_effect
+from modal.simulation.drive import drive_of
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import structural_plant
 from okid.record import Record

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses, with_effects
 
-from modal.discrepancy.drive import drive_of
 from modal.discrepancy.estimation import Problem, simulate_at
 from modal.discrepancy.observer import observer_gain
+from modal.simulation.drive import drive_of
 
 
 def current_of(upsampling=1, outputs=(0, 1, 2), floor=1e-4):

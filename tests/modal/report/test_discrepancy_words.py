@@ -340,7 +340,7 @@ def test_a_share_never_reads_as_all_unless_it_is(share):
 
 def test_the_limits_of_the_words_are_those_of_the_decision():
     from modal.discrepancy.decision import CLOSE_COMPANY as COMPANY
-    from modal.discrepancy.tolerances import NEAR_FLOOR
+    from modal.simulation.tolerances import NEAR_FLOOR
 
     assert pytest.approx(NEAR_FLOOR) == NAMED_WITHIN**2
     assert COMPANY == CLOSE_COMPANY

@@ -5,7 +5,7 @@ import pytest
 from systems import chain_matrices, random_system
 
 from era.realisation import Realisation
-from modal.discrepancy.plant import Plant, PlantMatrices, plant_matrices
+from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.state_space_plant import state_space_plant
 from okid.errors import InvalidDataError
 

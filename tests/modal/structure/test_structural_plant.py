@@ -5,7 +5,7 @@ import pytest
 import scipy
 from systems import chain_matrices, structure
 
-from modal.discrepancy.plant import Plant, PlantMatrices, plant_matrices
+from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import place_name, structural_plant

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.plant import Plant, PlantMatrices, plant_matrices
-from modal.discrepancy.tolerances import DIFFERENCE_STEP
+from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
+from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
 __all__ = ["Scheme", "scheme_and_slopes"]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant, plant_matrices
+from modal.simulation.plant import Plant, plant_matrices
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import EffectPlacement
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.plant import Plant, Port, plant_matrices
 from modal.effects.effect import Motion
+from modal.simulation.assembly import EffectPlacement
+from modal.simulation.drive import Drive
+from modal.simulation.plant import Plant, Port, plant_matrices
 from okid.arrays import FloatArray
 
 __all__ = ["midway", "motion_at", "one_on", "shifted", "step_compliance", "step_mobility"]

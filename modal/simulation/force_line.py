@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.discrepancy.plant import Port
-from modal.discrepancy.port_motion import midway, shifted
 from modal.effects.effect import Force, ForceEffect, Memory, Motion, StepForce
+from modal.simulation.plant import Port
+from modal.simulation.port_motion import midway, shifted
 from okid.arrays import FloatArray
 
 __all__ = ["ForceLine", "Lift", "force_line", "port_rows"]

@@ -11,8 +11,8 @@ from typing import cast
 
 import numpy as np
 
-from modal.discrepancy.plant import Plant, Port
 from modal.effects.effect import Effect, ForceEffect, InputEffect, SensorEffect
+from modal.simulation.plant import Plant, Port
 from okid.arrays import FloatArray
 
 __all__ = ["Assembly", "EffectPlacement", "Unknowns", "assemble", "initial_unknowns", "place_effect"]

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.drive import Drive, IndexArray
-from modal.discrepancy.driven import per_time
-from modal.discrepancy.force_line import ForceLine, force_line, port_rows
-from modal.discrepancy.port_motion import motion_at, one_on, step_compliance, step_mobility
-from modal.discrepancy.scheme import Scheme
 from modal.effects.effect import Force, Memory, jumps
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.drive import Drive, IndexArray
+from modal.simulation.driven import per_time
+from modal.simulation.force_line import ForceLine, force_line, port_rows
+from modal.simulation.port_motion import motion_at, one_on, step_compliance, step_mobility
+from modal.simulation.scheme import Scheme
 from okid.arrays import FloatArray
 
 __all__ = ["ActingForce", "Heard", "acting_forces"]

@@ -7,7 +7,7 @@ right-hand sides at once: no loop over time in Python, whatever the coefficients
 import numpy as np
 import scipy
 
-from modal.discrepancy.budget import add_work
+from modal.simulation.budget import add_work
 from okid.arrays import FloatArray
 
 __all__ = ["band_of", "solve_band"]

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.driven import drive_inputs
-from modal.discrepancy.linearisation import linearise
-from modal.discrepancy.plant import Port
-from modal.discrepancy.scheme import Scheme
-from modal.discrepancy.trajectory import Trajectory
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.drive import Drive
+from modal.simulation.driven import drive_inputs
+from modal.simulation.linearisation import linearise
+from modal.simulation.plant import Port
+from modal.simulation.scheme import Scheme
+from modal.simulation.trajectory import Trajectory
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["input_forcing"]

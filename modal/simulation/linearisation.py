@@ -6,7 +6,7 @@ The states X = [x; z] are those of the plant and of the effects. A step is
     z[k+1] = Z(z[k], motion[k], motion[k+1])
 
 with L = 0 for a free run and a Kalman gain for the observer form. The outputs of a free run may hear of a force over
-the step to come as well (`modal.discrepancy.acting_force.Heard`), those of an observer, which acts on them at once, the
+the step to come as well (`modal.simulation.forces.Heard`), those of an observer, which acts on them at once, the
 law alone.
 """
 
@@ -14,15 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.acting_force import Heard, acting_forces
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.driven import per_time
-from modal.discrepancy.force_line import ForceLine
-from modal.discrepancy.output_dependence import OutputDependence
-from modal.discrepancy.scheme import Scheme
-from modal.discrepancy.step_dependence import StepDependence, step_dependence
 from modal.effects.effect import Force, Memory
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.drive import Drive
+from modal.simulation.driven import per_time
+from modal.simulation.force_line import ForceLine
+from modal.simulation.forces import Heard, acting_forces
+from modal.simulation.output_dependence import OutputDependence
+from modal.simulation.scheme import Scheme
+from modal.simulation.step_dependence import StepDependence, step_dependence
 from okid.arrays import FloatArray
 
 __all__ = ["Linearisation", "linearise"]

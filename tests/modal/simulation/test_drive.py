@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.discrepancy.drive import drive_of
+from modal.simulation.drive import drive_of
 from okid.record import Record
 
 DT = 0.01

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.acting_force import ActingForce
+from modal.simulation.forces import ActingForce
 from okid.arrays import FloatArray
 
 __all__ = ["StepDependence", "step_dependence"]

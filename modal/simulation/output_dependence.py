@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.acting_force import ActingForce, Heard
-from modal.discrepancy.drive import IndexArray
+from modal.simulation.drive import IndexArray
+from modal.simulation.forces import ActingForce, Heard
 from okid.arrays import FloatArray
 
 __all__ = ["OutputDependence"]

@@ -1,6 +1,6 @@
 """Simulation by Newton's method on the whole trajectory.
 
-Every step's defect is driven to zero at once: one banded solve an iteration (`modal.discrepancy.banded`), no loop over
+Every step's defect is driven to zero at once: one banded solve an iteration (`modal.simulation.banded`), no loop over
 time. From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
 first smoothed and then sharpened, and at last the records are marched through in windows.
 """
@@ -11,13 +11,13 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.banded import band_of, solve_band
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.driven import drive_inputs
-from modal.discrepancy.linearisation import Linearisation, linearise
-from modal.discrepancy.scheme import Scheme
 from modal.effects.effect import jumps
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.banded import band_of, solve_band
+from modal.simulation.drive import Drive
+from modal.simulation.driven import drive_inputs
+from modal.simulation.linearisation import Linearisation, linearise
+from modal.simulation.scheme import Scheme
 from okid.arrays import FloatArray
 
 __all__ = ["SHARP", "Trajectory", "resting_states", "simulate_states"]

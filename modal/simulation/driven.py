@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.drive import Drive
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.drive import Drive
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["drive_inputs", "per_time"]

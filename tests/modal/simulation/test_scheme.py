@@ -6,8 +6,8 @@ import scipy.linalg
 import scipy.signal
 from engine_plants import imposed_motion, two_masses
 
-from modal.discrepancy.plant import plant_matrices
-from modal.discrepancy.scheme import scheme_and_slopes
+from modal.simulation.plant import plant_matrices
+from modal.simulation.scheme import scheme_and_slopes
 
 DT = 0.03
 LINEAR = np.array([95.0, 1.1])

@@ -9,12 +9,12 @@ import scipy.signal
 from engine_plants import some_records, two_masses, with_effects
 from nonlinear_chain import run_chain
 
-from modal.discrepancy.assembly import Unknowns, assemble, initial_unknowns, place_effect
-from modal.discrepancy.drive import drive_of
-from modal.discrepancy.plant import plant_matrices
-from modal.discrepancy.scheme import scheme_and_slopes
-from modal.discrepancy.trajectory import resting_states, simulate_states
 from modal.effects.catalogue import CATALOGUE
+from modal.simulation.assembly import Unknowns, assemble, initial_unknowns, place_effect
+from modal.simulation.drive import drive_of
+from modal.simulation.plant import plant_matrices
+from modal.simulation.scheme import scheme_and_slopes
+from modal.simulation.trajectory import resting_states, simulate_states
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import structural_plant
 from okid.record import Record

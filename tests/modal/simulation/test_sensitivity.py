@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from engine_plants import VALUES, imposed_motion, moved, some_records, two_masses, with_effects
 
-from modal.discrepancy.drive import drive_of
-from modal.discrepancy.scheme import scheme_and_slopes
-from modal.discrepancy.sensitivity import Source, force_response, respond, sensitivity
-from modal.discrepancy.trajectory import resting_states, simulate_states
+from modal.simulation.drive import drive_of
+from modal.simulation.scheme import scheme_and_slopes
+from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
+from modal.simulation.trajectory import resting_states, simulate_states
 
 SMOOTHING = 0.3
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from engine_plants import VALUES, some_records, two_masses, with_effects
 
-from modal.discrepancy.drive import drive_of
-from modal.discrepancy.force_line import force_line, port_rows
-from modal.discrepancy.port_motion import motion_at, one_on
+from modal.simulation.drive import drive_of
+from modal.simulation.force_line import force_line, port_rows
+from modal.simulation.port_motion import motion_at, one_on
 
 
 def line_of(key, path, smoothing=0.005):

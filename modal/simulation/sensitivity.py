@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.assembly import Assembly, Unknowns
-from modal.discrepancy.banded import solve_band
-from modal.discrepancy.drive import Drive
-from modal.discrepancy.driven import per_time
-from modal.discrepancy.input_forcing import input_forcing
-from modal.discrepancy.linearisation import Linearisation
-from modal.discrepancy.scheme import Scheme
-from modal.discrepancy.trajectory import Trajectory
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.banded import solve_band
+from modal.simulation.drive import Drive
+from modal.simulation.driven import per_time
+from modal.simulation.input_forcing import input_forcing
+from modal.simulation.linearisation import Linearisation
+from modal.simulation.scheme import Scheme
+from modal.simulation.trajectory import Trajectory
 from okid.arrays import FloatArray
 
 __all__ = ["Sensitivity", "Source", "force_response", "respond", "sensitivity"]

@@ -1,0 +1,1 @@
+"""A structure with effects run along a record: drive, trajectory, linearisation, sensitivities."""
