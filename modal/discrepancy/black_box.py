@@ -19,10 +19,6 @@ from modal.discrepancy.corrected_callable import along_plant
 from modal.discrepancy.decision import decide_nodes
 from modal.discrepancy.diagnosis import Diagnosis, Step
 from modal.discrepancy.doubted_units import doubted_units
-from modal.discrepancy.gap import measure_gap
-from modal.discrepancy.level_modes import level_modes
-from modal.discrepancy.lines import measure_lines
-from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.noise_floor import NoiseFloor, noise_floor
 from modal.discrepancy.proof import Runs, prove
 from modal.discrepancy.proved_diagnosis import proved, without_search
@@ -30,6 +26,10 @@ from modal.discrepancy.search import search_effects
 from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, with_uncovered_floor
 from modal.discrepancy.workflow import diagnosis_of
 from modal.effects.effect import Effect
+from modal.localisation.evidence import Location, locate
+from modal.localisation.gap import measure_gap
+from modal.localisation.levels import level_modes
+from modal.localisation.lines import measure_lines
 from modal.structure.given import Given, given_model
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import SensorKind

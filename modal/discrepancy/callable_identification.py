@@ -18,7 +18,7 @@ from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.callable_model import Simulator, run_callable
-from modal.discrepancy.gap import SAME_LEVEL
+from modal.localisation.gap import SAME_LEVEL
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, IdentificationWarning
 from okid.observer import ObserverFit, fit_observer

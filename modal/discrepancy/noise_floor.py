@@ -40,9 +40,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.lines import measure_lines
 from modal.discrepancy.repeats import Scatter, exact_period, period_scatter, repeat_scatter, repeated_records
 from modal.discrepancy.spectral_floor import SpectralFloor, smallest_variance, spectral_floor
+from modal.localisation.lines import measure_lines
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.errors import InvalidDataError
 from okid.record import Record

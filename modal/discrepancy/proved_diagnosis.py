@@ -10,11 +10,11 @@ from era.simulation import simulate
 from modal.discrepancy.corrected_callable import CorrectedCallable
 from modal.discrepancy.decision import Decision
 from modal.discrepancy.diagnosis import Diagnosis, Step
-from modal.discrepancy.locate import Location
 from modal.discrepancy.noise_floor import NoiseFloor
 from modal.discrepancy.proof import Proof, Runs, unproved
 from modal.discrepancy.residual_model import residual_model, with_start
 from modal.effects.effect_names import effects_at
+from modal.localisation.evidence import Location
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.statements import times_floor_text
 from okid.arrays import FloatArray

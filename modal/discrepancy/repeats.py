@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.periods import input_period
+from modal.localisation.periods import input_period
 from modal.simulation.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray
 from okid.record import Record

@@ -9,14 +9,14 @@ import numpy as np
 from modal.discrepancy.calibration import calibrated_node
 from modal.discrepancy.checks import check_long_enough, check_plant
 from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.gap import measure_gap
-from modal.discrepancy.level_modes import LevelModes, level_modes
-from modal.discrepancy.lines import measure_lines
-from modal.discrepancy.locate import Location, locate
 from modal.discrepancy.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
 from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
 from modal.discrepancy.search import search_effects
 from modal.effects.effect import Effect
+from modal.localisation.evidence import Location, locate
+from modal.localisation.gap import measure_gap
+from modal.localisation.levels import LevelModes, level_modes
+from modal.localisation.lines import measure_lines
 from modal.simulation.budget import Budget, simulation_work
 from modal.simulation.drive import drive_of
 from modal.simulation.steps import steps_per_sample

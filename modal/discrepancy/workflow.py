@@ -16,9 +16,7 @@ from modal.discrepancy.findings import findings_of, hypothesis_of
 from modal.discrepancy.graded import LostMotion
 from modal.discrepancy.grid_error import grid_error
 from modal.discrepancy.law import law_curves
-from modal.discrepancy.level_modes import LevelModes
 from modal.discrepancy.limits import detection_limits
-from modal.discrepancy.locate import Location
 from modal.discrepancy.nodes import Node
 from modal.discrepancy.other_hold import by_the_better_hold, half_a_sample
 from modal.discrepancy.search import search_effects
@@ -38,6 +36,8 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.effects.effect_names import effect_name
 from modal.estimation.threads import one_blas_thread
+from modal.localisation.evidence import Location
+from modal.localisation.levels import LevelModes
 from modal.simulation.plant import Plant
 from modal.structure.given import given_model, returned_model
 from modal.structure.structural_model import SensorKind

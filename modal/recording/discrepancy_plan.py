@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.gap import Gap
+from modal.localisation.gap import Gap
 from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts
 from modal.recording.plan import SHOWN_OUTPUTS

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.gap import Gap
+from modal.localisation.gap import Gap
 from modal.plots.spectra import power_spectra
 from okid.arrays import FloatArray
 from okid.record import Record

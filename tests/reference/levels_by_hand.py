@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.level_modes import LevelMode, LevelModes
-from modal.discrepancy.locate import Location
+from modal.localisation.evidence import Location
+from modal.localisation.levels import LevelMode, LevelModes
 from modal.wording.statements import Statement
 
 LEVELS = np.array([0.127, 0.4, 1.0])

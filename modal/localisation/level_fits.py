@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
-from modal.discrepancy.level_starts import NEGLIGIBLE, Start, refined, unexplained
 from modal.identification.covariance import output_error_uncertainty
 from modal.identification.refined_search import STANDS_STILL
+from modal.localisation.level_starts import NEGLIGIBLE, Start, refined, unexplained
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode
 from modal.modes.overlap import IndexArray, pair_greatest_first

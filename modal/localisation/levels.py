@@ -1,7 +1,7 @@
 """Frequency and damping of each mode at each level: how the best linear model moves with the size of the motion.
 
 A spring that hardens raises the frequency with level, one that softens, yields or slips lowers it; dry friction lowers
-the damping ratio, drag raises it. How the models are made, and their deviations: `modal.discrepancy.level_fits`.
+the damping ratio, drag raises it. How the models are made, and their deviations: `modal.localisation.level_fits`.
 
 References:
     Kerschen, Worden, Vakakis, Golinval, Past, present and future of nonlinear system identification in structural
@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.free_decay import decay_windows
-from modal.discrepancy.gap import excitation_levels
-from modal.discrepancy.level_fits import LevelFit, follow_levels, partners
-from modal.discrepancy.level_starts import decay_start, driven_start
 from modal.estimation.threads import one_blas_thread
+from modal.localisation.free_decay import decay_windows
+from modal.localisation.gap import excitation_levels
+from modal.localisation.level_fits import LevelFit, follow_levels, partners
+from modal.localisation.level_starts import decay_start, driven_start
 from modal.modes.mode import Mode, ModeKind
 from modal.modes.overlap import IndexArray
 from modal.modes.shape_comparison import assurance

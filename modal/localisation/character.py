@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.gap import Gap
-from modal.discrepancy.gap_bands import line_power
+from modal.localisation.bands import line_power
+from modal.localisation.gap import Gap
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["Interval", "SingleLine", "coherent_share", "excess_spectrum", "narrowest_interval", "single_line"]

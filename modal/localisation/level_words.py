@@ -7,7 +7,7 @@ within one level already, the damping ratio of a linear model of that level says
 
 import numpy as np
 
-from modal.discrepancy.level_modes import LevelMode, LevelModes
+from modal.localisation.levels import LevelMode, LevelModes
 from modal.wording.numbers import percent
 from modal.wording.statements import Statement, number
 

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_tables import WindowTable
+from modal.localisation.gap_tables import WindowTable
 from modal.simulation.tolerances import SURE
 from okid.arrays import FloatArray
 

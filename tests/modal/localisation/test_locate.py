@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.gap import measure_gap
-from modal.discrepancy.gap_character import coherent_share, narrowest_interval, single_line
-from modal.discrepancy.level_modes import level_modes
-from modal.discrepancy.lines import measure_lines
-from modal.discrepancy.locate import locate
+from modal.localisation.character import coherent_share, narrowest_interval, single_line
+from modal.localisation.evidence import locate
+from modal.localisation.gap import measure_gap
+from modal.localisation.levels import level_modes
+from modal.localisation.lines import measure_lines
 from okid.record import Record
 
 DT, N = 0.03, 2048

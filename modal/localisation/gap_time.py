@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.gap_tables import WindowTable
+from modal.localisation.gap_tables import WindowTable
 from modal.simulation.tolerances import UNLIKELY
 from okid.arrays import FloatArray
 

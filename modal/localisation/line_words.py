@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from modal.discrepancy.lines import DOMINANT, Lines
+from modal.localisation.lines import DOMINANT, Lines
 from modal.wording.numbers import percent
 from modal.wording.statements import Statement
 

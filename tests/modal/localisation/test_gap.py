@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.discrepancy.gap import excitation_levels, measure_gap
-from modal.discrepancy.gap_bands import GapBand, check_bands, line_power, octave_bands, resonance_bands
+from modal.localisation.bands import GapBand, check_bands, line_power, octave_bands, resonance_bands
+from modal.localisation.gap import excitation_levels, measure_gap
 from okid.errors import InvalidDataError
 from okid.record import Record
 

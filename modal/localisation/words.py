@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.gap import Gap
-from modal.discrepancy.gap_character import SingleLine, excess_spectrum, narrowest_interval, single_line
-from modal.discrepancy.gap_trend import LevelTrend
+from modal.localisation.character import SingleLine, excess_spectrum, narrowest_interval, single_line
+from modal.localisation.gap import Gap
+from modal.localisation.gap_trend import LevelTrend
 from modal.wording.numbers import listed
 from modal.wording.statements import Statement, part, quantity, times, times_floor_text
 from okid.arrays import BoolArray, FloatArray

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_bands import GapBand, line_power, line_share
+from modal.localisation.bands import GapBand, line_power, line_share
 from okid.arrays import FloatArray
 from okid.record import Record
 

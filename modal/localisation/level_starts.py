@@ -10,12 +10,12 @@ import numpy as np
 
 from era.balanced import decompose, realise_from
 from era.realisation import Realisation
-from modal.discrepancy.free_decay import decay_markov
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.free_run import free_runs, modal_form
 from modal.estimation.output_error import SMALLEST_GAIN
 from modal.identification.refined_model import RefinedModel, refined_model
 from modal.identification.refined_search import MOST_STEPS
+from modal.localisation.free_decay import decay_markov
 from modal.preparation.filling import fill_where_needed
 from modal.preparation.quick_model import observer_markov
 from okid.arrays import FloatArray

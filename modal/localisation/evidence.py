@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.gap import Gap
-from modal.discrepancy.gap_character import coherent_share
-from modal.discrepancy.gap_words import agreement, disagreement
-from modal.discrepancy.level_modes import LevelModes
-from modal.discrepancy.level_words import mode_statements
-from modal.discrepancy.line_words import line_statements
-from modal.discrepancy.lines import Lines
+from modal.localisation.character import coherent_share
+from modal.localisation.gap import Gap
+from modal.localisation.level_words import mode_statements
+from modal.localisation.levels import LevelModes
+from modal.localisation.line_words import line_statements
+from modal.localisation.lines import Lines
+from modal.localisation.words import agreement, disagreement
 from modal.simulation.tolerances import AT_FLOOR
 from modal.wording.statements import Statement
 from okid.arrays import BoolArray, FloatArray
@@ -57,7 +57,7 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         lines: from `measure_lines` on the measured records, None to leave them out.
 
     Example:
-        >>> from modal.discrepancy.gap import measure_gap
+        >>> from modal.localisation.gap import measure_gap
         >>> from okid.record import Record
         >>> rng = np.random.default_rng(1)
         >>> force, noise = rng.standard_normal(2000), 0.01 * rng.standard_normal(2000)

@@ -1,7 +1,7 @@
 """How far a simulation is from the measurement: by record and output, frequency band, time window and level.
 
 The gap is measured minus simulated, its mean included: a static error is an error. Everything here is a table of mean
-squares of it, with that of the noise beside it; what the tables say in words is `modal.discrepancy.locate`'s.
+squares of it, with that of the noise beside it; what the tables say in words is `modal.localisation.evidence`'s.
 """
 
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.gap_bands import GapBand, check_bands, octave_bands
-from modal.discrepancy.gap_tables import BandTable, CellTable, WindowTable, spectral_tables, window_table
-from modal.discrepancy.gap_time import TimeTrend, time_trend
-from modal.discrepancy.gap_trend import LevelTrend, level_trends
+from modal.localisation.bands import GapBand, check_bands, octave_bands
+from modal.localisation.gap_tables import BandTable, CellTable, WindowTable, spectral_tables, window_table
+from modal.localisation.gap_time import TimeTrend, time_trend
+from modal.localisation.gap_trend import LevelTrend, level_trends
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from nonlinear_chain import no_force, run_chain
 from systems import chain_matrices
 
-from modal.discrepancy.free_decay import decay_windows
-from modal.discrepancy.level_modes import LevelModes, level_modes, tendency
-from modal.discrepancy.level_words import mode_statements
+from modal.localisation.free_decay import decay_windows
+from modal.localisation.level_words import mode_statements
+from modal.localisation.levels import LevelModes, level_modes, tendency
 from okid.record import Record
 
 DT, N = 0.03, 2048

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.periods import input_period, periods_of
+from modal.localisation.periods import input_period, periods_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import as_records
