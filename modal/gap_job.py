@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
 from modal.effects.catalogue import CATALOGUE
 from modal.job import FileSource, Reading, own_warnings, progress_bar
 from modal.job_setup import refuse_other_report, refuse_pdf, refuse_sources
@@ -22,7 +22,7 @@ from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
-    from modal.discrepancy.diagnosis import Diagnosis
+    from modal.discrepancy.results import Diagnosis
     from modal.effects.effect import Effect
 
 __all__ = ["GapJob", "carry_out_gap"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from modal.discrepancy.diagnosis import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import Stage, rows_of, stages_of
 from modal.report.discrepancy_values import effect_text, found_value, interval_text, times_text

@@ -1,263 +1,320 @@
-"""What a diagnosis says: the missing effects, how sure that is, and the gap before and after."""
+"""Find what a simulation lacks against measured records: floor, calibration, location, search, decision in one call."""
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from modal.discrepancy.explained import unexplained_outputs
-from modal.effects.effect_names import effects_at
-from modal.simulation.tolerances import NEAR_FLOOR
+import numpy as np
+
+from modal.discrepancy.checks import check_records, fewest_samples
+from modal.discrepancy.fitting.graded import LostMotion
+from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.results import Calibrated, Diagnosis, Step
+from modal.discrepancy.selection.beam import search_effects
+from modal.discrepancy.selection.covariance import covariance
+from modal.discrepancy.selection.decision import Decision, decide_nodes
+from modal.discrepancy.setup import (
+    Progress,
+    Setup,
+    locate_gap,
+    prepare_setup,
+    roots,
+    simulated_outputs,
+    with_uncovered_floor,
+)
+from modal.discrepancy.stages import calibrated_parameters
+from modal.discrepancy.validation.advice import advise, circumstances_of
+from modal.discrepancy.validation.cautions import with_cautions
+from modal.discrepancy.validation.doubted_units import doubted_units
+from modal.discrepancy.validation.findings import findings_of, hypothesis_of
+from modal.discrepancy.validation.grid_error import grid_error
+from modal.discrepancy.validation.law_curves import law_curves
+from modal.discrepancy.validation.limits import detection_limits
+from modal.discrepancy.validation.other_hold import by_the_better_hold, half_a_sample
+from modal.discrepancy.validation.spans import cut_into_spans, floor_of_spans, span_words
+from modal.effects.ambiguity import Circumstance
+from modal.effects.catalogue import CATALOGUE
+from modal.effects.effect import Effect
+from modal.effects.effect_names import effect_name
+from modal.estimation.threads import one_blas_thread
+from modal.localisation.evidence import Location
+from modal.localisation.levels import LevelModes
+from modal.simulation.plant import Plant
+from modal.structure.given import given_model, returned_model
+from modal.structure.structural_model import SensorKind
 from modal.wording.numbers import listed
-from modal.wording.statements import times_floor_text
+from modal.wording.statements import quantity
 from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = [
-    "Calibrated",
-    "DetectionLimit",
-    "Diagnosis",
-    "Evidence",
-    "Finding",
-    "Hypothesis",
-    "LawCurve",
-    "Parameter",
-    "Step",
-]
+__all__ = ["Progress", "diagnose", "diagnosis_of"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Parameter:
-    """A parameter of an effect, as found.
+def _silent(what: str, share: float) -> None:
+    del what, share
 
-    Attributes:
-        name: Its name.
-        value: The estimate, in `unit`.
-        std: Standard deviation of the estimate, in `unit`.
-        unit: Unit, "" for none.
-        meaning: What it is, in a few words.
+
+def diagnose(
+    model: Any,
+    fit: Record | Sequence[Record],
+    held_out: Record | Sequence[Record],
+    *,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    sensor_kind: SensorKind | Sequence[SensorKind] | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find where a simulation and measured records disagree, name the missing effect, and add it to the model.
+
+    Deterministic: the same model and records give the same diagnosis.
+
+    Args:
+        model: `modal.StructuralModel`, `control.StateSpace`, `era.Realisation`, a model that an earlier diagnosis
+            returned, or a callable that takes a Record and returns one with simulated outputs.
+        fit: Records to fit, of several levels if there are any.
+        held_out: Records to prove it on: another realisation, best at another level too.
+        catalogue: The effects to try; `register` adds one of your own.
+        sensor_kind: What the outputs of a state space are ("displacement", "velocity", "acceleration", one word or one
+            an output); by default from the units of the records' outputs, "displacement" where they say nothing.
+        progress: Called with a sentence and the share that is done.
+
+    Returns:
+        What is missing, where, how sure that is, and the updated model.
+
+    Raises:
+        InvalidDataError: Model and records that do not match, no held-out record, an unstable model.
+        InsufficientDataError: Records too short for the model.
+        NumericalError: The model cannot be simulated along the records.
+
+    References:
+        Kerschen, Worden, Vakakis, Golinval, Past, present and future of nonlinear system identification in structural
+        dynamics, Mech. Syst. Signal Process. 20, 2006, https://doi.org/10.1016/j.ymssp.2005.04.008; Noel, Kerschen,
+        Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
+        83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
+    report = _silent if progress is None else progress
+    with one_blas_thread():
+        found = _diagnosed(model, fit, held_out, catalogue=catalogue, sensor_kind=sensor_kind, report=report)
 
-    name: str
-    value: float
-    std: float
-    unit: str
-    meaning: str = ""
+        def otherwise(
+            fits: Sequence[Record], helds: Sequence[Record], tried: Mapping[str, Effect]
+        ) -> Diagnosis:  # modes are those of the samples, whatever the inputs do between them
+            return _diagnosed(
+                model,
+                fits,
+                helds,
+                catalogue=tried,
+                sensor_kind=sensor_kind,
+                report=report,
+                modes=found.location.modes,
+            )
+
+        return with_cautions(by_the_better_hold(found, otherwise, catalogue))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Hypothesis:
-    """A set of effects that was fitted.
+def _diagnosed(
+    model: Any,
+    fit: Record | Sequence[Record],
+    held_out: Record | Sequence[Record],
+    *,
+    catalogue: Mapping[str, Effect],
+    sensor_kind: SensorKind | Sequence[SensorKind] | None,
+    report: Progress,
+    modes: LevelModes | None = None,
+) -> Diagnosis:
+    if not isinstance(catalogue, Mapping):
+        raise InvalidDataError(
+            f"the catalogue is a mapping from keys to effects and a {type(catalogue).__name__} was given; pass e.g. "
+            "{key: CATALOGUE[key] for key in keys}"
+        )
+    fits, helds, notes = check_records(fit, held_out)
+    if callable(model) and not hasattr(model, "A"):
+        from modal.discrepancy.programs.black_box import diagnose_callable
 
-    Attributes:
-        effects: (effect key, place) of each effect, in the order in which they were found.
-        fit_level: Mean square of the residual on the records to fit, in units of the noise floor.
-        held_out_level: Likewise on the held-out records.
-        log_likelihood: 2 ln L of all records against the calibrated linear model.
+        return diagnose_callable(
+            model, fits, helds, catalogue=catalogue, sensor_kind=sensor_kind, progress=report, notes=notes
+        )
+    given = given_model(model, fits, sensor_kind=sensor_kind)
+    whole = prepare_setup(given, fits, helds, catalogue, report, whole=True)
+    try:
+        return _searched(whole, notes, modes)
+    except LostMotion:
+        cut = _in_spans(whole)
+        return _searched(cut, (*notes, span_words(cut.fit)), None)
+
+
+def _in_spans(whole: Setup) -> Setup:
+    """The same on spans of the records."""
+    fewest = fewest_samples(whole.given.plant)
+    spans, origin = cut_into_spans((*whole.fit, *whole.held_out), whole.floor.variance, fewest=2 * fewest)
+    n_fit = sum(position < len(whole.fit) for position in origin)
+    task, floor = whole.task, floor_of_spans(whole.floor, origin)
+    task.report("once more on spans of the records", 0.05)
+    return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.catalogue, task.report, floor=floor)
+
+
+def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) -> Diagnosis:
+    """Everything from calibration to the words.
+
+    Args:
+        setup: Model, records and floor.
+        notes: What the reader must know of the records.
+        modes: Of the records to fit at each level, where they are known.
+
+    Raises:
+        LostMotion: The records are whole, and the motion cannot be followed along them.
     """
+    as_given, root = roots(setup)
+    nodes = search_effects(root, setup.task)
+    location = locate_gap(setup, root, modes)
+    setup, nodes, as_given = with_uncovered_floor(setup, nodes, as_given)
+    circumstances = circumstances_of(setup.given.plant, setup.fit, root)
+    setup.task.report("deciding", 0.9)
+    decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
+    return diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=notes)
 
-    effects: tuple[tuple[str, str], ...]
-    fit_level: float
-    held_out_level: float
-    log_likelihood: float
 
+def diagnosis_of(
+    setup: Setup,
+    as_given: Node,
+    nodes: Sequence[Node],
+    decision: Decision,
+    *,
+    location: Location,
+    circumstances: frozenset[Any],
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """Put a decision into words, numbers and an updated model.
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Evidence:
-    """What speaks for a finding.
+    Args:
+        setup: Model, records and floor.
+        as_given: The model as given along the records.
+        nodes: All models that were fitted, the calibrated one first.
+        decision: What was decided.
+        location: Where the two disagree.
+        circumstances: For the table of ambiguities.
+        notes: What the reader must know of the records.
 
-    Attributes:
-        closed: Share of the held-out mean square above the floor that the effect takes away, from the model that has
-            all other findings.
-        log_likelihood: 2 ln L that it gains on all records.
-        margin: 2 ln L by which it leads the runner-up; infinite where there is none.
-        words: The same in a sentence.
+    Returns:
+        The diagnosis.
     """
-
-    closed: float
-    log_likelihood: float
-    margin: float
-    words: str
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Finding:
-    """An effect that the model lacked.
-
-    Attributes:
-        effect: Key in the catalogue.
-        where: Name of the place.
-        parameters: Its parameters.
-        law: The law in one line.
-        signature: How it shows in the data.
-        evidence: What speaks for it.
-        runner_up: The best hypothesis with another effect or place instead of it, None if there is none.
-        ambiguous_with: Effects that cannot be told from it in these data: by a fixed table of what is the same by
-            structure or in records such as these, and where the evidence for a member of its class is even.
-    """
-
-    effect: str
-    where: str
-    parameters: tuple[Parameter, ...]
-    law: str
-    signature: str
-    evidence: Evidence
-    runner_up: Hypothesis | None
-    ambiguous_with: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Calibrated:
-    """A linear parameter after the fit.
-
-    Attributes:
-        name: What it is ("stiffness of element_1").
-        unit: Its unit.
-        nominal: Value in the model as given.
-        value: The estimate.
-        std: Its standard deviation.
-        at_bound: Whether it sits on a hard bound.
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    value: float
-    std: float
-    at_bound: bool
+    root, best, task = nodes[0], decision.node, setup.task
+    circumstances = circumstances | _of_the_delay(best, setup.fit[0].dt)
+    problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
+    spread = covariance(best.fitted, problem)
+    chance = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
+    deviations = np.hypot(chance, grid_error(best))
+    calibrated = calibrated_parameters(best.fitted, deviations)
+    hits = tuple(item.name for item in calibrated if item.at_bound)
+    found = nodes if any(node is best for node in nodes) else [*nodes, best]
+    ranked = sorted(found, key=lambda node: node.held_out_level)
+    before, after = _rmse(as_given, setup), _rmse(best, setup)
+    return Diagnosis(
+        status=decision.status,
+        findings=findings_of(
+            decision, root, task, setup.given.plant, deviations=deviations, circumstances=circumstances
+        ),
+        model=returned_model(setup.given, best.fitted.assembly, best.fitted.unknowns, deviations),
+        noise_floor=setup.floor,
+        gap_before=before,
+        gap_after=after,
+        closed=_closed(as_given, best),
+        calibrated=calibrated,
+        bounds_hit=hits,
+        detection_limits=detection_limits(best.coarse, task, setup.given.plant),
+        advice=advise(decision, setup.fit, circumstances),
+        location=location,
+        steps=_steps(as_given, root, nodes, best, setup.held_out),
+        hypotheses=tuple(hypothesis_of(node, root, task) for node in ranked),
+        laws=law_curves(best.fitted, problem, setup.given.plant, spread),
+        fit=setup.fit,
+        held_out=setup.held_out,
+        warnings=(
+            *notes,
+            *_bound_words(hits),
+            *_beyond_words(calibrated, setup.given.plant),
+            *_gain_words(decision, circumstances),
+            *decision.reasons,
+        ),
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DetectionLimit:
-    """The largest size of an effect that the data could still hide: a smaller one would not count as found.
-
-    Attributes:
-        effect: Key in the catalogue.
-        where: Name of the place.
-        parameter: Name of the amplitude.
-        value: The limit, in `unit`.
-        unit: Its unit.
-    """
-
-    effect: str
-    where: str
-    parameter: str
-    value: float
-    unit: str
+def _beyond_words(calibrated: Sequence[Calibrated], plant: Plant) -> tuple[str, ...]:
+    """Linear parameters that came out beyond the tolerance of the model that was given."""
+    beyond = [
+        f"{one.name} ({quantity(one.nominal, one.unit)} given, {quantity(one.value, one.unit)} found)"
+        for one, given in zip(calibrated, plant.parameters, strict=True)
+        if not given.lower <= one.value <= given.upper
+    ]
+    if not beyond:
+        return ()
+    return (f"{listed(beyond)} lies beyond the tolerance of the model that was given: check the nominal values",)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Step:
-    """One step from the model as given to the model as found.
-
-    Attributes:
-        name: "as given", "calibrated", or the effect added ("cubic_stiffness at element_0").
-        fit_level: Mean square of the residual on the records to fit, in units of the floor.
-        held_out_level: Likewise on the held-out records.
-        simulated: Simulated outputs of each held-out record, (n_samples, n_outputs) each.
-    """
-
-    name: str
-    fit_level: float
-    held_out_level: float
-    simulated: tuple[FloatArray, ...]
+def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
+    """What a delay that was found adds to the circumstances."""
+    assembly, common = best.coarse.assembly, best.coarse.unknowns.common
+    delays = [
+        common[assembly.common_of(i).start]
+        for i, item in enumerate(assembly.placements)
+        if item.effect.key == "input_delay"
+    ]
+    return frozenset({"half_a_sample"}) if any(half_a_sample(delay, dt) for delay in delays) else frozenset()
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LawCurve:
-    """A law as found, over what the data say of it without any law.
-
-    Attributes:
-        effect: Key in the catalogue.
-        where: Name of the place.
-        against: What it is drawn against.
-        motion: (n,) grid of it, in `motion_unit`.
-        force: (n,) the law.
-        deviation: (n,) standard deviation of the law from that of its parameters.
-        points_motion: (m,) centres of bins of the motion.
-        points_force: (m,) force in each bin, free of the law's form, from the data.
-        points_deviation: (m,) standard deviation of each.
-        loop_motion: (k,) motion of a stretch of record, for laws with memory; empty for others.
-        loop_force: (k,) their force along it.
-        motion_unit: Unit of the motion.
-        force_unit: Unit of the force.
-    """
-
-    effect: str
-    where: str
-    against: Literal["displacement", "velocity", "time", "input", "output"]
-    motion: FloatArray
-    force: FloatArray
-    deviation: FloatArray
-    points_motion: FloatArray
-    points_force: FloatArray
-    points_deviation: FloatArray
-    loop_motion: FloatArray
-    loop_force: FloatArray
-    motion_unit: str
-    force_unit: str
+def _gain_words(decision: Decision, circumstances: frozenset[Any]) -> tuple[str, ...]:
+    """A gain that stands for the scale of the whole model scales every force found beside it."""
+    gains = [key for key, _ in decision.node.effects if key in {"input_gain", "sensor_gain"}]
+    if not gains or "one_dof" not in circumstances:
+        return ()
+    words = (
+        f"{effect_name(gains[0])} cannot be told from a wrong mass or inertia: forces and stiffnesses found beside it "
+        "are right only up to that factor; check the mass"
+    )
+    return (words,)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Diagnosis:
-    """What a simulation lacks against measured records.
+def _bound_words(hits: tuple[str, ...]) -> tuple[str, ...]:
+    if not hits:
+        return ()
+    words = (
+        f"{', '.join(hits)} sits on its bound: the model that was given is further off than its tolerances allow, or "
+        "what is missing is not in the catalogue; check the nominal values"
+    )
+    return (words,)
 
-    Attributes:
-        status: "named": within 1.5 of the noise floor on held-out data, with a lead over every other hypothesis;
-            "unresolved": a gap remains or no hypothesis leads (the findings are the best guess, no more); "none": no
-            effect is needed, with `detection_limits`.
-        findings: The effects found, in the order in which they were found.
-        model: The model with calibrated parameters and the effects, of the type that was given where that can hold
-            them; simulates, saves and loads.
-        noise_floor: The noise floor of the records to fit, then of the held-out ones (`NoiseFloor`).
-        gap_before: (n_held_out, n_outputs) RMSE of the model as given on the held-out records.
-        gap_after: (n_held_out, n_outputs) RMSE of `model`.
-        closed: Share of the held-out mean square above the floor that calibration and effects took away.
-        calibrated: The linear parameters.
-        bounds_hit: Names of linear parameters that sit on a hard bound.
-        detection_limits: What the data could still hide.
-        advice: What to measure next, in words.
-        location: Where the two disagree, before any effect was tried (`Location`).
-        steps: From the model as given to the model as found.
-        hypotheses: All sets of effects that were fitted to the end, best first.
-        laws: The laws found, each over the data.
-        fit: The records to fit.
-        held_out: The held-out records.
-        warnings: What the reader must know, a sentence each.
-    """
 
-    status: Literal["named", "unresolved", "none"]
-    findings: tuple[Finding, ...]
-    model: Any
-    noise_floor: Any
-    gap_before: FloatArray
-    gap_after: FloatArray
-    closed: float
-    calibrated: tuple[Calibrated, ...]
-    bounds_hit: tuple[str, ...]
-    detection_limits: tuple[DetectionLimit, ...]
-    advice: tuple[str, ...]
-    location: Any
-    steps: tuple[Step, ...]
-    hypotheses: tuple[Hypothesis, ...]
-    laws: tuple[LawCurve, ...]
-    fit: tuple[Record, ...]
-    held_out: tuple[Record, ...]
-    warnings: tuple[str, ...]
+def _rmse(node: Node, setup: Setup) -> FloatArray:
+    floor = setup.floor.variance[len(setup.fit) :]
+    if node.held_out is None:
+        return np.full(floor.shape, np.inf)
+    return np.asarray(np.sqrt(node.held_out.mean_square * floor))
 
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        names = effects_at([(finding.effect, finding.where) for finding in self.findings])
-        left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
-        blind = unexplained_outputs(self)
-        if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
-            return f"These data tell nothing of the model, which explains nothing of {listed(list(blind))}: {left}."
-        if self.status == "none":
-            but = f", but the model explains nothing of {listed(list(blind))}" if blind else ""
-            return f"No effect is missing that these data could show{but}: {left}."
-        if self.status == "named":
-            return f"Missing: {names}; {left}."
-        if not self.findings:
-            return f"Something is missing, but no effect of the catalogue explains it: {left}."
-        if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
-            return f"Unresolved: the best guess is {names}; {left}, but {self.warnings[-1]}."
-        return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."
+
+def _closed(before: Node, after: Node) -> float:
+    """Share of the held-out mean square above the floor that is gone."""
+    if before.held_out is None or after.held_out is None:
+        return 1.0 if after.held_out is not None else 0.0
+    gap = float(np.nansum(np.maximum(before.held_out.mean_square - 1.0, 0.0)))
+    left = float(np.nansum(np.maximum(after.held_out.mean_square - 1.0, 0.0)))
+    return 1.0 - left / gap if gap > 0.0 else 0.0
+
+
+def _steps(
+    as_given: Node, root: Node, nodes: Sequence[Node], best: Node, held_out: Sequence[Record]
+) -> tuple[Step, ...]:
+    path = [("as given", as_given), ("calibrated", root)]
+    known = len(root.effects)
+    for count in range(known + 1, len(best.effects) + 1):
+        wanted = best.effects[:count]
+        node = best if count == len(best.effects) else next((one for one in nodes if one.effects == wanted), None)
+        if node is not None:
+            path.append((f"{wanted[-1][0]} at {wanted[-1][1]}", node))
+    return tuple(
+        Step(
+            name=name,
+            fit_level=node.fit_level,
+            held_out_level=node.held_out_level,
+            simulated=() if node.held_out is None else simulated_outputs(node.held_out, held_out),
+        )
+        for name, node in path
+    )

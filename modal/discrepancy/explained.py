@@ -12,7 +12,7 @@ from modal.wording.numbers import listed, percent
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from modal.discrepancy.diagnosis import Diagnosis
+    from modal.discrepancy.results import Diagnosis
 
 __all__ = ["NOTHING", "explained_shares", "explained_words", "unexplained_outputs"]
 

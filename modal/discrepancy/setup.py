@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.calibration import calibrated_node
 from modal.discrepancy.checks import check_long_enough, check_plant
-from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
-from modal.discrepancy.noise_floor import NoiseFloor, lowered_floor, noise_floor
-from modal.discrepancy.search import search_effects
+from modal.discrepancy.fitting.calibration import calibrated_node
+from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
+from modal.discrepancy.fitting.nodes import FINE_STEPS, Node, Task, node_of, on_other_floor, polished
+from modal.discrepancy.noise.floor import NoiseFloor, lowered_floor, noise_floor
+from modal.discrepancy.selection.beam import search_effects
 from modal.effects.effect import Effect
 from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.advice import circumstances_of
-from modal.discrepancy.calibration import fitted_either_way
 from modal.discrepancy.checks import check_plant, check_records
-from modal.discrepancy.covariance import covariance
-from modal.discrepancy.decision import Decision, decide_nodes
-from modal.discrepancy.diagnosis import Calibrated
-from modal.discrepancy.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.nodes import Node, node_of, polished
-from modal.discrepancy.noise_floor import noise_floor
-from modal.discrepancy.observer import observer_gain
-from modal.discrepancy.screen import Candidate, screen_candidates
+from modal.discrepancy.fitting.calibration import fitted_either_way
+from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
+from modal.discrepancy.fitting.nodes import Node, node_of, polished
+from modal.discrepancy.fitting.observer_form import observer_gain
+from modal.discrepancy.noise.floor import noise_floor
+from modal.discrepancy.results import Calibrated
+from modal.discrepancy.selection.covariance import covariance
+from modal.discrepancy.selection.decision import Decision, decide_nodes
+from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.setup import prepare_setup
+from modal.discrepancy.validation.advice import circumstances_of
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.drive import drive_of

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.results import Diagnosis
 from modal.examples.story import options, parameter, shrinking, write_when_asked
 from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel

@@ -31,8 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.results import Diagnosis
 from modal.examples.motor_propeller_thrust import thrust_sentences
 from modal.examples.story import options, parameter, shrinking, write_when_asked
 from modal.structure.structural_model import StructuralModel

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.report.discrepancy_values import step_text
 from modal.report.writing import write_report
 from modal.wording.statements import times_floor_text

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Hypothesis, Step
+from modal.discrepancy.results import Hypothesis, Step
 from modal.localisation.gap import Gap
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of

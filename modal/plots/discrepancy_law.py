@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import LawCurve
+from modal.discrepancy.results import LawCurve
 from modal.plots.layout import Chart, row_of
 from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, STYLE

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.recording.blueprint import show_whole_record
 from modal.recording.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
 from modal.recording.discrepancy_page import (

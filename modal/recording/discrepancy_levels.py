@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.recording.axis import Axis, linear_axis
 from modal.recording.figure import Figure, Pane
 from modal.recording.names import label

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis, LawCurve
+from modal.discrepancy.results import Diagnosis, LawCurve
 from modal.recording.axis import Axis, linear_axis, log_axis
 from modal.recording.discrepancy_levels import log_level_modes
 from modal.recording.discrepancy_plan import DiscrepancyPlan

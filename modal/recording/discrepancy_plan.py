@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts

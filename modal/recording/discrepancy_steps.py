@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.recording.axis import Axis, linear_axis, log_axis
 from modal.recording.discrepancy_page import density_axis

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.recording.discrepancy_plan import DiscrepancyPlan
 from modal.recording.names import cell
 from modal.recording.words import UNKNOWN, bullets, table

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification
 from modal.recording.blueprint import blueprint
 from modal.recording.discrepancy_blueprint import diagnosis_blueprint

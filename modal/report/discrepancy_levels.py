@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.localisation.levels import LevelMode, LevelModes
 from modal.wording.statements import number
 from okid.arrays import FloatArray

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 
-from modal.discrepancy.diagnosis import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import effects_text, times_floor
 from modal.report.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_stages import rows_of, stages_of
 from modal.report.discrepancy_values import (

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.plots import discrepancy as plots
 from modal.plots import discrepancy_law, discrepancy_levels
 from modal.report.discrepancy_levels import level_lines

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis, Step
+from modal.discrepancy.results import Diagnosis, Step
 from modal.localisation.gap import Gap, measure_gap
 from okid.arrays import FloatArray
 from okid.record import Record

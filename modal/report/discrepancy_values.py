@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
+from modal.discrepancy.results import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
 from modal.effects.effect_names import effect_name
 from modal.wording.numbers import listed
 from modal.wording.statements import number
@@ -34,10 +34,10 @@ __all__ = [
 
 NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
-of `modal.discrepancy.decision.NEAR_FLOOR`, which is in mean squares."""
+of `modal.discrepancy.selection.decision.NEAR_FLOOR`, which is in mean squares."""
 
 CLOSE_COMPANY = 30.0
-"""2 ln L below which a lead is no lead, that of `modal.discrepancy.decision`."""
+"""2 ln L below which a lead is no lead, that of `modal.discrepancy.selection.decision`."""
 
 MOST_DECIMALS = 6
 """More of them stand after a power of ten."""

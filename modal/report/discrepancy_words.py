@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.diagnosis import Diagnosis, Finding, Step
 from modal.discrepancy.explained import unexplained_outputs
+from modal.discrepancy.results import Diagnosis, Finding, Step
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.effect_names import one_of
 from modal.identification.trust import Judgement

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from modal import recording
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.report.discrepancy_machine import diagnosis_csv, diagnosis_json
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
 from modal import recording
-from modal.discrepancy.diagnosis import Diagnosis
+from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder

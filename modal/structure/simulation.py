@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.estimation import Problem, simulate_at
+from modal.discrepancy.fitting.estimation import Problem, simulate_at
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.drive import drive_of

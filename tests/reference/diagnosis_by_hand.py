@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.diagnosis import (
+from modal.discrepancy.noise.floor import NoiseFloor
+from modal.discrepancy.results import (
     Calibrated,
     DetectionLimit,
     Diagnosis,
@@ -20,7 +21,6 @@ from modal.discrepancy.diagnosis import (
     Parameter,
     Step,
 )
-from modal.discrepancy.noise_floor import NoiseFloor
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 

@@ -11,9 +11,9 @@ import control
 import numpy as np
 import pytest
 
-from modal.discrepancy.noise_floor import noise_floor
+from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.stages import fit
-from modal.discrepancy.workflow import diagnose
 from modal.structure.plant_model import PlantModel
 from modal.structure.simulation import simulate
 from modal.structure.structural_model import StructuralModel

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from engine_records import experiment, nominal
 
-from modal.discrepancy.noise_floor import noise_floor
+from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.stages import calibrate, decide, fit, screen
-from modal.discrepancy.workflow import diagnose
 from okid.errors import InvalidDataError, NumericalError
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 

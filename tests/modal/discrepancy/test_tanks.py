@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from brim_tank import levels, staircase
 
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
 from okid.record import Record
 
 P, DT, LIMIT, NOISE = 0.5, 0.05, 2.2, 0.01

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from engine_records import experiment, nominal
 
-from modal.discrepancy.workflow import diagnose
+from modal.discrepancy.diagnosis import diagnose
 from okid.errors import InvalidDataError, NumericalError
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.discrepancy.cautions import with_cautions
+from modal.discrepancy.validation.cautions import with_cautions
 from modal.report import discrepancy_words as words
 from modal.report.discrepancy_values import (
     CLOSE_COMPANY,
@@ -339,7 +339,7 @@ def test_a_share_never_reads_as_all_unless_it_is(share):
 
 
 def test_the_limits_of_the_words_are_those_of_the_decision():
-    from modal.discrepancy.decision import CLOSE_COMPANY as COMPANY
+    from modal.discrepancy.selection.decision import CLOSE_COMPANY as COMPANY
     from modal.simulation.tolerances import NEAR_FLOOR
 
     assert pytest.approx(NEAR_FLOOR) == NAMED_WITHIN**2

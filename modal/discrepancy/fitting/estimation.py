@@ -1,0 +1,295 @@
+"""Fit everything unknown in a model to records: Levenberg-Marquardt on exact sensitivities, within hard bounds.
+
+The cost is sum((y - yhat)^2 / floor) over the measured values, each record and output in units of its own noise floor,
+so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
+one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.fitting.bounded_step import bounded_step
+from modal.discrepancy.fitting.hard_steps import moved_by_reciprocals, reach_of, walls
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.budget import Budget
+from modal.simulation.drive import Drive
+from modal.simulation.scheme import Scheme, scheme_and_slopes
+from modal.simulation.sensitivity import Sensitivity, sensitivity
+from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
+from okid.arrays import BoolArray, FloatArray
+
+__all__ = [
+    "Estimate",
+    "Problem",
+    "estimate",
+    "score_equations",
+    "sensitivity_of",
+    "simulate_at",
+    "weighted_residual",
+    "weights_along",
+]
+
+FIRST_DAMPING = 1e-3
+TRIALS = 5
+"""Trial steps of an iteration, each ten times more damped than the one before."""
+STANDSTILL = 1e-4
+"""An iteration that lowers the cost by less than this share of it ends the fit."""
+NEAR = 10.0
+"""Level below which a first step that fails, and promised no more than that, ends it as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Problem:
+    """Records to fit.
+
+    Attributes:
+        drive: The records.
+        floor: (n_records, n_outputs) noise variance.
+        free_common: Whether the common unknowns are fitted; False on held-out records, where only each record's own
+            initial state and phases are.
+    """
+
+    drive: Drive
+    floor: FloatArray
+    free_common: bool = True
+
+    @property
+    def weights(self) -> FloatArray:
+        """(n_rows, n_outputs) 1 / deviation, zero where a value is missing."""
+        spread = np.repeat(self.floor, np.diff(self.drive.row_firsts), axis=0)
+        return np.where(self.drive.present, 1.0 / np.sqrt(spread), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Estimate:
+    """A fitted model.
+
+    Attributes:
+        assembly: The plant and its effects.
+        unknowns: The estimate.
+        trajectory: Its simulation.
+        scheme: Matrices of one step.
+        slopes: Their derivatives.
+        cost: Sum of the weighted squares, priors included.
+        squares: Sum of the weighted squares of the residual alone.
+        mean_square: (n_records, n_outputs) mean square of the residual in units of the floor.
+        at_bounds: (n_common,) whether an unknown sits on a hard bound.
+        iterations: Number of iterations.
+        gain: Observer gain, None for a free run.
+        smoothing: Smoothing of sharp laws.
+    """
+
+    assembly: Assembly
+    unknowns: Unknowns
+    trajectory: Trajectory
+    scheme: Scheme
+    slopes: tuple[Scheme, ...]
+    cost: float
+    squares: float
+    mean_square: FloatArray
+    at_bounds: BoolArray
+    iterations: int
+    gain: FloatArray | None
+    smoothing: float
+
+    @property
+    def level(self) -> float:
+        """Mean square of the residual in units of the floor, over all records and outputs alike."""
+        return float(np.nanmean(self.mean_square))
+
+
+def weights_along(problem: Problem, trajectory: Trajectory) -> FloatArray:
+    """(n_rows, n_outputs) 1 / deviation, zero where a value is missing or the drive behind it is not known."""
+    return np.where(trajectory.drive.present, problem.weights, 0.0)
+
+
+def weighted_residual(problem: Problem, trajectory: Trajectory) -> FloatArray:
+    """(n_rows, n_outputs) residual in units of the noise's deviation, zero where nothing is known."""
+    return np.asarray((problem.drive.outputs - trajectory.outputs) * weights_along(problem, trajectory))
+
+
+def simulate_at(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    problem: Problem,
+    *,
+    states: FloatArray | None = None,
+    gain: FloatArray | None = None,
+    smoothing: float = SHARP,
+    start: Literal["far", "near"] = "far",
+) -> Estimate | None:
+    """The model at given values, as an estimate that was not fitted; None where it cannot be simulated."""
+    scheme, slopes = scheme_and_slopes(assembly.plant, unknowns.common[: assembly.n_linear], problem.drive.dt)
+    begun = resting_states(assembly, problem.drive) if states is None else states
+    trajectory = simulate_states(
+        assembly, unknowns, problem.drive, scheme, begun, smoothing=smoothing, gain=gain, start=start
+    )
+    if trajectory is None:
+        return None
+    residual = weighted_residual(problem, trajectory)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = float(np.sum(residual**2))
+    if not np.isfinite(squares):  # a motion that escapes without leaving the range of numbers
+        return None
+    return Estimate(
+        assembly=assembly,
+        unknowns=unknowns,
+        trajectory=trajectory,
+        scheme=scheme,
+        slopes=slopes,
+        cost=squares + _prior_cost(assembly, unknowns),
+        squares=squares,
+        mean_square=_mean_square(problem, trajectory, residual),
+        at_bounds=_at_bounds(assembly, unknowns, problem.drive.dt),
+        iterations=0,
+        gain=gain,
+        smoothing=smoothing,
+    )
+
+
+def estimate(
+    start: Estimate,
+    problem: Problem,
+    *,
+    iterations: int,
+    standstill: float = STANDSTILL,
+    budget: Budget | None = None,
+) -> Estimate:
+    """Fit from a simulated start.
+
+    Args:
+        start: The model to start from (`simulate_at`).
+        problem: Records to fit.
+        iterations: Largest number of iterations.
+        standstill: Relative fall of the cost below which the fit ends.
+        budget: Work after which it ends; unlimited unless given.
+
+    Returns:
+        The best model found; the start where nothing is better.
+    """
+    current, damping = start, FIRST_DAMPING
+    for iteration in range(iterations):
+        slopes = sensitivity_of(current, problem)
+        gram, score = score_equations(current, problem, slopes)
+        better, least = None, standstill * max(current.cost, 1.0)
+        if not (np.isfinite(gram).all() and np.isfinite(score).all()):
+            return current  # along a motion that hardly stays within numbers no step is known
+        for trial in range(TRIALS):
+            step = _step(current, gram, score, damping, free_common=problem.free_common)
+            better = _trial(current, problem, slopes, step)
+            damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
+            promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
+            there = current.level <= NEAR and trial == 0 and 0.0 <= promised <= least
+            if better is not None or there or _over(budget):
+                break
+        if better is None:
+            return current
+        fall = current.cost - better.cost
+        current = replace(better, iterations=start.iterations + iteration + 1)
+        if fall <= least or _over(budget):
+            return current
+    return current
+
+
+def _over(budget: Budget | None) -> bool:
+    return budget is not None and budget.left <= 0.0
+
+
+def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:
+    """Derivatives by everything that is fitted to the records."""
+    slopes = current.slopes if problem.free_common else ()
+    return sensitivity(
+        current.assembly,
+        current.unknowns,
+        problem.drive,
+        current.trajectory,
+        current.scheme,
+        slopes=slopes,
+        gain=current.gain,
+        common=problem.free_common,
+    )
+
+
+def score_equations(current: Estimate, problem: Problem, slopes: Sensitivity) -> tuple[FloatArray, FloatArray]:
+    """Gram matrix and score of all unknowns: the common ones first, then record by record, priors included."""
+    drive, weights = problem.drive, weights_along(problem, current.trajectory)
+    n_common, n_local = len(slopes.common), len(slopes.local)
+    size = n_common + drive.n_records * n_local
+    gram, score = np.zeros((size, size)), np.zeros(size)
+    residual = weighted_residual(problem, current.trajectory)
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        columns = np.concatenate([slopes.common[:, rows], slopes.local[:, rows]])
+        weighted = (columns * weights[rows]).reshape(len(columns), weights[rows].size)
+        with np.errstate(over="ignore", invalid="ignore"):
+            part = weighted @ weighted.T
+            seen = weighted @ residual[rows].ravel()
+        at = np.concatenate([np.arange(n_common), n_common + record * n_local + np.arange(n_local)]).astype(int)
+        gram[np.ix_(at, at)] += part
+        score[at] += seen
+    if n_common:
+        centre, deviation = current.assembly.prior()
+        gram[np.arange(n_common), np.arange(n_common)] += deviation**-2
+        score[:n_common] += (centre - current.unknowns.common) * deviation**-2
+    precision = current.assembly.local_deviation() ** -2
+    own = n_common + np.arange(drive.n_records * n_local)
+    gram[own, own] += np.tile(precision, drive.n_records)
+    score[own] -= (current.unknowns.local * precision).ravel()
+    return gram, score
+
+
+def _step(current: Estimate, gram: FloatArray, score: FloatArray, damping: float, *, free_common: bool) -> FloatArray:
+    """The damped step within the bounds, and within the reach of hard limits."""
+    at = np.zeros(len(score))
+    lower, upper, reach = np.full(len(score), -np.inf), np.full(len(score), np.inf), np.full(len(score), np.inf)
+    if free_common:
+        n = current.assembly.n_common
+        at[:n] = current.unknowns.common
+        lower[:n], upper[:n] = current.assembly.bounds()
+        reach[:n] = reach_of(at[:n], walls(current.assembly, current.unknowns, current.trajectory.drive.dt))
+    return bounded_step(gram, score, damping, at=at, lower=lower, upper=upper, reach=reach)
+
+
+def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: FloatArray) -> Estimate | None:
+    n_common, n_local = len(slopes.common), len(slopes.local)
+    n_records = problem.drive.n_records
+    own = step[n_common:].reshape(n_records, n_local)
+    common = current.unknowns.common
+    if n_common:
+        common = moved_by_reciprocals(
+            common, step[:n_common], walls(current.assembly, current.unknowns, problem.drive.dt)
+        )
+    unknowns = Unknowns(common=common, local=current.unknowns.local + own)
+    states = current.trajectory.states + np.tensordot(step[:n_common], slopes.common_states, axes=(0, 0))
+    for record in range(n_records):
+        times = problem.drive.times_of(record)
+        states[times] += np.tensordot(own[record], slopes.local_states[:, times], axes=(0, 0))
+    found = simulate_at(
+        current.assembly, unknowns, problem, states=states, gain=current.gain, smoothing=current.smoothing, start="near"
+    )
+    return found if found is not None and found.cost < current.cost else None
+
+
+def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:
+    centre, deviation = assembly.prior()
+    own = unknowns.local / assembly.local_deviation()
+    return float(np.sum(((unknowns.common - centre) / deviation) ** 2) + np.sum(own**2))
+
+
+def _mean_square(problem: Problem, trajectory: Trajectory, residual: FloatArray) -> FloatArray:
+    drive = trajectory.drive
+    found = np.full(problem.floor.shape, np.nan)
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        count = drive.present[rows].sum(axis=0)
+        total = np.sum(residual[rows] ** 2, axis=0)
+        found[record] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return found
+
+
+def _at_bounds(assembly: Assembly, unknowns: Unknowns, dt: float) -> BoolArray:
+    lower, upper = assembly.bounds()
+    upper = np.minimum(upper, walls(assembly, unknowns, dt))
+    return np.asarray((unknowns.common <= lower) | (unknowns.common >= upper))

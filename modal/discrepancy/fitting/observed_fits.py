@@ -1,0 +1,209 @@
+"""Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.nodes import Node, Task
+from modal.discrepancy.fitting.observer_form import observer_gain
+from modal.discrepancy.fitting.within_reach import within_reach
+from modal.discrepancy.selection.screening import Candidate
+from modal.simulation.assembly import Assembly, Unknowns
+from modal.simulation.budget import Budget, simulation_work
+from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.trajectory import SHARP
+from okid.arrays import FloatArray
+
+__all__ = ["CLEAR", "SOFT", "observed_fits", "observed_form", "weaker_form"]
+
+MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
+"""A fit in observer form ends after so many iterations, or when one gains less than the second share."""
+BETTER = 0.9
+"""The given linear parameters are the better start where the first fit from them costs less than this share."""
+SOFT, SOFTER = 0.03, 0.1
+"""Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
+TENTH = 0.1
+"""Share of the observer gain that shows what the whole one hides."""
+FIRST_WORK, BEHIND = 40.0, 3.0
+"""Simulations after which a fit waits for the others, and ends where it costs so many times as much as the best one:
+those that go astray take longest, and a good one was seen to take eight to sixty."""
+CLEAR, MUCH_LESS = 0.05, 0.5
+"""Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
+promised at least the second share of what it promised of that one."""
+MOST_OF_IT = 0.1
+"""Share of what is left of the budget for these fits that the rest of one may take."""
+HIDDEN = 1.5
+"""Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Begun:
+    """A candidate's fit, and whether it came to its end."""
+
+    candidate: Candidate
+    fit: Estimate
+    ended: bool
+
+
+def observed_form(fitted: Estimate, task: Task) -> Estimate:
+    """The model in observer form along the records; as it is where a correction is not needed or leads astray.
+
+    A wrong sensor makes the correction worse than none: it pulls the states towards what the sensor says.
+
+    Args:
+        fitted: The model in free run.
+        task: Records to fit.
+    """
+    gain = observer_gain(fitted, task.fit, task.upsampling)
+    if gain is None:
+        return fitted
+    found = _again(fitted, task, gain, fitted.smoothing)
+    return found if found is not None and found.cost < fitted.cost else fitted
+
+
+def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
+    """The model with a tenth of its observer gain.
+
+    Args:
+        observed: The model in observer form.
+        task: Records to fit.
+
+    Returns:
+        None where it has no gain, or cannot be simulated so.
+    """
+    if observed.gain is None:
+        return None
+    return _again(observed, task, TENTH * observed.gain, observed.smoothing)
+
+
+def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:
+    """The same model about its own trajectory, with another gain or another smoothing."""
+    return simulate_at(
+        found.assembly, found.unknowns, task.fit, states=found.trajectory.states, gain=gain, smoothing=smoothing
+    )
+
+
+def observed_fits(
+    node: Node, observed: Estimate, candidates: Sequence[Candidate], task: Task
+) -> tuple[list[Estimate], list[Candidate]]:
+    """Candidates fitted in observer form, from calibrated linear parameters or from those given.
+
+    A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
+    that is plain; else the first candidate is fitted both ways, and the better way is gone with the others too.
+
+    Args:
+        node: The model without them.
+        observed: The same in observer form.
+        candidates: From `modal.discrepancy.selection.screening`, best first.
+        task: Records to fit.
+
+    Returns:
+        Those that could be simulated, and for which the budget was enough; those that cannot lead any more as far as
+        they came. Beside them the candidates that another one outdid before they were begun.
+    """
+    smoothing = _first_smoothing(node, observed, task)
+
+    def begin(candidate: Candidate, linear: Literal["calibrated", "given"]) -> _Begun | None:
+        return _begun(node, observed, candidate, task, linear=linear, smoothing=smoothing)
+
+    budget = task.budget.stage()
+    linear: Literal["calibrated", "given"] = "calibrated"
+    if node.coarse.at_bounds[: node.coarse.assembly.n_linear].any():
+        linear = "given"
+    first = begin(candidates[0], linear)
+    if linear == "calibrated" and not node.effects:
+        other = begin(candidates[0], "given")
+        if other is not None and (first is None or other.fit.cost < BETTER * first.fit.cost):
+            first, linear = other, "given"
+    race = [] if first is None else [first]
+    left_out: list[Candidate] = []
+    for candidate in candidates[1:]:
+        if any(_outdone(candidate, one, observed) for one in race):
+            left_out.append(candidate)
+            continue
+        if not budget.allows():
+            break
+        one = begin(candidate, linear)
+        race += [] if one is None else [one]
+    return _finished(race, task, budget), left_out
+
+
+def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
+    """Whether a fit explains so much that the candidate need not be fitted.
+
+    Either the screen promised much less of the candidate, or it is the same law with another shape to start from.
+    """
+    clear = observed.level > NEAR_FLOOR and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
+    same = (candidate.key, candidate.where) == (leader.candidate.key, leader.candidate.where)
+    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= NEAR_FLOOR))
+
+
+def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimate]:
+    """All as far as they came, and those fitted to their end that may still be the best."""
+    done: list[Estimate] = []
+    leader: _Begun | None = None
+    for one in sorted(race, key=lambda one: one.fit.cost):
+        reached = one.fit
+        if not one.ended and (leader is None or _may_lead(one, leader)):
+            left, budget = MOST_OBSERVED - reached.iterations, stage.part(MOST_OF_IT)
+            reached = estimate(reached, task.fit, iterations=left, standstill=MOVING_OBSERVED, budget=budget)
+        done.append(reached)
+        if leader is None or reached.cost < leader.fit.cost:
+            leader = replace(one, fit=reached)
+    return done
+
+
+def _may_lead(one: _Begun, leader: _Begun) -> bool:
+    """Whether a fit is not far behind the best one, or promised as much while that explains too little."""
+    if leader.fit.level > NEAR_FLOOR and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
+        return True
+    return one.fit.cost <= BEHIND * leader.fit.cost
+
+
+def _first_smoothing(node: Node, observed: Estimate, task: Task) -> float:
+    """How smooth sharp laws are in the first fits: as sharp as they are where smoothing would hide what is left."""
+    if not node.effects:
+        return SOFTER
+    softened = _again(observed, task, observed.gain, SOFT)
+    hidden = softened is None or softened.cost > HIDDEN * observed.cost
+    return SHARP if hidden else SOFT
+
+
+def _begun(
+    node: Node,
+    observed: Estimate,
+    candidate: Candidate,
+    task: Task,
+    *,
+    linear: Literal["calibrated", "given"],
+    smoothing: float,
+) -> _Begun | None:
+    """A candidate's fit in observer form, to its end unless that takes long; None where it cannot be simulated."""
+    assembly, unknowns = _with(node.coarse, candidate)
+    if linear == "given":
+        unknowns.common[: assembly.n_linear] = assembly.plant.nominal
+    states = _widened(observed, candidate)
+    budget = Budget(FIRST_WORK * simulation_work(task.fit.drive.n_times, assembly.plant.n_states))
+    start = within_reach(assembly, unknowns, task, states, gain=observed.gain, smoothing=smoothing)
+    if start is None:
+        return None
+    found = estimate(start, task.fit, iterations=MOST_OBSERVED, standstill=MOVING_OBSERVED, budget=budget)
+    return _Begun(candidate=candidate, fit=found, ended=budget.left > 0.0)
+
+
+def _with(start: Estimate, candidate: Candidate) -> tuple[Assembly, Unknowns]:
+    assembly = replace(start.assembly, placements=(*start.assembly.placements, candidate.placement))
+    common = np.concatenate([start.unknowns.common, candidate.common])
+    memory = np.zeros((len(candidate.local), candidate.placement.n_memory))
+    local = np.concatenate([start.unknowns.local, memory, candidate.local], axis=1)
+    lower, upper = assembly.bounds()
+    return assembly, Unknowns(common=np.clip(common, lower, upper), local=local)
+
+
+def _widened(observed: Estimate, candidate: Candidate) -> FloatArray:
+    states = observed.trajectory.states
+    extra = getattr(candidate.placement.effect, "n_memory", 0)
+    return np.concatenate([states, np.zeros((len(states), extra))], axis=1)

@@ -1,0 +1,202 @@
+"""The noise of the outputs of one record from its spectrum: gaps bridged, quiet band found, bursts set aside."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from modal.discrepancy.noise.bursts import SteadyLevel, steady_level
+from modal.discrepancy.noise.quiet_band import QuietBand, quiet_band, residual_spectrum
+from modal.discrepancy.noise.short_gaps import bridgeable_runs, bridged
+from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+from okid.rows import runs_of
+
+__all__ = ["SpectralFloor", "smallest_variance", "spectral_floor"]
+
+_FEWEST_ROWS = 64
+"""Samples in succession below which there is no spectrum to speak of."""
+_MOST_BRIDGED = 0.3
+"""Share of bridged samples above which only whole rows count."""
+_BURSTS_ERROR = 0.5
+"""Least relative error of a level among bursts: how much of them lies below the limit is not known."""
+_UNKNOWN = 3.0
+"""Relative error of a floor that is no better than a guess."""
+_ROUNDED = 0.1
+"""Share of quantisation in a level from which on bursts are its own."""
+_DIFFERENCES = 4
+_REGULAR = 0.05
+"""Of a quantisation step: how near to multiples of it all values must lie."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SpectralFloor:
+    """Noise of the outputs of one record.
+
+    Attributes:
+        variance: (n_outputs,) [unit^2].
+        standard_error: (n_outputs,) relative.
+        driven_share: (n_outputs,) share of the level in the band that the inputs explain.
+        notes: one an output: band and certainty in words.
+    """
+
+    variance: FloatArray
+    standard_error: FloatArray
+    driven_share: FloatArray
+    notes: tuple[str, ...]
+
+    def words(self, record: Record, which: BoolArray | None = None) -> str:
+        """What was found, output by output.
+
+        Args:
+            record: that it belongs to.
+            which: (n_outputs,) True for outputs to be named; None names all.
+        """
+        chosen = range(record.n_outputs) if which is None else np.flatnonzero(which).tolist()
+        return "; ".join(f"{record.output_names[i]!r} {self.notes[i]}" for i in chosen)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Level:
+    """Of one output."""
+
+    variance: float
+    standard_error: float
+    driven_share: float
+    note: str
+
+
+def spectral_floor(record: Record, outputs: FloatArray | None = None) -> SpectralFloor:
+    """Noise of each output from the quiet part of its spectrum, at least that of its quantisation.
+
+    Args:
+        record: its inputs drive the outputs.
+        outputs: (n_samples, n_outputs) in the place of the record's, such as a model's residual; quantisation is still
+            that of the record's.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> decay = np.exp(-0.002 * np.arange(2000)) * np.sin(0.2 * np.arange(2000))
+        >>> floor = spectral_floor(Record([], decay + 0.1 * rng.standard_normal(2000), 0.01))
+        >>> print(f"{floor.variance[0]:.3f}")
+        0.010
+    """
+    values = record.outputs if outputs is None else outputs
+    moving = np.ptp(np.where(np.isnan(record.inputs), 0.0, record.inputs), axis=0) > 0.0
+    inputs = record.inputs[:, moving]
+    whole: BoolArray = ~np.asarray(np.isnan(inputs).any(axis=1))
+    least = smallest_variance(record)
+    if whole.all() and not np.isnan(values).any():
+        levels = _levels(inputs, values, record.dt, 0.0, least)
+    else:
+        levels = [_with_gaps(inputs, values[:, i], whole, record.dt, least[i : i + 1]) for i in range(record.n_outputs)]
+    notes = [
+        f"is no noisier than its quantisation (variance {floor:.3g})" if level.variance <= floor else level.note
+        for level, floor in zip(levels, least, strict=True)
+    ]
+    return SpectralFloor(
+        variance=np.maximum([level.variance for level in levels], least),
+        standard_error=np.array([level.standard_error for level in levels]),
+        driven_share=np.array([level.driven_share for level in levels]),
+        notes=tuple(notes),
+    )
+
+
+def smallest_variance(record: Record) -> FloatArray:
+    """(n_outputs,) variance of rounding each output to the step of its values, or to double precision.
+
+    Example:
+        >>> record = Record([], 0.5 * np.round(4 * np.sin(np.arange(100.0))), 0.1)
+        >>> print(f"{smallest_variance(record)[0]:.4f}")  # 0.5^2 / 12
+        0.0208
+    """
+    return np.array([_rounding(record.outputs[:, i]) for i in range(record.n_outputs)])
+
+
+def _rounding(values: FloatArray) -> float:
+    levels = np.unique(values[~np.isnan(values)])
+    double = float((np.finfo(np.float64).eps * np.abs(levels).max()) ** 2)
+    if levels.size < 2:
+        return double
+    gaps = np.diff(levels)
+    steps = gaps / gaps.min()
+    regular = np.abs(steps - np.round(steps)).max() < _REGULAR
+    return max(double, float(gaps.min()) ** 2 / 12.0) if regular else double
+
+
+def _with_gaps(inputs: FloatArray, values: FloatArray, whole: BoolArray, dt: float, least: FloatArray) -> _Level:
+    """The longest stretch that can be bridged; where most of it is missing, the longest that is whole."""
+    there = ~np.isnan(values)
+    stride = _stride(there)
+    if stride > 1 and whole.all():
+        # the response to what the inputs did since the last sample: every one of those rows is an input of its own
+        kept = np.flatnonzero(there)[1:]
+        since = np.concatenate([inputs[kept - lag] for lag in range(stride)], axis=1)
+        return _levels(since, values[kept, np.newaxis], stride * dt, 0.0, least)[0]
+    runs = [
+        (start + first, start + last)
+        for start, stop in runs_of(whole)
+        for first, last in bridgeable_runs(there[start:stop])
+    ]
+    start, stop = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    missing = 1.0 - float(there[start:stop].mean()) if stop > start else 1.0
+    if missing > _MOST_BRIDGED:
+        start, stop = max(runs_of(there & whole), key=lambda run: run[1] - run[0], default=(0, 0))
+        missing = 0.0
+    if stop - start < _FEWEST_ROWS:
+        return _guess(values)
+    filled = bridged(values[start:stop], inputs[start:stop])
+    return _levels(inputs[start:stop], filled[:, np.newaxis], dt, missing, least)[0]
+
+
+def _stride(there: BoolArray) -> int:
+    """Rows from one sample to the next where that is always the same, else 1: a slower channel among faster ones."""
+    steps = np.diff(np.flatnonzero(there))
+    return int(steps[0]) if steps.size and (steps == steps[0]).all() else 1
+
+
+def _levels(inputs: FloatArray, outputs: FloatArray, dt: float, missing: float, least: FloatArray) -> list[_Level]:
+    spectrum = residual_spectrum(inputs, outputs) if len(outputs) >= _FEWEST_ROWS else None
+    if spectrum is None:
+        return [_guess(column) for column in outputs.T]
+    levels = []
+    for i in range(outputs.shape[1]):
+        band = quiet_band(spectrum, i)
+        # rounding comes in bursts too, where the signal crosses from step to step
+        steady = steady_level(spectrum, i) if least[i] < _ROUNDED * band.variance else None
+        levels.append(_level(band, steady, dt, missing))
+    return levels
+
+
+def _level(band: QuietBand, steady: SteadyLevel | None, dt: float, missing: float) -> _Level:
+    variance, error = band.variance * band.rise, max(band.standard_error, band.rise - 1.0)
+    how = ", rising above it" if band.rise > 1.0 else ""
+    if steady is not None and steady.bursts:
+        lower = min(variance, steady.variance)
+        error = max(error, _BURSTS_ERROR, variance / lower - 1.0 if lower > 0.0 else _UNKNOWN)
+        variance, how = lower, ", in the pauses of bursts (impacts, rubbing) that reach into it"
+    # bridged samples hold no noise at high frequencies
+    variance, error = variance / (1.0 - missing), min(_UNKNOWN, float(np.hypot(error, 0.5 * missing)))
+    bridges = f", {100 * missing:.2g} % of the samples bridged" if missing else ""
+    doubt = "; the band is too narrow to tell noise from distortion" if error > _BURSTS_ERROR and not how else ""
+    return _Level(
+        variance=variance,
+        standard_error=error,
+        driven_share=band.driven_share,
+        note=f"by its level from {band.low / dt:.4g} to {band.high / dt:.4g} Hz{how} "
+        f"({2 * band.freedom:.0f} samples' worth{bridges}), sure to {100 * error:.2g} %{doubt}",
+    )
+
+
+def _guess(values: FloatArray) -> _Level:
+    """From differences of what is there, gaps or not, over those of white noise; too much rather than too little."""
+    there = values[~np.isnan(values)]
+    order = min(_DIFFERENCES, there.size - 1)
+    # the sum of squares of the coefficients of a difference of order n is the binomial coefficient (2n, n)
+    differences = np.diff(there, order)
+    return _Level(
+        variance=float(np.mean(differences**2) / scipy.special.binom(2 * order, order)) if order else 0.0,
+        standard_error=_UNKNOWN,
+        driven_share=0.0,
+        note="by differences of its samples, since too few follow each other: a guess, rather an upper limit",
+    )

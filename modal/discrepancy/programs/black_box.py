@@ -1,0 +1,229 @@
+"""Diagnose a simulation program of which nothing is known but what it returns: a callable, Record in, Record out.
+
+It is run along every record, and its linear part is identified from its own outputs. The search works with this linear
+part on records from which the rest is taken off, y - (f(u) - L(u)): what a model then has to explain is exactly what
+the callable itself leaves, also where the linear part does not quite reproduce it. The result is proved with the
+callable: changed inputs and outputs by running it again, forces by the difference that they make in the linear part.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.discrepancy.diagnosis import diagnosis_of
+from modal.discrepancy.noise.floor import NoiseFloor, noise_floor
+from modal.discrepancy.programs.callable_identification import (
+    IdentifiedPart,
+    identify_callable,
+    quietest,
+    relative_miss,
+)
+from modal.discrepancy.programs.corrected import along_plant
+from modal.discrepancy.programs.program import Simulator, check_deterministic, run_callable
+from modal.discrepancy.programs.proof import Runs, prove
+from modal.discrepancy.programs.proved_diagnosis import proved, without_search
+from modal.discrepancy.results import Diagnosis, Step
+from modal.discrepancy.selection.beam import search_effects
+from modal.discrepancy.selection.decision import decide_nodes
+from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, with_uncovered_floor
+from modal.discrepancy.validation.advice import circumstances_of
+from modal.discrepancy.validation.doubted_units import doubted_units
+from modal.effects.effect import Effect
+from modal.localisation.evidence import Location, locate
+from modal.localisation.gap import measure_gap
+from modal.localisation.levels import level_modes
+from modal.localisation.lines import measure_lines
+from modal.structure.given import Given, given_model
+from modal.structure.plant_model import PlantModel
+from modal.structure.structural_model import SensorKind
+from okid.arrays import FloatArray
+from okid.errors import IdentificationError, InvalidDataError
+from okid.record import Record
+
+__all__ = ["diagnose_callable"]
+
+LINEAR = 0.02
+"""Share of its output's rms that the linear part of a callable may miss before the callable is called nonlinear."""
+USEFUL = 0.3
+"""Share on the quietest records up to which the search with the linear part is worth its while."""
+
+
+def diagnose_callable(
+    model: Simulator,
+    fits: tuple[Record, ...],
+    helds: tuple[Record, ...],
+    *,
+    catalogue: Mapping[str, Effect],
+    sensor_kind: SensorKind | Sequence[SensorKind] | None,
+    progress: Progress,
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """Find what a callable lacks.
+
+    Args:
+        model: Takes a Record and returns one with simulated outputs; started from rest, deterministic.
+        fits: Records to fit.
+        helds: Held-out records.
+        catalogue: The effects to try.
+        sensor_kind: What the outputs are, as in `diagnose`.
+        progress: Called with a sentence and the share that is done.
+        notes: What is known of the records already; they lead the warnings.
+
+    Returns:
+        The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
+
+    Raises:
+        InvalidDataError: No input, or a callable that fails, is not deterministic, or returns no record that matches.
+        NumericalError: Its linear part cannot be simulated along the records.
+    """
+    records = (*fits, *helds)
+    if fits[0].n_inputs == 0:
+        raise InvalidDataError(
+            "a callable is identified from its answer to inputs, but the records have none; pass the model's matrices "
+            "instead (StructuralModel, control.StateSpace), or records with inputs."
+        )
+    progress(f"running the callable along {len(records)} records", 0.0)
+    own = tuple(run_callable(model, record) for record in records)
+    check_deterministic(model, fits[0], own[0].outputs)
+    floor = noise_floor(records)
+    runs = Runs(simulator=model, fit=fits, held_out=helds, own=own, floor=floor.variance, catalogue=catalogue)
+    progress("identifying the linear part of the callable", 0.01)
+    part, given = _identified(runs, sensor_kind)
+    if part is None or given is None or part.miss > USEFUL:
+        location = _located(fits, [run.outputs for run in own[: len(fits)]], floor)
+        return without_search(runs, floor, location, (*notes, _unidentified(part, own[: len(fits)])))
+    misses = [float(np.max(relative_miss(part.realisation, run))) for run in own]
+    plant = _plant_of(given)
+    rest = [run.outputs - along_plant(plant, record) for run, record in zip(own, records, strict=True)]
+    shifted = [replace(record, outputs=record.outputs - one) for record, one in zip(records, rest, strict=True)]
+    to_fit, to_hold = _worth_searching(misses, len(fits))
+    setup = prepare_setup(
+        given,
+        tuple(shifted[i] for i in to_fit),
+        tuple(shifted[i] for i in to_hold),
+        catalogue,
+        progress,
+        floor=_rows(floor, [*to_fit, *to_hold]),
+    )
+    as_given, root = roots(setup)
+    progress("locating the gap", 0.05)
+    along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
+    location = _located([records[i] for i in to_fit], along, setup.floor)
+    setup, nodes, as_given = with_uncovered_floor(setup, search_effects(root, setup.task), as_given)
+    floor = _with_rows(floor, [*to_fit, *to_hold], setup.floor)
+    runs = replace(runs, floor=floor.variance)
+    progress("deciding", 0.9)
+    circumstances = circumstances_of(setup.given.plant, setup.fit, root)
+    decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
+    said = (*notes, *_nonlinear(misses, records, len(fits)))
+    found = diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=said)
+    progress("proving it with the callable itself", 0.95)
+    return proved(
+        replace(found, noise_floor=floor),
+        runs,
+        prove(runs, plant, part.realisation, decision.node),
+        realisation=part.realisation,
+        decision=decision,
+        between=_between(found, rest[len(fits) :]) if len(to_hold) == len(helds) else (),
+    )
+
+
+def _identified(
+    runs: Runs, sensor_kind: SensorKind | Sequence[SensorKind] | None
+) -> tuple[IdentifiedPart | None, Given | None]:
+    """The smallest linear part that is a plant too."""
+
+    def as_plant(realisation: Realisation) -> Given | None:
+        try:
+            return given_model(realisation, runs.fit, sensor_kind=sensor_kind)
+        except IdentificationError:
+            return None
+
+    part = identify_callable(
+        runs.simulator, runs.own[: len(runs.fit)], usable=lambda realisation: as_plant(realisation) is not None
+    )
+    return part, None if part is None else as_plant(part.realisation)
+
+
+def _plant_of(given: Given) -> PlantModel:
+    if isinstance(given.model, PlantModel):
+        return given.model
+    return PlantModel(given.plant, linear=given.linear)
+
+
+def _located(fits: Sequence[Record], simulated: Sequence[FloatArray], floor: NoiseFloor) -> Location:
+    runs = [replace(record, outputs=one) for record, one in zip(fits, simulated, strict=True)]
+    gap = measure_gap(fits, runs, floor.variance[: len(fits)])
+    return locate(gap, modes=level_modes(fits), lines=measure_lines(fits))
+
+
+def _worth_searching(misses: Sequence[float], n_fit: int) -> tuple[list[int], list[int]]:
+    """Records to fit and held-out ones that the linear part reproduces well enough to search with."""
+    to_fit = [i for i, miss in enumerate(misses[:n_fit]) if miss <= USEFUL]
+    to_hold = [i for i, miss in enumerate(misses) if miss <= USEFUL and i >= n_fit]
+    return to_fit, to_hold or list(range(n_fit, len(misses)))
+
+
+def _rows(floor: NoiseFloor, chosen: Sequence[int]) -> NoiseFloor:
+    rows = list(chosen)
+    return replace(
+        floor,
+        variance=floor.variance[rows],
+        method=tuple(floor.method[i] for i in rows),
+        reason=tuple(floor.reason[i] for i in rows),
+        standard_error=floor.standard_error[rows],
+        random=floor.random[rows],
+        distortion=floor.distortion[rows],
+    )
+
+
+def _with_rows(floor: NoiseFloor, chosen: Sequence[int], rows: NoiseFloor) -> NoiseFloor:
+    """The floor of all records with that of some in place."""
+    at = {record: row for row, record in enumerate(chosen)}
+    source = [(rows, at[i]) if i in at else (floor, i) for i in range(len(floor.method))]
+    return replace(
+        floor,
+        variance=np.array([one.variance[i] for one, i in source]),
+        method=tuple(one.method[i] for one, i in source),
+        reason=tuple(one.reason[i] for one, i in source),
+        standard_error=np.array([one.standard_error[i] for one, i in source]),
+        random=np.array([one.random[i] for one, i in source]),
+        distortion=np.array([one.distortion[i] for one, i in source]),
+    )
+
+
+def _between(found: Diagnosis, rest: Sequence[FloatArray]) -> list[Step]:
+    """The steps between the first and the last, in the records as they were measured."""
+    steps = []
+    for step in found.steps[1:-1]:
+        simulated = [one + other for one, other in zip(step.simulated, rest, strict=True)] if step.simulated else []
+        steps.append(replace(step, simulated=tuple(simulated)))
+    return steps
+
+
+def _nonlinear(misses: Sequence[float], records: Sequence[Record], n_fit: int) -> tuple[str, ...]:
+    """What to say where the linear part does not reproduce the callable."""
+    if max(misses) <= LINEAR:
+        return ()
+    at = int(np.argmax(misses))
+    left_out = sum(miss > USEFUL for miss in misses)
+    without = f", but for {left_out} records that it misses too much of" if left_out else ""
+    said = (
+        f"the callable is itself nonlinear: its linear part, identified at the lowest level, misses "
+        f"{100.0 * min(misses[:n_fit]):.2g} % of its output there and {100.0 * misses[at]:.2g} % in "
+        f"{records[at].name or 'its worst record'}; effects were looked for about its own output{without}, with forces "
+        "and delays acting on the linear part only"
+    )
+    return (said,)
+
+
+def _unidentified(part: IdentifiedPart | None, own: Sequence[Record]) -> str:
+    at = quietest(own)[0].name or "the quietest record"
+    how = "no linear model at all" if part is None else f"a linear model misses {100.0 * part.miss:.0f} % of its output"
+    return (
+        f"the callable could not be identified as a linear model ({how} in {at}, limit {100.0 * USEFUL:.0f} %), so no "
+        "effect was tried: it is itself nonlinear at every level, holds a delay of its own, or hardly answers to the "
+        "inputs; add a record of a lower level, or pass the model's matrices"
+    )

@@ -1,0 +1,263 @@
+"""What a diagnosis says: the missing effects, how sure that is, and the gap before and after."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from modal.discrepancy.explained import unexplained_outputs
+from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR
+from modal.wording.numbers import listed
+from modal.wording.statements import times_floor_text
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = [
+    "Calibrated",
+    "DetectionLimit",
+    "Diagnosis",
+    "Evidence",
+    "Finding",
+    "Hypothesis",
+    "LawCurve",
+    "Parameter",
+    "Step",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Parameter:
+    """A parameter of an effect, as found.
+
+    Attributes:
+        name: Its name.
+        value: The estimate, in `unit`.
+        std: Standard deviation of the estimate, in `unit`.
+        unit: Unit, "" for none.
+        meaning: What it is, in a few words.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Hypothesis:
+    """A set of effects that was fitted.
+
+    Attributes:
+        effects: (effect key, place) of each effect, in the order in which they were found.
+        fit_level: Mean square of the residual on the records to fit, in units of the noise floor.
+        held_out_level: Likewise on the held-out records.
+        log_likelihood: 2 ln L of all records against the calibrated linear model.
+    """
+
+    effects: tuple[tuple[str, str], ...]
+    fit_level: float
+    held_out_level: float
+    log_likelihood: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Evidence:
+    """What speaks for a finding.
+
+    Attributes:
+        closed: Share of the held-out mean square above the floor that the effect takes away, from the model that has
+            all other findings.
+        log_likelihood: 2 ln L that it gains on all records.
+        margin: 2 ln L by which it leads the runner-up; infinite where there is none.
+        words: The same in a sentence.
+    """
+
+    closed: float
+    log_likelihood: float
+    margin: float
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Finding:
+    """An effect that the model lacked.
+
+    Attributes:
+        effect: Key in the catalogue.
+        where: Name of the place.
+        parameters: Its parameters.
+        law: The law in one line.
+        signature: How it shows in the data.
+        evidence: What speaks for it.
+        runner_up: The best hypothesis with another effect or place instead of it, None if there is none.
+        ambiguous_with: Effects that cannot be told from it in these data: by a fixed table of what is the same by
+            structure or in records such as these, and where the evidence for a member of its class is even.
+    """
+
+    effect: str
+    where: str
+    parameters: tuple[Parameter, ...]
+    law: str
+    signature: str
+    evidence: Evidence
+    runner_up: Hypothesis | None
+    ambiguous_with: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Calibrated:
+    """A linear parameter after the fit.
+
+    Attributes:
+        name: What it is ("stiffness of element_1").
+        unit: Its unit.
+        nominal: Value in the model as given.
+        value: The estimate.
+        std: Its standard deviation.
+        at_bound: Whether it sits on a hard bound.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    std: float
+    at_bound: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DetectionLimit:
+    """The largest size of an effect that the data could still hide: a smaller one would not count as found.
+
+    Attributes:
+        effect: Key in the catalogue.
+        where: Name of the place.
+        parameter: Name of the amplitude.
+        value: The limit, in `unit`.
+        unit: Its unit.
+    """
+
+    effect: str
+    where: str
+    parameter: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Step:
+    """One step from the model as given to the model as found.
+
+    Attributes:
+        name: "as given", "calibrated", or the effect added ("cubic_stiffness at element_0").
+        fit_level: Mean square of the residual on the records to fit, in units of the floor.
+        held_out_level: Likewise on the held-out records.
+        simulated: Simulated outputs of each held-out record, (n_samples, n_outputs) each.
+    """
+
+    name: str
+    fit_level: float
+    held_out_level: float
+    simulated: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LawCurve:
+    """A law as found, over what the data say of it without any law.
+
+    Attributes:
+        effect: Key in the catalogue.
+        where: Name of the place.
+        against: What it is drawn against.
+        motion: (n,) grid of it, in `motion_unit`.
+        force: (n,) the law.
+        deviation: (n,) standard deviation of the law from that of its parameters.
+        points_motion: (m,) centres of bins of the motion.
+        points_force: (m,) force in each bin, free of the law's form, from the data.
+        points_deviation: (m,) standard deviation of each.
+        loop_motion: (k,) motion of a stretch of record, for laws with memory; empty for others.
+        loop_force: (k,) their force along it.
+        motion_unit: Unit of the motion.
+        force_unit: Unit of the force.
+    """
+
+    effect: str
+    where: str
+    against: Literal["displacement", "velocity", "time", "input", "output"]
+    motion: FloatArray
+    force: FloatArray
+    deviation: FloatArray
+    points_motion: FloatArray
+    points_force: FloatArray
+    points_deviation: FloatArray
+    loop_motion: FloatArray
+    loop_force: FloatArray
+    motion_unit: str
+    force_unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Diagnosis:
+    """What a simulation lacks against measured records.
+
+    Attributes:
+        status: "named": within 1.5 of the noise floor on held-out data, with a lead over every other hypothesis;
+            "unresolved": a gap remains or no hypothesis leads (the findings are the best guess, no more); "none": no
+            effect is needed, with `detection_limits`.
+        findings: The effects found, in the order in which they were found.
+        model: The model with calibrated parameters and the effects, of the type that was given where that can hold
+            them; simulates, saves and loads.
+        noise_floor: The noise floor of the records to fit, then of the held-out ones (`NoiseFloor`).
+        gap_before: (n_held_out, n_outputs) RMSE of the model as given on the held-out records.
+        gap_after: (n_held_out, n_outputs) RMSE of `model`.
+        closed: Share of the held-out mean square above the floor that calibration and effects took away.
+        calibrated: The linear parameters.
+        bounds_hit: Names of linear parameters that sit on a hard bound.
+        detection_limits: What the data could still hide.
+        advice: What to measure next, in words.
+        location: Where the two disagree, before any effect was tried (`Location`).
+        steps: From the model as given to the model as found.
+        hypotheses: All sets of effects that were fitted to the end, best first.
+        laws: The laws found, each over the data.
+        fit: The records to fit.
+        held_out: The held-out records.
+        warnings: What the reader must know, a sentence each.
+    """
+
+    status: Literal["named", "unresolved", "none"]
+    findings: tuple[Finding, ...]
+    model: Any
+    noise_floor: Any
+    gap_before: FloatArray
+    gap_after: FloatArray
+    closed: float
+    calibrated: tuple[Calibrated, ...]
+    bounds_hit: tuple[str, ...]
+    detection_limits: tuple[DetectionLimit, ...]
+    advice: tuple[str, ...]
+    location: Any
+    steps: tuple[Step, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    laws: tuple[LawCurve, ...]
+    fit: tuple[Record, ...]
+    held_out: tuple[Record, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        names = effects_at([(finding.effect, finding.where) for finding in self.findings])
+        left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
+        blind = unexplained_outputs(self)
+        if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
+            return f"These data tell nothing of the model, which explains nothing of {listed(list(blind))}: {left}."
+        if self.status == "none":
+            but = f", but the model explains nothing of {listed(list(blind))}" if blind else ""
+            return f"No effect is missing that these data could show{but}: {left}."
+        if self.status == "named":
+            return f"Missing: {names}; {left}."
+        if not self.findings:
+            return f"Something is missing, but no effect of the catalogue explains it: {left}."
+        if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
+            return f"Unresolved: the best guess is {names}; {left}, but {self.warnings[-1]}."
+        return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."

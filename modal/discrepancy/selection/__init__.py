@@ -1,0 +1,1 @@
+"""Which effects: screen, search, smaller models, decision."""

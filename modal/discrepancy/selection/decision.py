@@ -1,0 +1,275 @@
+"""Decide what is missing: named, unresolved or none, from the models that the search has fitted.
+
+`named` needs three things: within 1.5 of the noise floor on held-out data; every effect of the model earns its place
+(without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
+another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modal.discrepancy.fitting.estimation import Problem
+from modal.discrepancy.fitting.nodes import Node, Task, counts, log_likelihood_gain
+from modal.discrepancy.selection.absorbed_gain import AbsorbedGain, absorbed_gain
+from modal.discrepancy.selection.covariance import covariance
+from modal.discrepancy.selection.simpler_laws import has_limit, with_limits, with_twins
+from modal.discrepancy.selection.smaller_models import without
+from modal.discrepancy.selection.sureness import sureness
+from modal.effects.ambiguity import Circumstance, ambiguous_with
+from modal.effects.effect_names import effects_at
+from modal.simulation.tolerances import NEAR_FLOOR, SURE
+from modal.wording.statements import number, times_floor_text
+
+__all__ = ["Decision", "decide_nodes"]
+
+
+MOST_ON_FIT = 2.0
+"""The same on the records to fit, where a firm name is wanted: they hold levels that the held-out ones may lack."""
+
+MOST_FIRM = 2
+"""Effects that are named together without doubt: combinations of more were never proved."""
+
+FAR_ABOVE = 10.0
+"""Held-out mean square, in units of the floor, beyond which a likelihood of white noise means nothing."""
+
+SAME = 1.05
+"""Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
+
+CLOSE_COMPANY = 30.0
+CLEAR_RISE = 3.0
+"""Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
+LEAST_SURE = 5.0
+"""Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
+SHARP_SHARE = 0.05
+"""A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Decision:
+    """What was decided.
+
+    Attributes:
+        status: "named", "unresolved" or "none".
+        node: The model chosen (the calibrated linear model for "none").
+        runners: For each effect of it, the best other model without that effect at that place, None if there is none.
+        margins: 2 ln L by which the chosen model leads each runner-up.
+        reasons: Why it is not firm, in words; empty for "named" and "none".
+    """
+
+    status: Literal["named", "unresolved", "none"]
+    node: Node
+    runners: tuple[Node | None, ...]
+    margins: tuple[float, ...]
+    reasons: tuple[str, ...]
+
+
+def decide_nodes(
+    nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset()
+) -> Decision:
+    """Choose among the models that the search has fitted, the first being the linear one.
+
+    Args:
+        nodes: From `search`; the first is the calibrated model as it was given.
+        task: Records and catalogue.
+        circumstances: What holds of plant and records, for the table of ambiguities.
+
+    Returns:
+        The decision.
+    """
+    root = nodes[0]
+    earned = [node for node in nodes if node is root or counts(root, node, task)]
+    best = _best(earned, root, task)
+    if best is root:
+        return _nothing(root, task)
+    best = _pruned(best, root, task)
+    equals = [node for node in earned if len(node.effects) == len(best.effects)]
+    equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
+    if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
+        best = max(
+            [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
+        )
+    if best is root:
+        return _nothing(root, task)
+    richer, best = best, _simplest(best, root, task)
+    runners, margins, reasons = [], [], []
+    twins = [best, *(with_twins(best, task, nodes) if best.held_out_level <= NEAR_FLOOR else [])]
+    others = [*nodes, richer, *twins]
+    best = max(twins, key=lambda node: log_likelihood_gain(root, node, task))
+    for effect in best.effects:
+        rivals = [node for node in others if node is not root and _rivals(node, best, effect, task)]
+        runner = _strongest(rivals, root, task)
+        margin = np.inf if runner is None else log_likelihood_gain(runner, best, task)
+        runners.append(runner)
+        margins.append(float(margin))
+        if runner is not None and margin < CLOSE_COMPANY and not _ambiguous(effect, runner, circumstances):
+            named = effects_at(runner.effects)
+            how = f"nearly as well (2 ln L lower by {margin:.0f} only)" if margin >= 0.0 else "no worse"
+            reasons.append(f"{named} explains the data {how}")
+    if best.held_out_level > NEAR_FLOOR:
+        reasons.append(
+            f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
+            f"{times_floor_text(NEAR_FLOOR)})"
+        )
+    reasons += _unproved(best, root) + _untried(best, task, most=len(best.effects) - len(root.effects))
+    return Decision(
+        status="unresolved" if reasons else "named",
+        node=best,
+        runners=tuple(runners),
+        margins=tuple(margins),
+        reasons=tuple(reasons),
+    )
+
+
+def _unproved(best: Node, root: Node) -> list[str]:
+    """Why a model that explains the held-out records is still not firm."""
+    reasons = []
+    if best.held_out_level <= NEAR_FLOOR and best.fit_level > MOST_ON_FIT:
+        reasons.append(
+            f"on the records to fit the gap is still {times_floor_text(best.fit_level)} times the noise floor (limit "
+            f"{times_floor_text(MOST_ON_FIT)})"
+        )
+    found = len(best.effects) - len(root.effects)
+    if found > MOST_FIRM:
+        reasons.append(
+            f"{found} effects at once fit many a law that is none of them: {MOST_FIRM} at most are named firmly"
+        )
+    return reasons
+
+
+def _untried(best: Node, task: Task, *, most: float) -> list[str]:
+    """Whether models with no more effects were left untried, or any where the best does not explain the data."""
+    explained = best.held_out_level <= NEAR_FLOOR
+    if not task.budget.spent or (explained and task.budget.untried > most):
+        return []
+    words = (
+        "the search was ended before every effect was tried, because it cost as much as it may: what is missing may "
+        "not be in the catalogue, or the motion is hard to follow; try fewer effects, or a part of the records"
+    )
+    return [words]
+
+
+def _nothing(root: Node, task: Task) -> Decision:
+    """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
+    if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
+        absorbed = absorbed_gain(root, task)
+        if absorbed is not None:
+            return _absorbed(root, absorbed)
+        return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+    tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
+    reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
+    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
+
+
+def _absorbed(root: Node, found: AbsorbedGain) -> Decision:
+    """A gain that only the model as given shows: never firm, because the records do not tell."""
+    reason = (
+        "the calibration explains the records as well without it, by internal forces further from the model as given "
+        f"(2 ln L lower by {number(found.fall, 2)} with their prior); check the gain, or give a model whose structure "
+        "is known (M, C and K)"
+    )
+    before = len(root.effects)
+    return Decision(
+        status="unresolved",
+        node=found.node,
+        runners=(*(None,) * before, found.without),
+        margins=(*(float("inf"),) * before, found.fall),
+        reasons=(reason,),
+    )
+
+
+def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
+    """The model with the fewest effects that explains the data; among its equals the most likely one.
+
+    Far above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
+    alone decides among those with the fewest effects.
+    """
+    lowest = min(node.held_out_level for node in nodes)
+    if not np.isfinite(lowest):
+        return root
+    enough = max(SAME * lowest, 1.0)
+    good = [node for node in nodes if node.held_out_level <= enough]
+    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
+    fewest = min(len(node.effects) for node in (within or good))
+    equals = [node for node in (within or good) if len(node.effects) == fewest]
+    if lowest > FAR_ABOVE:
+        return min(equals, key=lambda node: node.held_out_level)
+    return max(equals, key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task))
+
+
+def _cost_of_freedom(node: Node, task: Task) -> float:
+    """ln(n) a free parameter (Schwarz 1978); one that is found at the value known beforehand is not free."""
+    assembly, problem = node.coarse.assembly, task.fit
+    n_values = int(problem.drive.present.sum() + task.held_out.drive.present.sum())
+    free = 0
+    for i, item in enumerate(assembly.placements):
+        free += len(item.common) + item.n_directions - len(item.held)
+        known = item.effect.known_values("" if item.port is None else item.port.length_unit)
+        if any(value is not None for value in known):
+            free -= _found_as_known(node, i, known, problem)
+    return free * float(np.log(n_values))
+
+
+def _found_as_known(node: Node, i: int, known: Sequence[float | None], problem: Problem) -> int:
+    """How many parameters of an effect came out at their known values, and sharply so."""
+    item, span = node.coarse.assembly.placements[i], node.coarse.assembly.common_of(i)
+    spread = np.sqrt(np.maximum(np.diag(covariance(node.coarse, problem)), 0.0))[span]
+    values = node.coarse.unknowns.common[span]
+    return sum(
+        abs(value - wanted) <= SURE * deviation and deviation <= SHARP_SHARE * abs(wanted)
+        for j, value, deviation in zip(item.common, values, spread, strict=False)
+        if (wanted := known[j]) is not None
+    )
+
+
+def _strongest(nodes: Sequence[Node], root: Node, task: Task) -> Node | None:
+    return max(nodes, key=lambda node: log_likelihood_gain(root, node, task), default=None)
+
+
+def _pruned(best: Node, root: Node, task: Task) -> Node:
+    """The model without effects that it does not need."""
+    while len(best.effects) > 1:
+        sure = sureness(best, task)
+        smaller = [without(best, i, task) for i in range(len(best.effects))]
+        needless = [
+            node for node, z in zip(smaller, sure, strict=True) if not counts(node, best, task) or _weak(node, best, z)
+        ]
+        if not needless:
+            return best
+        best = min(needless, key=lambda node: node.held_out_level)
+    return best if best is root or counts(root, best, task) else root
+
+
+def _simplest(best: Node, root: Node, task: Task) -> Node:
+    """The model, or one with a limit of a law in its place that does as well on held-out records."""
+    if best.held_out_level > NEAR_FLOOR:
+        return best
+    most = min(SAME * best.held_out_level, NEAR_FLOOR)
+    enough = [one for one in with_limits(best, task) if one.held_out_level <= most and counts(root, one, task)]
+    return min(enough, key=lambda node: node.held_out_level, default=best)
+
+
+def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:
+    """Whether a model explains the data without an effect of the best one.
+
+    A richer law of which the effect is a limit always fits about as well; it is a rival where it clearly fits better.
+    """
+    if effect in node.effects or not np.isfinite(node.held_out_level):
+        return False
+    contains = any(where == effect[1] and has_limit(key, effect[0]) for key, where in node.effects)
+    return not contains or log_likelihood_gain(best, node, task) > CLOSE_COMPANY
+
+
+def _weak(smaller: Node, best: Node, z: float) -> bool:
+    """Whether an effect may be none by what it changes in the outputs, and the held-out error does not clearly need it.
+
+    The size of a hard limit (a brim, a stop) is hardly known where anything large will do: only the error tells.
+    """
+    return z < LEAST_SURE and smaller.held_out_level < CLEAR_RISE * best.held_out_level
+
+
+def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:
+    others = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.others(effect[0])}
+    return any(key in others for key, _ in runner.effects)

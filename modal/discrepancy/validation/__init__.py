@@ -1,0 +1,1 @@
+"""What a finished diagnosis says, rests on and warns of."""

@@ -1,0 +1,228 @@
+"""What the data say of a law in bins of its motion, free of the law's form.
+
+The law is held as found and a smooth function of the motion, given by its values in the bins, is added to it. These
+values are fitted with everything else unknown in the model left free; the parameters of the law itself are not, so that
+the bins take up the whole departure of the data from it. With F0 the Gram matrix of the responses to the bins, F what
+the other unknowns leave of it and s the score,
+
+    F v = lambda F0 v, v' F0 v = 1        addition = sum over lambda >= 0.01 of v v' s / lambda
+
+A direction with a small lambda cannot be told from the rest of the model: a force in proportion to the motion from a
+wrong stiffness or damping, under accelerometers a constant force. There the points follow the law as found; in all
+others they are free. So the points are what acts beyond the calibrated linear model. With P = sum of v v' F0 the
+projection on what can be told, L the law's derivative by its parameters and Q their covariance, the points' covariance
+about the true law is
+
+    P S P' - P L Q L' P' + L Q L'        S = sum of v v' / lambda
+
+that of the departure, less what the law's own fit explains of it, and that of the law.
+
+References:
+    Larsen, McCleary, The use of partial residual plots in regression analysis, Technometrics 14(3), 1972,
+    https://doi.org/10.1080/00401706.1972.10488966 (points of a component with the others fitted); Worden, Tomlinson,
+    Nonlinearity in Structural Dynamics, 2001, chapter 7 (restoring force surfaces).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from modal.discrepancy.fitting.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
+from modal.simulation.sensitivity import Sensitivity, Source, respond, sensitivity
+from modal.simulation.tolerances import ROUNDING
+from okid.arrays import TINY, FloatArray
+
+__all__ = ["N_BINS", "Bins", "Told", "bins_of", "derivatives", "told_by", "told_by_sources", "unknowns_but"]
+
+IndexArray = npt.NDArray[np.intp]
+
+N_BINS = 12
+INDISTINCT = 0.01
+"""Share of a correction's response below which the rest of the model stands for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Bins:
+    """Bins of a motion.
+
+    Attributes:
+        knots: (m,) centres, rising.
+        period: Length after which the motion repeats; 0 for none.
+    """
+
+    knots: FloatArray
+    period: float = 0.0
+
+    def hats(self, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Smooth hats (n, m) and their slopes: the natural cubic spline that is 1 at one knot and 0 at all others.
+
+        Beyond the outer knots they go on straight. Straight hats would lie on the wrong side of a curved force: over
+        a parabola their values in the outer bins come out several per cent too small.
+        """
+        heights = np.eye(len(self.knots))
+        if self.period:
+            knots = np.append(self.knots, self.knots[0] + self.period)
+            at = np.mod(motion - knots[0], self.period) + knots[0]
+            return _spline(knots, np.concatenate([heights, heights[:1]]), at, periodic=True)
+        at = np.clip(motion, self.knots[0], self.knots[-1])
+        values, rise = _spline(self.knots, heights, at, periodic=False)
+        return values + rise * (motion - at)[:, None], rise
+
+
+def _spline(knots: FloatArray, heights: FloatArray, at: FloatArray, *, periodic: bool) -> tuple[FloatArray, FloatArray]:
+    """Values (n, m) and slopes of the cubic splines through heights (n_knots, m), without curvature at the ends.
+
+    A periodic spline goes on smoothly from its last knot to its first. The curvatures M at the knots follow from equal
+    slopes on both sides of each, h(i-1) M(i-1) + 2 (h(i-1) + h(i)) M(i) + h(i) M(i+1) = 6 (r(i) - r(i-1)) with widths h
+    and rises r of the intervals (de Boor, A Practical Guide to Splines, 2001, chapter 4).
+    """
+    widths = np.diff(knots)
+    rises = np.diff(heights, axis=0) / widths[:, None]
+    n = len(widths)
+    system, right = np.zeros((n, n)), 6.0 * (rises - np.roll(rises, 1, axis=0))
+    for i in range(n):  # knot i, between the intervals i - 1 and i
+        system[i, i] += 2.0 * (widths[i - 1] + widths[i])
+        system[i, i - 1] += widths[i - 1]
+        system[i, (i + 1) % n] += widths[i]
+    curvatures = np.zeros_like(heights)
+    if periodic:
+        curvatures[:-1] = np.linalg.solve(system, right)
+        curvatures[-1] = curvatures[0]
+    else:
+        curvatures[1:-1] = np.linalg.solve(system[1:, 1:], right[1:])
+    bends = np.diff(curvatures, axis=0) / widths[:, None]
+    starts = rises - widths[:, None] * (curvatures[:-1] / 3.0 + curvatures[1:] / 6.0)
+    at_left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, n - 1)
+    x = (at - knots[at_left])[:, None]
+    start, curvature, bend = starts[at_left], curvatures[at_left], bends[at_left]
+    values = heights[at_left] + x * (start + x * (curvature / 2.0 + x * bend / 6.0))
+    return values, start + x * (curvature + x * bend / 2.0)
+
+
+def bins_of(motion: FloatArray, *, n_bins: int = N_BINS, period: float = 0.0) -> Bins | None:
+    """Bins between the extremes of a motion, half by its quantiles and half even; None where nothing moves.
+
+    Quantiles alone would leave two bins for the outer two thirds of a Gaussian motion's reach.
+
+    Example:
+        >>> bins_of(np.linspace(-1.0, 1.0, 201), n_bins=5).knots
+        array([-1. , -0.5,  0. ,  0.5,  1. ])
+    """
+    if period > 0.0:
+        return Bins(knots=np.arange(n_bins) * period / n_bins, period=period)
+    low, high = float(motion.min(initial=np.inf)), float(motion.max(initial=-np.inf))
+    if not high > low or (high - low) <= ROUNDING * max(abs(low), abs(high)):
+        return None
+    shares = np.linspace(0.0, 1.0, n_bins)
+    return Bins(knots=0.5 * (np.quantile(motion, shares) + low + shares * (high - low)))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Told:
+    """What normal equations say of the bins of a law.
+
+    Attributes:
+        added: (m,) step of the bins' values.
+        others: (k,) step of the other unknowns that goes with it.
+        scatter: (m, m) covariance of `added` for unit noise.
+        project: (m, m) P, on what can be told from the rest of the model.
+        fall: What the step takes away of the sum of squares.
+    """
+
+    added: FloatArray
+    others: FloatArray
+    scatter: FloatArray
+    project: FloatArray
+    fall: float
+
+    def deviation(self, by_parameter: FloatArray, spread: FloatArray, fitted: Estimate, squares: float) -> FloatArray:
+        """(m,) standard deviation of law and addition together about the true law.
+
+        Args:
+            by_parameter: (m, p) derivative of the law in each bin by the parameters that all records share.
+            spread: (p, p) their covariance.
+            fitted: The model with its law as found.
+            squares: Sum of squares that is left with the bins: the noise is taken from it, not from what a law of the
+                wrong form leaves.
+        """
+        level = max(1.0, fitted.level * squares / max(fitted.squares, TINY))
+        law = by_parameter @ spread @ by_parameter.T * (level / max(1.0, fitted.level))
+        departure = np.diag(level * self.scatter - self.project @ law @ self.project.T)
+        return np.asarray(np.sqrt(np.maximum(departure, 0.0) + np.maximum(np.diag(law), 0.0)))
+
+
+def told_by(gram: FloatArray, score: FloatArray, bins: IndexArray, others: IndexArray) -> Told:
+    """Solve normal equations for the bins with the other unknowns free.
+
+    Args:
+        gram: (n, n) Gram matrix.
+        score: (n,).
+        bins: (m,) where the bins stand.
+        others: (k,) where the other unknowns stand; what stands in neither keeps its value.
+    """
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    scaled, seen = gram / np.outer(scale, scale), score / scale
+    inverse = scipy.linalg.pinvh(scaled[np.ix_(others, others)])
+    cross = scaled[np.ix_(bins, others)]
+    left = scaled[np.ix_(bins, bins)] - cross @ inverse @ cross.T
+    metric = scaled[np.ix_(bins, bins)] + ROUNDING * np.eye(len(bins))
+    share, directions = scipy.linalg.eigh(left, metric)
+    told = share >= INDISTINCT
+    share, directions = share[told], directions[:, told]
+    along = directions.T @ (seen[bins] - cross @ inverse @ seen[others])
+    added = directions @ (along / share)
+    size = scale[bins]
+    return Told(
+        added=added / size,
+        others=inverse @ (seen[others] - cross.T @ added) / scale[others],
+        scatter=(directions / share) @ directions.T / np.outer(size, size),
+        project=(directions @ directions.T @ metric) * size / size[:, None],
+        fall=float(np.sum(along**2 / share)),
+    )
+
+
+def derivatives(fitted: Estimate, problem: Problem) -> Sensitivity:
+    """Derivatives by everything unknown at the estimate."""
+    return sensitivity(
+        fitted.assembly,
+        fitted.unknowns,
+        problem.drive,
+        fitted.trajectory,
+        fitted.scheme,
+        slopes=fitted.slopes,
+        gain=fitted.gain,
+    )
+
+
+def unknowns_but(fitted: Estimate, placements: list[int]) -> IndexArray:
+    """Indices of all unknowns but the parameters, directions and values of each record of some placements."""
+    assembly, (n_records, n_local) = fitted.assembly, fitted.unknowns.local.shape
+    held: list[int] = []
+    for placement in placements:
+        common, local = assembly.common_of(placement), assembly.local_of(placement)
+        held += range(common.start, common.stop)
+        for record in range(n_records):
+            first = assembly.n_common + record * n_local
+            held += range(first + local.start, first + local.stop)
+    return np.setdiff1d(np.arange(assembly.n_common + n_records * n_local), held)
+
+
+def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources: list[Source]) -> Told:
+    """What the data say of bins whose hats act as these sources: exact where they act linearly (inputs, sensors)."""
+    slopes = derivatives(fitted, problem)
+    gram, score = score_equations(fitted, problem, slopes)
+    _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, gain=fitted.gain)
+    weights = weights_along(problem, fitted.trajectory)
+    columns = outputs * weights
+    flat = columns.reshape(len(columns), -1)
+    parts = [flat @ (slopes.common * weights).reshape(len(slopes.common), -1).T]
+    for record in range(problem.drive.n_records):
+        rows = problem.drive.rows_of(record)
+        local = (slopes.local[:, rows] * weights[rows]).reshape(len(slopes.local), -1)
+        parts.append(columns[:, rows].reshape(len(columns), -1) @ local.T)
+    cross = np.concatenate(parts, axis=1)
+    whole = np.block([[gram, cross.T], [cross, flat @ flat.T]])
+    seen = np.concatenate([score, flat @ weighted_residual(problem, fitted.trajectory).ravel()])
+    return told_by(whole, seen, len(score) + np.arange(len(sources)), unknowns_but(fitted, [placement]))

@@ -1,0 +1,221 @@
+"""Fitting: exact recovery without noise, bounds, missing samples, weights, and the covariance against repetition."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine_plants import some_records, two_masses, with_effects
+
+from modal.discrepancy.fitting.estimation import (
+    Problem,
+    estimate,
+    score_equations,
+    sensitivity_of,
+    simulate_at,
+    weighted_residual,
+    weights_along,
+)
+from modal.discrepancy.selection.covariance import covariance
+from modal.simulation.budget import Budget
+from modal.simulation.drive import drive_of
+from modal.simulation.sensitivity import sensitivity
+
+KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]
+
+
+def problem_of(keys, *, missing=0.0, noise=0.0, seed=0, change=(), lengths=(120, 90), floor=1e-8):
+    """Records of a model with these effects, and its unknowns; `change` (index, value) of the truth."""
+    plant = two_masses()
+    drive = drive_of(some_records(plant, lengths=lengths, missing=missing))
+    assembly, unknowns = with_effects(plant, keys, 2)
+    common = unknowns.common.copy()
+    common[: assembly.n_linear] = [93.0, 1.1]
+    for index, value in change:
+        common[index] = value
+    unknowns = replace(unknowns, common=common)
+    variance = np.full((2, plant.n_outputs), floor)
+    problem = Problem(drive=drive, floor=variance)
+    exact = simulate_at(assembly, unknowns, problem).trajectory.outputs
+    rng = np.random.default_rng(seed)
+    measured = exact + noise * rng.standard_normal(exact.shape)
+    return assembly, unknowns, replace(problem, drive=replace(drive, outputs=np.where(drive.present, measured, 0.0)))
+
+
+def away(assembly, unknowns):
+    rng = np.random.default_rng(1)
+    common = unknowns.common * rng.uniform(0.93, 1.07, len(unknowns.common))
+    return replace(unknowns, common=common, local=unknowns.local + 0.02 * rng.standard_normal(unknowns.local.shape))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_exact_recovery(missing):
+    assembly, truth, problem = problem_of(KEYS, missing=missing, floor=1e-12)
+    start = simulate_at(assembly, away(assembly, truth), problem)
+    found = estimate(start, problem, iterations=40, standstill=0.0)
+    assert np.abs(found.unknowns.common / truth.common - 1.0).max() < 1e-6
+    assert np.abs(found.unknowns.local - truth.local).max() < 1e-6
+    assert found.level < 1e-3
+    assert found.cost < start.cost
+    assert not found.at_bounds.any()
+    assert found.iterations > 0
+
+
+def test_a_fit_ends_when_its_budget_is_spent():
+    assembly, truth, problem = problem_of(KEYS)
+    start = simulate_at(assembly, away(assembly, truth), problem)
+    found = estimate(start, problem, iterations=40, budget=Budget(0.0))
+    assert found.iterations == 1
+    assert found.cost < start.cost
+
+
+def test_what_a_record_shows_before_its_delayed_drive_arrives_is_not_judged():
+    assembly, unknowns, problem = problem_of(["input_delay"], noise=1e-3, floor=1e-6)
+    at = assembly.common_of(0)
+    unknowns.common[at] = 3.4 * problem.drive.dt
+    first = problem.drive.row_firsts[1]
+
+    def cost(row):
+        outputs = problem.drive.outputs.copy()
+        outputs[row] += 100.0
+        return simulate_at(assembly, unknowns, replace(problem, drive=replace(problem.drive, outputs=outputs))).cost
+
+    untouched = simulate_at(assembly, unknowns, problem)
+    assert [cost(row) == untouched.cost for row in (0, 3, 4, first, first + 3, first + 4)] == [True, True, False] * 2
+    gram, _ = score_equations(untouched, problem, sensitivity_of(untouched, problem))
+    weights = weights_along(problem, untouched.trajectory)
+    assert not weights[first : first + 4].any()
+    assert weights[first + 4].all()
+    slopes = sensitivity_of(untouched, problem).common * weights
+    prior = assembly.prior()[1] ** -2.0
+    np.testing.assert_allclose(np.diag(gram)[: assembly.n_common], np.sum(slopes**2, axis=(1, 2)) + prior)
+
+
+def test_recovery_in_observer_form():
+    assembly, truth, problem = problem_of(["cubic_stiffness", "bouc_wen_hysteresis"], floor=1e-12)
+    gain = np.random.default_rng(0).standard_normal((4, 3)) * [0.05, 0.02, 0.0005]
+    start = simulate_at(assembly, away(assembly, truth), problem, gain=gain)
+    found = estimate(start, problem, iterations=40, standstill=0.0)
+    assert np.abs(found.unknowns.common / truth.common - 1.0).max() < 1e-5
+    assert found.gain is gain
+
+
+def test_a_bound_is_held_and_reported():
+    """The truth has a negative drag and a stiffness beyond its upper bound of 120."""
+    assembly, truth, problem = problem_of(["quadratic_drag"], change=[(0, 131.0), (2, -0.1)])
+    start = simulate_at(assembly, replace(truth, common=np.array([95.0, 1.0, 0.3])), problem)
+    found = estimate(start, problem, iterations=30)
+    assert found.unknowns.common[0] == 120.0
+    assert found.unknowns.common[2] == 0.0
+    assert found.unknowns.common[1] > 0.0
+    assert np.array_equal(found.at_bounds, [True, False, True])
+    spread = covariance(found, problem)
+    assert not spread[[0, 2]].any()
+    assert spread[1, 1] > 0.0
+
+
+def test_held_out_records_fit_only_what_is_their_own():
+    assembly, truth, problem = problem_of(KEYS)
+    start = simulate_at(assembly, away(assembly, truth), replace(problem, free_common=False))
+    found = estimate(start, replace(problem, free_common=False), iterations=10)
+    assert np.array_equal(found.unknowns.common, start.unknowns.common)
+    assert not np.array_equal(found.unknowns.local, start.unknowns.local)
+    assert found.cost < start.cost
+
+
+def test_missing_samples_carry_no_weight():
+    assembly, truth, problem = problem_of(["cubic_stiffness"], missing=0.3)
+    assert np.array_equal(problem.weights == 0.0, ~problem.drive.present)
+    wild = replace(
+        problem, drive=replace(problem.drive, outputs=np.where(problem.drive.present, problem.drive.outputs, 99.0))
+    )
+    start = away(assembly, truth)
+    ours, theirs = (estimate(simulate_at(assembly, start, one), one, iterations=5) for one in (problem, wild))
+    assert np.array_equal(ours.unknowns.common, theirs.unknowns.common)
+    absent = replace(problem.drive, present=problem.drive.present & np.array([True, False, True]))
+    found = simulate_at(assembly, truth, replace(problem, drive=absent))
+    assert np.isnan(found.mean_square[:, 1]).all()
+    assert np.isfinite(found.level)
+
+
+def test_each_record_and_output_is_weighed_by_its_own_floor():
+    _, _, problem = problem_of([])
+    floor = np.array([[1.0, 4.0, 9.0], [16.0, 25.0, 36.0]])
+    problem = replace(problem, floor=floor)
+    assert np.array_equal(problem.weights[5], [1.0, 1 / 2, 1 / 3])
+    assert np.array_equal(problem.weights[130], [1 / 4, 1 / 5, 1 / 6])
+
+
+def test_a_noisy_record_hardly_counts():
+    """Two records of two stiffnesses: the estimate is that of the quieter one."""
+    assembly, truth, problem = problem_of([], floor=1e-6)
+    other = simulate_at(assembly, replace(truth, common=np.array([97.0, 1.1])), problem).trajectory.outputs
+    rows = problem.drive.rows_of(1)
+    outputs = problem.drive.outputs.copy()
+    outputs[rows] = other[rows]
+    for quiet, expected in ((0, 93.0), (1, 97.0)):
+        floor = np.full((2, 3), 1.0)
+        floor[quiet] = 1e-8
+        mixed = replace(problem, drive=replace(problem.drive, outputs=outputs), floor=floor)
+        found = estimate(simulate_at(assembly, truth, mixed), mixed, iterations=20)
+        assert found.unknowns.common[0] == pytest.approx(expected, abs=1e-3)
+
+
+def test_data_that_say_nothing_leave_the_prior():
+    assembly, truth, problem = problem_of([], floor=1e8)
+    found = estimate(simulate_at(assembly, truth, problem), problem, iterations=20, standstill=0.0)
+    assert np.allclose(found.unknowns.common, [90.0, 0.8], atol=1e-3)
+
+
+def test_the_normal_equations_are_those_of_the_stacked_residual():
+    assembly, truth, problem = problem_of(["periodic_disturbance", "bouc_wen_hysteresis"], noise=1e-3, floor=1e-6)
+    current = simulate_at(assembly, away(assembly, truth), problem)
+    slopes = sensitivity(
+        assembly, current.unknowns, problem.drive, current.trajectory, current.scheme, slopes=current.slopes
+    )
+    gram, score = score_equations(current, problem, slopes)
+    drive, n_local = problem.drive, assembly.n_local
+    columns = [one * problem.weights for one in slopes.common]
+    for record in range(2):
+        for one in slopes.local:
+            own = np.zeros_like(one)
+            own[drive.rows_of(record)] = one[drive.rows_of(record)]
+            columns.append(own * problem.weights)
+    jacobian = np.array(columns).reshape(len(columns), -1)
+    residual = weighted_residual(problem, current.trajectory).ravel()
+    centre, deviation = assembly.prior()
+    own = assembly.local_deviation()
+    prior = np.diag(np.concatenate([deviation**-2.0, np.tile(own**-2.0, 2)]))
+    off = np.concatenate([centre - current.unknowns.common, -current.unknowns.local.ravel()])
+    assert len(gram) == assembly.n_common + 2 * n_local
+    assert np.allclose(gram, jacobian @ jacobian.T + prior, rtol=1e-9, atol=1e-6)
+    assert np.allclose(score, jacobian @ residual + prior @ off, rtol=1e-9, atol=1e-6)
+
+
+def test_the_covariance_is_the_scatter_of_repetitions():
+    """40 repetitions, 4 parameters: the mean of the squared standardised errors is 1 within its 4 deviations."""
+    noise, errors = 0.003, []
+    for seed in range(40):
+        assembly, truth, problem = problem_of(
+            ["cubic_stiffness", "quadratic_drag"], noise=noise, seed=seed, floor=noise**2
+        )
+        found = estimate(simulate_at(assembly, truth, problem), problem, iterations=4)
+        spread = np.sqrt(np.diag(covariance(found, problem))[: assembly.n_common])
+        errors.append((found.unknowns.common - truth.common) / spread)
+    squares = np.array(errors) ** 2
+    assert abs(squares.mean() - 1.0) < 4 * np.sqrt(2 / squares.size)
+    assert np.all(squares.mean(axis=0) < 1 + 4 * np.sqrt(2 / 40))
+    assert np.all(squares.mean(axis=0) > 0.35)
+
+
+def test_a_model_that_cannot_be_simulated_gives_none():
+    assembly, truth, problem = problem_of(["cubic_stiffness"])
+    wild = replace(truth, common=np.array([90.0, 0.8, -1e5]))
+    assert simulate_at(assembly, wild, problem) is None
+
+
+def test_a_residual_beyond_the_range_of_numbers_gives_none_and_no_warning():
+    """A motion may escape so far that its square is no number any more."""
+    assembly, unknowns, problem = problem_of(["cubic_stiffness"])
+    assert simulate_at(assembly, unknowns, problem) is not None
+    drive = replace(problem.drive, outputs=problem.drive.outputs + 1e160)
+    assert simulate_at(assembly, unknowns, replace(problem, drive=drive)) is None
