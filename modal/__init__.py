@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modal import discrepancy
-    from modal.acceptance import check_limits
+    from modal.acceptance.check import check_limits
+    from modal.acceptance.test_file import read_specification
     from modal.comparison import compare_results
     from modal.comparison_source import read_result
     from modal.geometry.file import read_geometry
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
-    from modal.specification import read_specification
     from modal.structure.elements import Element
     from modal.structure.model_file import read_model, write_model
     from modal.structure.plant_model import PlantModel
@@ -83,7 +83,7 @@ _PLACES = {
     "StabilisationPoint": "modal.identification.result",
     "StructuralModel": "modal.structure.structural_model",
     "Uncertainty": "modal.modes.uncertainty",
-    "check_limits": "modal.acceptance",
+    "check_limits": "modal.acceptance.check",
     "check_quality": "modal.quality",
     "choose_orders": "modal.identification.order_search",
     "compare_results": "modal.comparison",
@@ -96,7 +96,7 @@ _PLACES = {
     "read_geometry": "modal.geometry.file",
     "read_model": "modal.structure.model_file",
     "read_result": "modal.comparison_source",
-    "read_specification": "modal.specification",
+    "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",
     "simulate": "modal.structure.simulation",
     "write_model": "modal.structure.model_file",

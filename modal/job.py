@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
-from modal.acceptance import check_limits
+from modal.acceptance.check import check_limits
 from modal.examples.demo import demo_record
 from modal.identification.pipeline import identify
 from modal.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
@@ -26,7 +26,7 @@ from okid.readers import read_described
 from okid.record import InputHold, Record
 
 if TYPE_CHECKING:
-    from modal.acceptance import LimitOutcome
+    from modal.acceptance.check import LimitOutcome
     from modal.geometry.sensors import Geometry
     from modal.identification.result import Identification
 

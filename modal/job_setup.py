@@ -4,20 +4,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from modal.acceptance.test_file import read_specification
 from modal.geometry.file import read_geometry
 from modal.report.folder import refuse_names
 from modal.report.pdf import NoBrowserError, find_browser
 from modal.report.writing import refuse_existing
-from modal.specification import read_specification
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError
 from okid.record import Record
 
 if TYPE_CHECKING:
+    from modal.acceptance.test_file import Specification
     from modal.geometry.sensors import Geometry
     from modal.job import Job
     from modal.report import ReportFiles
-    from modal.specification import Specification
 
 __all__ = ["clear_stale", "prepare", "refuse_other_report", "refuse_pdf", "refuse_sources", "unknown_sensors"]
 

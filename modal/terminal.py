@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from modal.acceptance import LimitOutcome
+from modal.acceptance.check import LimitOutcome
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.trust import damping_text, frequency_text, trust_of

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from modal.acceptance import all_met
+from modal.acceptance.check import all_met
 from modal.command_options import name_list, number_or_auto, plain_name, whole_or_auto
 from modal.commands.common import Dt, Hold, Inputs, Outputs, Overwrite, Records, Traceback, examples, faults
 from modal.identification.trust import trust_of

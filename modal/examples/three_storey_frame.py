@@ -23,13 +23,13 @@ from pathlib import Path
 
 import numpy as np
 
-from modal.acceptance import LimitOutcome, check_limits
+from modal.acceptance.check import LimitOutcome, check_limits
+from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
-from modal.specification import Specification, read_specification
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from modal.wording.names import shorten
 
 if TYPE_CHECKING:
-    from modal.acceptance import LimitOutcome
+    from modal.acceptance.check import LimitOutcome
 
 __all__ = ["limits_class", "limits_sentence", "limits_short"]
 

@@ -10,14 +10,14 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from modal.acceptance import check_limits
+from modal.acceptance.check import check_limits
+from modal.acceptance.test_file import Specification
 from modal.identification.result import Identification
 from modal.identification.trust import trust_of
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
 from modal.report.provenance import Provenance, installed_version
-from modal.specification import Specification
 from modal.wording.names import csv_cell
 from okid.record import Record
 

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from modal.acceptance import check_limits
+from modal.acceptance.check import check_limits
 from modal.identification.result import Identification
 from modal.quality import check_quality
 
 if TYPE_CHECKING:
-    from modal.acceptance import LimitOutcome
+    from modal.acceptance.check import LimitOutcome
+    from modal.acceptance.test_file import Specification
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
-    from modal.specification import Specification
 
 __all__ = ["NOTHING_BESIDES", "Setting", "setting_of"]
 

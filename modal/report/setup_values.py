@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from modal.identification.result import Identification
 
 if TYPE_CHECKING:
-    from modal.specification import SensorNote, Specification
+    from modal.acceptance.test_file import SensorNote, Specification
 
 __all__ = ["ChannelRow", "about_lines", "channel_rows", "sensor_columns"]
 

@@ -22,9 +22,9 @@ from okid.arguments import require
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
+    from modal.acceptance.test_file import Specification
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
-    from modal.specification import Specification
 
 __all__ = ["DiagnosisFiles", "ReportFiles", "refuse_existing", "write_report"]
 

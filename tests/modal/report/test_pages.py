@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from systems import random_system, simulate
 
-from modal.acceptance import LimitOutcome
+from modal.acceptance.check import LimitOutcome
+from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
 from modal.report.pictures import draw_pictures
 from modal.report.provenance import Provenance, SourceFile
 from modal.report.setting import Setting
-from modal.specification import SensorNote, Specification
 from okid.record import Record
 
 NASTY = "</style></script><script>alert(1)</script> {{ 7*7 }} {% raw %} |"

@@ -7,13 +7,13 @@ import jsonschema
 import numpy as np
 import pytest
 
-from modal.acceptance_limits import ModeForbidden
+from modal.acceptance.limits import ModeForbidden
+from modal.acceptance.test_file import SensorNote, Specification
 from modal.modes.uncertainty import Uncertainty
 from modal.report.document_schema import document_schema, schema_text
 from modal.report.machine import json_text
 from modal.report.provenance import Provenance, SourceFile
 from modal.report.schema import schema_file, type_schema
-from modal.specification import SensorNote, Specification
 
 
 @pytest.fixture(scope="module")

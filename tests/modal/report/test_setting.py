@@ -1,10 +1,10 @@
 import pytest
 
-from modal.acceptance_limits import FitAtLeast
+from modal.acceptance.limits import FitAtLeast
+from modal.acceptance.test_file import Specification
 from modal.geometry.sensors import Geometry, Sensor
 from modal.report import setting as module
 from modal.report.setting import setting_of
-from modal.specification import Specification
 
 
 def mast(height):

@@ -1,4 +1,4 @@
-"""The conditions that a result can be asked to meet, one type each; `modal.acceptance` weighs a result against them."""
+"""The conditions that a result can be asked to meet, one type each; `modal.acceptance.check` weighs a result against them."""
 
 from dataclasses import dataclass
 from typing import Literal

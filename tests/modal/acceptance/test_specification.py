@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-import modal.specification
-from modal.acceptance_limits import (
+import modal.acceptance.test_file
+from modal.acceptance.limit_tables import _KINDS, limits_of
+from modal.acceptance.limits import (
     DampingRange,
     FitAtLeast,
     ModeCount,
@@ -18,9 +19,8 @@ from modal.acceptance_limits import (
     TrustAtLeast,
     UncertaintyAtMost,
 )
-from modal.limit_tables import _KINDS, limits_of
-from modal.specification import Specification, read_specification
-from modal.toml_tables import Table
+from modal.acceptance.test_file import Specification, read_specification
+from modal.acceptance.toml_tables import Table
 from okid.errors import InvalidDataError, UnreadableFileError
 
 WHOLE = """
@@ -204,7 +204,7 @@ def test_files_that_are_none(tmp_path):
 
 def test_the_page_on_the_test_file_is_right(tmp_path):
     """The example in the documentation reads, and its table names every kind with keys that are known."""
-    page = Path(modal.specification.__file__).parent.joinpath("docs", "test_file.md").read_text(encoding="utf-8")
+    page = Path(modal.acceptance.test_file.__file__).parent.joinpath("docs", "test_file.md").read_text(encoding="utf-8")
     (tmp_path / "test.toml").write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
     found = read_specification(tmp_path / "test.toml")
     assert found.sensors[0].dof == "3X+"

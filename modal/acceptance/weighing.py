@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from modal.acceptance_limits import Range
+from modal.acceptance.limits import Range
 from modal.identification.result import Identification
 from modal.wording.numbers import hertz
 

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.acceptance import all_met, check_limits
-from modal.acceptance_limits import (
+from modal.acceptance.acceptance_sight import uncovered
+from modal.acceptance.check import all_met, check_limits
+from modal.acceptance.limits import (
     DampingRange,
     FitAtLeast,
     ModeCount,
@@ -19,10 +20,9 @@ from modal.acceptance_limits import (
     TrustAtLeast,
     UncertaintyAtMost,
 )
-from modal.acceptance_sight import uncovered
-from modal.acceptance_words import MAYBE, NO, YES, all_of, any_of, inside, negated
+from modal.acceptance.test_file import Specification
+from modal.acceptance.weighing import MAYBE, NO, YES, all_of, any_of, inside, negated
 from modal.modes.uncertainty import Uncertainty
-from modal.specification import Specification
 from okid.record import Record
 
 ANSWERS = st.sampled_from([NO, MAYBE, YES])

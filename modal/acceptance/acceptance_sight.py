@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from modal.acceptance_limits import Range
-from modal.acceptance_words import band_text
+from modal.acceptance.limits import Range
+from modal.acceptance.weighing import band_text
 from modal.identification.result import Identification
 
 __all__ = ["blind_part", "uncovered"]

@@ -8,16 +8,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from modal.acceptance_limits import (
-    DampingRange,
-    ModeExpected,
-    ModeForbidden,
-    Range,
-    SettledVerdicts,
-    UncertaintyAtMost,
-)
-from modal.acceptance_sight import blind_part
-from modal.acceptance_words import (
+from modal.acceptance.acceptance_sight import blind_part
+from modal.acceptance.limits import DampingRange, ModeExpected, ModeForbidden, Range, SettledVerdicts, UncertaintyAtMost
+from modal.acceptance.weighing import (
     MAYBE,
     NO,
     YES,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import scipy
 
-from modal.acceptance_limits import FitAtLeast, ModeCount, TrustAtLeast
-from modal.acceptance_words import MAYBE, NO, YES, Answer, Weighed, inside
+from modal.acceptance.limits import FitAtLeast, ModeCount, TrustAtLeast
+from modal.acceptance.weighing import MAYBE, NO, YES, Answer, Weighed, inside
 from modal.identification.result import Identification
 from modal.identification.trust import trust_of
 from modal.wording.numbers import fit_text

@@ -14,7 +14,15 @@ References:
 from dataclasses import dataclass
 from typing import Literal
 
-from modal.acceptance_limits import (
+from modal.acceptance.acceptance_modes import (
+    check_damping,
+    check_expected,
+    check_forbidden,
+    check_settled,
+    check_uncertainty,
+)
+from modal.acceptance.acceptance_values import check_count, check_fit, check_trust
+from modal.acceptance.limits import (
     DampingRange,
     FitAtLeast,
     Limit,
@@ -25,11 +33,9 @@ from modal.acceptance_limits import (
     TrustAtLeast,
     UncertaintyAtMost,
 )
-from modal.acceptance_modes import check_damping, check_expected, check_forbidden, check_settled, check_uncertainty
-from modal.acceptance_values import check_count, check_fit, check_trust
-from modal.acceptance_words import Weighed
+from modal.acceptance.test_file import Specification
+from modal.acceptance.weighing import Weighed
 from modal.identification.result import Identification
-from modal.specification import Specification
 
 __all__ = ["LimitOutcome", "LimitState", "all_met", "check_limits"]
 
@@ -69,7 +75,7 @@ def check_limits(result: Identification, specification: Specification) -> tuple[
 
     Args:
         result: of `modal.identify`.
-        specification: of `modal.specification.read_specification`.
+        specification: of `modal.acceptance.test_file.read_specification`.
 
     Returns:
         One outcome a limit, in the order of the specification.

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from modal.acceptance_limits import (
+from modal.acceptance.limits import (
     DampingRange,
     FitAtLeast,
     Limit,
@@ -14,7 +14,7 @@ from modal.acceptance_limits import (
     TrustAtLeast,
     UncertaintyAtMost,
 )
-from modal.toml_tables import Table
+from modal.acceptance.toml_tables import Table
 from okid.errors import InvalidDataError
 
 __all__ = ["limits_of"]

@@ -1,0 +1,1 @@
+"""Limits of acceptance, and whether a result meets them."""
