@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from modal import discrepancy
     from modal.acceptance.check import check_limits
     from modal.acceptance.test_file import read_specification
-    from modal.comparison import compare_results
-    from modal.comparison_source import read_result
+    from modal.comparison.changes import compare_results
+    from modal.comparison.source import read_result
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.order_search import OrderChoice, choose_orders
@@ -86,7 +86,7 @@ _PLACES = {
     "check_limits": "modal.acceptance.check",
     "check_quality": "modal.quality",
     "choose_orders": "modal.identification.order_search",
-    "compare_results": "modal.comparison",
+    "compare_results": "modal.comparison.changes",
     "discrepancy": "modal.discrepancy",
     "extract_modes": "modal.modes.extraction",
     "identify": "modal.identification.pipeline",
@@ -95,7 +95,7 @@ _PLACES = {
     "log_identification": "modal.recording",
     "read_geometry": "modal.geometry.file",
     "read_model": "modal.structure.model_file",
-    "read_result": "modal.comparison_source",
+    "read_result": "modal.comparison.source",
     "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",
     "simulate": "modal.structure.simulation",

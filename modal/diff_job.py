@@ -6,8 +6,8 @@ from typing import Literal
 
 from rich.console import Console
 
-from modal.comparison import Comparison, compare_results
-from modal.comparison_source import read_result
+from modal.comparison.changes import Comparison, compare_results
+from modal.comparison.source import read_result
 from modal.report.comparison_writing import refuse_existing_comparison, write_comparison
 from modal.terminal_comparison import show_comparison_files, show_difference
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from modal import comparison_words as words
-from modal.comparison import Comparison, ModePair
-from modal.comparison_differences import Difference
-from modal.comparison_shifts import Shift
+from modal.comparison import words as words
+from modal.comparison.changes import Comparison, ModePair
+from modal.comparison.comparison_differences import Difference
+from modal.comparison.shifts import Shift
 from modal.report.comparison_writing import ComparisonFiles
 from modal.terminal import listing, plain
 from modal.wording.numbers import hertz

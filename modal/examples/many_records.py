@@ -31,9 +31,9 @@ from pathlib import Path
 
 import numpy as np
 
-from modal.comparison import Comparison, compare_results
-from modal.comparison_source import summary_of
-from modal.comparison_words import comparison_headline, pair_sentence
+from modal.comparison.changes import Comparison, compare_results
+from modal.comparison.source import summary_of
+from modal.comparison.words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification

@@ -2,9 +2,9 @@
 
 import math
 
-from modal import comparison_words as words
-from modal.comparison import Comparison, ModePair
-from modal.comparison_shifts import Shift
+from modal.comparison import words as words
+from modal.comparison.changes import Comparison, ModePair
+from modal.comparison.shifts import Shift
 from modal.identification.trust import damping_text
 from modal.modes.mode import Mode
 from modal.report.page_environment import environment

@@ -5,8 +5,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from modal.comparison import Comparison, ModePair, Unmatched
-from modal.comparison_source import ResultSummary
+from modal.comparison.changes import Comparison, ModePair, Unmatched
+from modal.comparison.source import ResultSummary
 from modal.report.comparison_pages import comparison_html, comparison_markdown
 from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json
@@ -55,7 +55,7 @@ def write_comparison(
     """Write a comparison into a folder, all files or none; the same comparison gives the same bytes.
 
     Args:
-        comparison: of `modal.comparison.compare_results`.
+        comparison: of `modal.comparison.changes.compare_results`.
         folder: made if it does not exist.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
 

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 
 from random_problems import random_problem
 
-from modal.comparison import compare_results
-from modal.comparison_source import summary_of
+from modal.comparison.changes import compare_results
+from modal.comparison.source import summary_of
 from modal.identification.pipeline import identify
 from okid.record import Record
 

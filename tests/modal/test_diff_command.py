@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from modal.command import _status
-from modal.comparison import compare_results
-from modal.comparison_source import summary_of
+from modal.comparison.changes import compare_results
+from modal.comparison.source import summary_of
 from modal.report.comparison_pages import comparison_html, comparison_markdown
 from modal.report.comparison_writing import comparison_json, write_comparison
 from okid.errors import InvalidDataError

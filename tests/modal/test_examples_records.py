@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy
 
-from modal.comparison import compare_results
-from modal.comparison_source import read_result
+from modal.comparison.changes import compare_results
+from modal.comparison.source import read_result
 from modal.examples import many_records
 from modal.identification.pipeline import identify
 

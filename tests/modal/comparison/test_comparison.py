@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import random_system, simulate
 
-from modal import comparison_words as words
-from modal.comparison import compare_results
-from modal.comparison_matching import TOO_FAR, match_modes, pair_costs
-from modal.comparison_shifts import holm
-from modal.comparison_source import read_result, summary_of
+from modal.comparison import words as words
+from modal.comparison.changes import compare_results
+from modal.comparison.comparison_matching import TOO_FAR, match_modes, pair_costs
+from modal.comparison.shifts import holm
+from modal.comparison.source import read_result, summary_of
 from modal.identification.pipeline import identify
 from modal.report.machine import json_text
 from modal.report.provenance import Provenance, SourceFile

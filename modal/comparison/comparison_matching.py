@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.comparison_source import ResultSummary
+from modal.comparison.source import ResultSummary
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
 from okid.arrays import ComplexArray, FloatArray

@@ -21,10 +21,10 @@ References:
 import math
 from dataclasses import dataclass, replace
 
-from modal.comparison_differences import Difference, differences_of
-from modal.comparison_matching import match_modes, shared_shapes
-from modal.comparison_shifts import Shift, damping_shift, frequency_shift, shape_shift, with_verdicts
-from modal.comparison_source import ResultSummary, summary_of
+from modal.comparison.comparison_differences import Difference, differences_of
+from modal.comparison.comparison_matching import match_modes, shared_shapes
+from modal.comparison.shifts import Shift, damping_shift, frequency_shift, shape_shift, with_verdicts
+from modal.comparison.source import ResultSummary, summary_of
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
@@ -129,7 +129,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     """Match the modes of two results and test what shifted.
 
     Args:
-        before: a result in memory, or read by `modal.comparison_source.read_result`.
+        before: a result in memory, or read by `modal.comparison.source.read_result`.
         after: the other one; shifts are those from `before` to `after`.
 
     Raises:
@@ -191,7 +191,7 @@ def _summary(result: Identification | ResultSummary) -> ResultSummary:
         return summary_of(result)
     raise InvalidDataError(
         f"compare_results takes two results of modal.identify, but was given {type(result).__name__}; read a folder or "
-        "file with modal.comparison_source.read_result."
+        "file with modal.comparison.source.read_result."
     )
 
 

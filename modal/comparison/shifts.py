@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.comparison_matching import common_outputs
-from modal.comparison_source import ResultSummary
+from modal.comparison.comparison_matching import common_outputs
+from modal.comparison.source import ResultSummary
 from modal.modes.mode import Mode
 from okid.arrays import ComplexArray, FloatArray
 

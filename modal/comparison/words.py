@@ -2,8 +2,8 @@
 
 import math
 
-from modal.comparison import Comparison, ModePair, Unmatched
-from modal.comparison_shifts import Shift
+from modal.comparison.changes import Comparison, ModePair, Unmatched
+from modal.comparison.shifts import Shift
 from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from modal.comparison_source import Channel, ResultSummary
+from modal.comparison.source import Channel, ResultSummary
 from modal.wording.numbers import fit_text
 
 __all__ = ["Difference", "differences_of"]
