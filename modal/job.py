@@ -19,7 +19,7 @@ from modal.progress import Progress, progress_bar
 from modal.quality.check import check_quality
 from modal.report import ReportFiles, write_report
 from modal.report.pdf import write_pdf
-from modal.report.provenance import Provenance, fingerprints
+from modal.sections.provenance import Provenance, fingerprints
 from modal.terminal import show_result
 from okid.errors import IdentificationWarning
 from okid.readers import read_described

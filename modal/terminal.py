@@ -20,8 +20,8 @@ from modal.identification.trust import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.report.kept_result import LARGEST_KEPT
-from modal.report.words import data_sentences, modes_headline
 from modal.report.writing import ReportFiles
+from modal.sections.words import data_sentences, modes_headline
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
 

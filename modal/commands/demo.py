@@ -10,7 +10,7 @@ from modal.commands.run import Live, Pdf, exit_status, extras_of
 from modal.examples.demo import compare_with_truth, demo_truth
 from modal.examples.demo_geometry import demo_geometry
 from modal.job import Job, carry_out, read_demo
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 from modal.terminal import show_comparison, show_files
 
 __all__ = ["EXAMPLES", "demo"]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from modal.discrepancy.results import Diagnosis
-from modal.report.discrepancy_values import step_text
 from modal.report.writing import write_report
+from modal.sections.discrepancy_values import step_text
 from modal.wording.statements import times_floor_text
 from okid.errors import IdentificationError, InvalidDataError
 

@@ -12,9 +12,9 @@ from modal.plots.layout import Chart, Key, grid_of, row_of
 from modal.plots.panels import Panel
 from modal.plots.responses import density_label
 from modal.plots.style import STYLE, Role, envelope
-from modal.report.discrepancy_spectra import gap_density
-from modal.report.discrepancy_stages import Row, Stage
-from modal.report.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor, times_text
+from modal.sections.discrepancy_spectra import gap_density
+from modal.sections.discrepancy_stages import Row, Stage
+from modal.sections.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor, times_text
 from modal.wording.names import plot_label
 from okid.record import Record
 

@@ -8,7 +8,7 @@ from modal.discrepancy.results import LawCurve
 from modal.plots.layout import Chart, row_of
 from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, STYLE
-from modal.report.discrepancy_values import effect_text, law_against, law_gives
+from modal.sections.discrepancy_values import effect_text, law_against, law_gives
 from modal.wording.names import plot_label
 
 __all__ = ["draw_laws"]

@@ -8,7 +8,7 @@ from modal.plots.histories import APART as ROLES
 from modal.plots.layout import Chart, grid_of
 from modal.plots.panels import Panel
 from modal.plots.style import NINETY_FIVE, STYLE, Role
-from modal.report.discrepancy_levels import LevelLine
+from modal.sections.discrepancy_levels import LevelLine
 from modal.wording.names import plot_label
 from okid.arrays import FloatArray
 
@@ -22,7 +22,7 @@ def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
     """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
 
     Args:
-        lines: from `modal.report.discrepancy_levels.level_lines`.
+        lines: from `modal.sections.discrepancy_levels.level_lines`.
     """
     damped = [line for line in lines if np.isfinite(line.damping).any()]
     figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))

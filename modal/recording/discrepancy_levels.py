@@ -10,7 +10,7 @@ from modal.recording.axis import Axis, linear_axis
 from modal.recording.figure import Figure, Pane
 from modal.recording.names import label
 from modal.recording.palette import CYCLE, FRAME
-from modal.report.discrepancy_levels import LevelLine, level_lines
+from modal.sections.discrepancy_levels import LevelLine, level_lines
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from modal.recording.figure import Figure, Pane
 from modal.recording.names import label
 from modal.recording.palette import BLUE, DIM_BLUE, FRAME, GOLD, GREEN, GREY, PALE
 from modal.recording.tables import log_table
-from modal.report.discrepancy_spectra import GapDensity, gap_density
-from modal.report.discrepancy_values import (
+from modal.sections.discrepancy_spectra import GapDensity, gap_density
+from modal.sections.discrepancy_values import (
     NAMED_WITHIN,
     effect_text,
     effects_text,

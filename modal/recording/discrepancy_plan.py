@@ -16,7 +16,7 @@ from modal.recording.levels import StoredStretch, row_budget
 from modal.recording.names import path_parts
 from modal.recording.plan import SHOWN_OUTPUTS
 from modal.recording.tracks import laid_out, stored_levels
-from modal.report.discrepancy_stages import Stage, gap_of, ran_through, stages_of, worst_outputs
+from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, stages_of, worst_outputs
 
 __all__ = ["DiscrepancyPlan", "planned_diagnosis"]
 

@@ -12,8 +12,8 @@ from modal.recording.names import name_with_unit
 from modal.recording.palette import BLUE, GOLD, GREEN, GREY, RED, Colour
 from modal.recording.series import TIMELINE, log_series, time_axis
 from modal.recording.tables import log_table
-from modal.report.discrepancy_stages import Stage, rows_of
-from modal.report.discrepancy_values import effects_text, times_floor
+from modal.sections.discrepancy_stages import Stage, rows_of
+from modal.sections.discrepancy_values import effects_text, times_floor
 
 if TYPE_CHECKING:
     import rerun

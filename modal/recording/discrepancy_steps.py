@@ -16,8 +16,8 @@ from modal.recording.levels import bucket_length, positions, reduced
 from modal.recording.names import label, name_with_unit
 from modal.recording.palette import DIM_BLUE, GREEN, GREY, ORANGE, PALE, Colour
 from modal.recording.series import TIMELINE
-from modal.report.discrepancy_spectra import gap_density
-from modal.report.discrepancy_stages import Row, Stage, rows_of
+from modal.sections.discrepancy_spectra import gap_density
+from modal.sections.discrepancy_stages import Row, Stage, rows_of
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

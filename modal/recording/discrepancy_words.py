@@ -6,9 +6,9 @@ from modal.discrepancy.results import Diagnosis, Finding
 from modal.recording.discrepancy_plan import DiscrepancyPlan
 from modal.recording.names import cell
 from modal.recording.words import UNKNOWN, bullets, table
-from modal.report import discrepancy_words as words
-from modal.report.discrepancy_stages import rows_of
-from modal.report.discrepancy_values import (
+from modal.sections import discrepancy_words as words
+from modal.sections.discrepancy_stages import rows_of
+from modal.sections.discrepancy_values import (
     effect_text,
     found_value,
     interval_text,

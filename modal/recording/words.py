@@ -8,7 +8,7 @@ import numpy as np
 from modal.identification.result import Identification
 from modal.recording.names import cell
 from modal.recording.plan import SHOWN_OUTPUTS, Plan
-from modal.report.words import data_sentences, modes_headline
+from modal.sections.words import data_sentences, modes_headline
 
 __all__ = ["UNKNOWN", "bullets", "choices_text", "fit_page_text", "table"]
 

@@ -1,7 +1,7 @@
 """A result as files that people read and programs load: HTML, Markdown, JSON, CSV, UFF 55 and the recording."""
 
 from modal.report.pdf import write_pdf
-from modal.report.provenance import Provenance, SourceFile, fingerprints
 from modal.report.writing import DiagnosisFiles, ReportFiles, write_report
+from modal.sections.provenance import Provenance, SourceFile, fingerprints
 
 __all__ = ["DiagnosisFiles", "Provenance", "ReportFiles", "SourceFile", "fingerprints", "write_pdf", "write_report"]

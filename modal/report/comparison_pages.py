@@ -8,7 +8,7 @@ from modal.comparison.shifts import Shift
 from modal.identification.trust import damping_text
 from modal.modes.mode import Mode
 from modal.report.page_environment import environment
-from modal.report.provenance import installed_version
+from modal.sections.provenance import installed_version
 from modal.wording.numbers import fit_text, hertz, ratio_text
 
 __all__ = ["comparison_html", "comparison_markdown"]

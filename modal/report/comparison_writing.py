@@ -10,7 +10,7 @@ from modal.comparison.source import ResultSummary
 from modal.report.comparison_pages import comparison_html, comparison_markdown
 from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json
-from modal.report.provenance import installed_version
+from modal.sections.provenance import installed_version
 
 __all__ = [
     "COMPARISON_SCHEMA",

@@ -5,11 +5,11 @@ import io
 import json
 
 from modal.discrepancy.results import Diagnosis, Finding
-from modal.report.discrepancy_stages import rows_of, stages_of
-from modal.report.discrepancy_values import effects_text, times_floor
-from modal.report.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
 from modal.report.machine import as_json, number_cell, record_document
-from modal.report.provenance import Provenance, installed_version
+from modal.sections.discrepancy_stages import rows_of, stages_of
+from modal.sections.discrepancy_values import effects_text, times_floor
+from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
+from modal.sections.provenance import Provenance, installed_version
 from modal.wording.names import csv_cell
 
 __all__ = ["DIAGNOSIS_SCHEMA", "diagnosis_csv", "diagnosis_json"]

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding
-from modal.report import discrepancy_words as words
-from modal.report.discrepancy_stages import rows_of, stages_of
-from modal.report.discrepancy_values import (
+from modal.report.pages import environment, hold_text, inline
+from modal.report.picture import Picture
+from modal.sections import discrepancy_words as words
+from modal.sections.discrepancy_stages import rows_of, stages_of
+from modal.sections.discrepancy_values import (
     beside_text,
     closed_share,
     effect_text,
@@ -24,9 +26,7 @@ from modal.report.discrepancy_values import (
     times_text,
     value_text,
 )
-from modal.report.pages import environment, hold_text, inline
-from modal.report.picture import Picture
-from modal.report.provenance import Provenance, installed_version
+from modal.sections.provenance import Provenance, installed_version
 from modal.wording.numbers import exact_percent
 from modal.wording.statements import number
 from okid.arrays import FloatArray

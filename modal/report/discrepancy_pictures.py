@@ -7,10 +7,10 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.plots import discrepancy as plots
 from modal.plots import discrepancy_law, discrepancy_levels
-from modal.report.discrepancy_levels import level_lines
-from modal.report.discrepancy_stages import Stage, record_name, rows_of, stages_of, worst_outputs
-from modal.report.discrepancy_values import NAMED_WITHIN, found_hypothesis, found_word
 from modal.report.picture import Picture, drawn
+from modal.sections.discrepancy_levels import level_lines
+from modal.sections.discrepancy_stages import Stage, record_name, rows_of, stages_of, worst_outputs
+from modal.sections.discrepancy_values import NAMED_WITHIN, found_hypothesis, found_word
 from modal.wording.names import shorten, visible
 
 __all__ = ["draw_diagnosis"]

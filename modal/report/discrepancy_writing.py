@@ -11,7 +11,7 @@ from modal.report.discrepancy_machine import diagnosis_csv, diagnosis_json
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 

@@ -6,8 +6,8 @@ from typing import Any
 from era.realisation import Realisation
 from modal.identification.result import Choice, Fit, OrderEvidence
 from modal.modes.mode import Mode
-from modal.report.provenance import SourceFile
 from modal.report.schema import NUMBER, NUMBERS, described, record_schema, type_schema
+from modal.sections.provenance import SourceFile
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

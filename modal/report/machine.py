@@ -17,7 +17,7 @@ from modal.identification.trust import trust_of
 from modal.modes.mode import Mode
 from modal.modes.numbering import numbered
 from modal.report.document_schema import SCHEMA, schema_text
-from modal.report.provenance import Provenance, installed_version
+from modal.sections.provenance import Provenance, installed_version
 from modal.wording.names import csv_cell
 from okid.record import Record
 

@@ -7,9 +7,9 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from modal.identification.trust import damping_shown, damping_text, frequency_text
-from modal.report.columns import shown
-from modal.report.limit_words import limits_class
 from modal.report.picture import Picture
+from modal.sections.columns import shown
+from modal.sections.limit_words import limits_class
 from modal.wording.names import escape_markdown, visible
 from modal.wording.numbers import fit_text, hertz, ratio_text, whole_percent
 

@@ -8,18 +8,18 @@ import numpy as np
 from modal.identification.result import Identification
 from modal.identification.trust import caution_sentence, trust_of
 from modal.modes.numbering import numbered
-from modal.report import words
-from modal.report.columns import INDICATORS
-from modal.report.limit_words import limits_sentence, limits_short
 from modal.report.moving_shapes import moving_shapes, placement_of
 from modal.report.page_environment import environment, inline, page_script
 from modal.report.picture import Picture
 from modal.report.pictures import MOST_ASSURED, shape_assurance
-from modal.report.provenance import Provenance, installed_version
 from modal.report.setting import NOTHING_BESIDES, Setting
-from modal.report.setup_values import about_lines, channel_rows, sensor_columns
-from modal.report.uncertainty_words import has_intervals, uncertainty_sentences
-from modal.report.validation_words import coherence_sentence, gap_command, gap_sentence, validation_sentences
+from modal.sections import words
+from modal.sections.columns import INDICATORS
+from modal.sections.limit_words import limits_sentence, limits_short
+from modal.sections.provenance import Provenance, installed_version
+from modal.sections.setup_values import about_lines, channel_rows, sensor_columns
+from modal.sections.uncertainty_words import has_intervals, uncertainty_sentences
+from modal.sections.validation import coherence_sentence, gap_command, gap_sentence, validation_sentences
 from okid.record import InputHold
 
 __all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]

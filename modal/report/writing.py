@@ -15,9 +15,9 @@ from modal.report.kept_result import keep_result
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import draw_pictures
-from modal.report.provenance import Provenance
 from modal.report.setting import Setting, setting_of
 from modal.report.uff55 import uff55_text
+from modal.sections.provenance import Provenance
 from okid.arguments import require
 from okid.errors import InvalidDataError
 

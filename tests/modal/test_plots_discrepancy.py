@@ -10,7 +10,7 @@ from diagnosis_by_hand import hysteresis_law
 from modal import plots
 from modal.plots import discrepancy, discrepancy_law
 from modal.plots.marks import Area, Segments
-from modal.report.discrepancy_stages import rows_of, stages_of
+from modal.sections.discrepancy_stages import rows_of, stages_of
 
 
 @pytest.fixture(scope="module")

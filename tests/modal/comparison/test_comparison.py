@@ -18,7 +18,7 @@ from modal.comparison.shifts import holm
 from modal.comparison.source import read_result, summary_of
 from modal.identification.pipeline import identify
 from modal.report.machine import json_text
-from modal.report.provenance import Provenance, SourceFile
+from modal.sections.provenance import Provenance, SourceFile
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.record import Record
 

@@ -12,7 +12,7 @@ from modal.modes.numbering import numbered
 from modal.recording.plan import planned
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 
 
 @pytest.fixture

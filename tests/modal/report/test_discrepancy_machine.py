@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.report.discrepancy_machine import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 
 
 @pytest.fixture(scope="module")

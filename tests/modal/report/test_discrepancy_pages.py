@@ -11,7 +11,7 @@ import pytest
 
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown
 from modal.report.discrepancy_pictures import draw_diagnosis
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 
 NASTY = (
     '<script>alert("1")</script>',

@@ -10,8 +10,8 @@ from modal.geometry.sensors import Geometry, Sensor
 from modal.report.moving_shapes import moving_shapes
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, draw_pictures
-from modal.report.provenance import Provenance
 from modal.report.setting import Setting
+from modal.sections.provenance import Provenance
 
 BUDGET = 5_000_000
 """Bytes of the page of 60 outputs, 100 modes of the system and 30 records."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from modal.report.machine import SCHEMA, csv_text, json_text
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
 from modal.report.pictures import draw_pictures
-from modal.report.provenance import Provenance, SourceFile
 from modal.report.setting import Setting
+from modal.sections.provenance import Provenance, SourceFile
 from okid.record import Record
 
 NASTY = "</style></script><script>alert(1)</script> {{ 7*7 }} {% raw %} |"

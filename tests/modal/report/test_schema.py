@@ -12,8 +12,8 @@ from modal.acceptance.test_file import SensorNote, Specification
 from modal.modes.uncertainty import Uncertainty
 from modal.report.document_schema import document_schema, schema_text
 from modal.report.machine import json_text
-from modal.report.provenance import Provenance, SourceFile
 from modal.report.schema import schema_file, type_schema
+from modal.sections.provenance import Provenance, SourceFile
 
 
 @pytest.fixture(scope="module")

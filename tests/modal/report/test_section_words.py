@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from modal.modes.uncertainty import Uncertainty
-from modal.report.limit_words import limits_class, limits_sentence, limits_short
-from modal.report.provenance import Provenance
-from modal.report.uncertainty_words import has_intervals, uncertainty_sentences
-from modal.report.validation_words import coherence_sentence, gap_command, gap_sentence, validation_sentences
+from modal.sections.limit_words import limits_class, limits_sentence, limits_short
+from modal.sections.provenance import Provenance
+from modal.sections.uncertainty_words import has_intervals, uncertainty_sentences
+from modal.sections.validation import coherence_sentence, gap_command, gap_sentence, validation_sentences
 
 
 def known(result, *, method="output error", dof=np.inf, std=0.01, fit=None):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from modal.discrepancy.validation.cautions import with_cautions
-from modal.report import discrepancy_words as words
-from modal.report.discrepancy_values import (
+from modal.sections import discrepancy_words as words
+from modal.sections.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
     beside_text,

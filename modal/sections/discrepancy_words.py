@@ -13,7 +13,7 @@ from modal.discrepancy.results import Diagnosis, Finding, Step
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.effect_names import one_of
 from modal.identification.trust import Judgement
-from modal.report.discrepancy_values import (
+from modal.sections.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
     closed_share,

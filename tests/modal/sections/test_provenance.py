@@ -1,6 +1,6 @@
 import pytest
 
-from modal.report.provenance import fingerprints
+from modal.sections.provenance import fingerprints
 from okid.errors import InvalidDataError
 
 

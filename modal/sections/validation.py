@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.report.provenance import Provenance
+from modal.sections.provenance import Provenance
 from modal.wording.numbers import LEAST_FIT, whole_percent
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from modal.identification.trust import (
     frequency_text,
     trust_of,
 )
-from modal.report.words import data_sentences, fit_word, modes_headline
+from modal.sections.words import data_sentences, fit_word, modes_headline
 from modal.wording.numbers import fit_text, hertz, ratio_text, with_interval
 
 

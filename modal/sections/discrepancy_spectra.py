@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.localisation.gap import Gap
-from modal.plots.spectra import power_spectra
+from modal.sections.spectra import power_spectra
 from okid.arrays import FloatArray
 from okid.record import Record
 
