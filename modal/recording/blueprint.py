@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from modal.identification.result import Identification
 from modal.recording.evidence import Gathered
-from modal.recording.fit_blueprint import fit_page
-from modal.recording.modes_blueprint import modes_page
-from modal.recording.order_page import ORDER_FIT, SINGULAR_VALUES, STABILISATION
-from modal.recording.order_scrub import ORDER_TEXT
+from modal.recording.identification.fit_blueprint import fit_page
+from modal.recording.identification.modes_blueprint import modes_page
+from modal.recording.identification.order import ORDER_FIT, SINGULAR_VALUES, STABILISATION
+from modal.recording.identification.order_scrub import ORDER_TEXT
+from modal.recording.identification.record_blueprint import record_page
+from modal.recording.identification.shapes import PERIODS
+from modal.recording.identification.validation_blueprint import validation_page
 from modal.recording.plan import Plan
-from modal.recording.record_blueprint import record_page
 from modal.recording.series import TIMELINE
-from modal.recording.shapes import PERIODS
 from modal.recording.tracks import Span
-from modal.recording.validation_blueprint import validation_page
 from modal.recording.views_blueprint import document_view, plot_view
 
 if TYPE_CHECKING:

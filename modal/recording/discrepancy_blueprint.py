@@ -4,8 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 from modal.discrepancy.results import Diagnosis
 from modal.recording.blueprint import show_whole_record
-from modal.recording.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
-from modal.recording.discrepancy_page import (
+from modal.recording.discrepancy.discrepancy_levels import LEVEL_DAMPING, LEVEL_FREQUENCY, level_panes
+from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
+from modal.recording.discrepancy.discrepancy_steps import STEP_GAP, STEP_PARTS, STEP_SPECTRUM, STEP_TEXT
+from modal.recording.discrepancy.page import (
     GAP_TEXT,
     HYPOTHESES,
     LAW_TEXT,
@@ -14,9 +16,7 @@ from modal.recording.discrepancy_page import (
     law_title,
     spectrum_pane,
 )
-from modal.recording.discrepancy_plan import DiscrepancyPlan
-from modal.recording.discrepancy_series import diagnosis_tables
-from modal.recording.discrepancy_steps import STEP_GAP, STEP_PARTS, STEP_SPECTRUM, STEP_TEXT
+from modal.recording.discrepancy.series import diagnosis_tables
 from modal.recording.names import label, name_with_unit
 from modal.recording.series import TIMELINE
 from modal.recording.views_blueprint import document_view, plot_view, series_view

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 from modal.identification.result import Identification
 from modal.quality.check import check_quality
+from modal.recording.identification.record import log_record_page
 from modal.recording.live_blueprint import live_blueprint
 from modal.recording.names import cell, label
 from modal.recording.plan import planned_data
-from modal.recording.record_page import log_record_page
 from modal.recording.relay import Relay
 from modal.recording.stream import APPLICATION, log_identification, strict_errors
 from modal.recording.viewer import HOST, PATIENCE, host_and_port, listens, open_viewer, speaks

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 from modal.quality.findings import DataQuality
 from modal.recording.blueprint import show_whole_record, whole_blueprint
+from modal.recording.identification.record_blueprint import record_page
 from modal.recording.plan import DataPlan
-from modal.recording.record_blueprint import record_page
 from modal.recording.views_blueprint import document_view
 from okid.record import Record
 

@@ -8,10 +8,10 @@ import numpy as np
 from modal.quality.findings import DataQuality, Finding
 from modal.recording.axis import SHARE_AXIS, Axis, linear_axis, log_axis
 from modal.recording.figure import Figure, Pane
+from modal.recording.identification.quality_words import quality_text
 from modal.recording.names import label, name_with_unit
 from modal.recording.palette import BLUE, CYCLE, GOLD, ORANGE, RED, Colour
 from modal.recording.plan import DataPlan
-from modal.recording.quality_words import quality_text
 from modal.recording.series import TIMELINE, log_series, time_axis
 from modal.recording.tables import log_table
 from okid.arrays import FloatArray

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from modal.quality.findings import DataQuality
-from modal.recording.fit_blueprint import inputs_view
+from modal.recording.identification.fit_blueprint import inputs_view
+from modal.recording.identification.record import OUTPUT_COLOURS, marked, marks_path, quality_path, spectra_pane
 from modal.recording.names import name_with_unit
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan
-from modal.recording.record_page import OUTPUT_COLOURS, marked, marks_path, quality_path, spectra_pane
 from modal.recording.views_blueprint import document_view, plot_view, series_view
 from okid.record import Record
 

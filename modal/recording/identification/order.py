@@ -10,7 +10,7 @@ from modal.modes.response_synthesis import frf
 from modal.recording.axis import linear_axis, log_axis
 from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
-from modal.recording.order_scrub import (
+from modal.recording.identification.order_scrub import (
     MODEL_ORDER,
     is_repeatability_known,
     log_order_texts,

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.recording.fit_page import FIT_TEXT, MARKOV, WHITENESS
+from modal.recording.identification.fit import FIT_TEXT, MARKOV, WHITENESS
 from modal.recording.names import label, name_with_unit
 from modal.recording.plan import SHOWN_INPUTS, DataPlan, Plan
 from modal.recording.views_blueprint import document_view, plot_view, series_view

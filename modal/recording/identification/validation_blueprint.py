@@ -4,17 +4,17 @@ from typing import Any
 
 from modal.identification.result import Identification
 from modal.recording.evidence import Gathered
-from modal.recording.fit_blueprint import run_view
-from modal.recording.names import label
-from modal.recording.plan import Plan
-from modal.recording.validation_page import VALIDATION_TEXT
-from modal.recording.validation_panes import (
+from modal.recording.identification.fit_blueprint import run_view
+from modal.recording.identification.validation import VALIDATION_TEXT
+from modal.recording.identification.validation_panes import (
     density_pane,
     drawn_inputs,
     magnitude_pane,
     overview_columns,
     response_pane,
 )
+from modal.recording.names import label
+from modal.recording.plan import Plan
 from modal.recording.views_blueprint import document_view, plot_view, series_view
 
 __all__ = ["validation_page"]

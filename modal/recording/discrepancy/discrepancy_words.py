@@ -3,7 +3,7 @@
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding
-from modal.recording.discrepancy_plan import DiscrepancyPlan
+from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
 from modal.recording.names import cell
 from modal.recording.words import UNKNOWN, bullets, table
 from modal.sections import discrepancy_words as words

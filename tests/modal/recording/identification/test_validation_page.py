@@ -8,9 +8,9 @@ import pytest
 from era.realisation import Realisation
 from modal.recording import save_recording
 from modal.recording.evidence import gather, response_of
+from modal.recording.identification.validation_panes import drawn_inputs, two_line_axis
+from modal.recording.identification.validation_words import validation_text
 from modal.recording.plan import planned
-from modal.recording.validation_panes import drawn_inputs, two_line_axis
-from modal.recording.validation_words import validation_text
 from okid.record import Record
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis
-from modal.recording.discrepancy_plan import DiscrepancyPlan
+from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
 from modal.recording.names import name_with_unit
 from modal.recording.palette import BLUE, GOLD, GREEN, GREY, RED, Colour
 from modal.recording.series import TIMELINE, log_series, time_axis

@@ -7,10 +7,10 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis, LawCurve
 from modal.recording.axis import Axis, linear_axis, log_axis
-from modal.recording.discrepancy_levels import log_level_modes
-from modal.recording.discrepancy_plan import DiscrepancyPlan
-from modal.recording.discrepancy_series import STAGE_COLOURS, log_histories, log_tables, stage_part
-from modal.recording.discrepancy_words import gap_text, law_text, verdict_text
+from modal.recording.discrepancy.discrepancy_levels import log_level_modes
+from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
+from modal.recording.discrepancy.discrepancy_words import gap_text, law_text, verdict_text
+from modal.recording.discrepancy.series import STAGE_COLOURS, log_histories, log_tables, stage_part
 from modal.recording.figure import Figure, Pane
 from modal.recording.names import label
 from modal.recording.palette import BLUE, DIM_BLUE, FRAME, GOLD, GREEN, GREY, PALE

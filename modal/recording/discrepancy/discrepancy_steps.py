@@ -8,9 +8,9 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.recording.axis import Axis, linear_axis, log_axis
-from modal.recording.discrepancy_page import density_axis
-from modal.recording.discrepancy_plan import DiscrepancyPlan
-from modal.recording.discrepancy_words import step_document
+from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
+from modal.recording.discrepancy.discrepancy_words import step_document
+from modal.recording.discrepancy.page import density_axis
 from modal.recording.figure import Figure, Pane
 from modal.recording.levels import bucket_length, positions, reduced
 from modal.recording.names import label, name_with_unit

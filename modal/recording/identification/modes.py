@@ -10,11 +10,11 @@ from modal.geometry.placement import Placement, placed
 from modal.geometry.scene import scene_of
 from modal.identification.result import Identification
 from modal.modes.shape_comparison import assurance
-from modal.recording.complexity import log_complexity
-from modal.recording.modes_words import modes_text
+from modal.recording.identification.complexity import log_complexity
+from modal.recording.identification.modes_words import modes_text
+from modal.recording.identification.shapes import log_shape
 from modal.recording.palette import WHITE
 from modal.recording.plan import Plan
-from modal.recording.shapes import log_shape
 from modal.recording.tables import log_table
 from modal.recording.words import choices_text
 from okid.arrays import FloatArray

@@ -14,11 +14,7 @@ from modal.identification.result import Identification
 from modal.recording.axis import SHARE_AXIS, Axis, linear_axis
 from modal.recording.evidence import Gathered
 from modal.recording.figure import Figure, Pane
-from modal.recording.names import label
-from modal.recording.palette import BLUE, GREY, ORANGE, PALE
-from modal.recording.plan import Plan
-from modal.recording.tables import log_table
-from modal.recording.validation_panes import (
+from modal.recording.identification.validation_panes import (
     DECADES,
     density_pane,
     drawn_inputs,
@@ -26,7 +22,11 @@ from modal.recording.validation_panes import (
     response_pane,
     two_line_axis,
 )
-from modal.recording.validation_words import validation_text
+from modal.recording.identification.validation_words import validation_text
+from modal.recording.names import label
+from modal.recording.palette import BLUE, GREY, ORANGE, PALE
+from modal.recording.plan import Plan
+from modal.recording.tables import log_table
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import numpy as np
 from modal.geometry.scene import Scene, envelope_of, scene_of
 from modal.identification.result import Identification
 from modal.identification.trust import damping_text
-from modal.recording.complexity import complexity_pane
-from modal.recording.modes_page import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TABLE, MODES_TEXT, placement_in
+from modal.recording.identification.complexity import complexity_pane
+from modal.recording.identification.modes import ASSURANCE, CHOICES_TEXT, FIELDS, MODES_TABLE, MODES_TEXT, placement_in
+from modal.recording.identification.shapes import shape_path
 from modal.recording.palette import BACKGROUND
 from modal.recording.plan import Plan
-from modal.recording.shapes import shape_path
 from modal.recording.views_blueprint import document_view, plot_view
 from modal.wording.numbers import hertz, ratio_text
 from okid.arrays import FloatArray

@@ -11,9 +11,9 @@ from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQualit
 from modal.recording import save_recording
 from modal.recording.blueprint import blueprint
 from modal.recording.evidence import gather
+from modal.recording.identification.quality_words import quality_text
+from modal.recording.identification.record import MOST_MARKS, _density_unit, marked
 from modal.recording.plan import planned
-from modal.recording.quality_words import quality_text
-from modal.recording.record_page import MOST_MARKS, _density_unit, marked
 from okid.record import Record
 
 HOSTILE = "<script>alert(1)</script> |x| [y](http://z) \u202e"
