@@ -15,7 +15,7 @@ import modal
 from modal.command_options import spread_files
 from modal.commands import check, demo, diff, gap, run, view
 from modal.commands.common import complain
-from modal.interruption import stop_no_more, stop_politely
+from modal.report.interruption import stop_no_more, stop_politely
 from modal.sections.provenance import installed_version
 
 __all__ = ["main"]

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.source import read_result
-from modal.report.comparison_writing import refuse_existing_comparison, write_comparison
+from modal.report.comparison import refuse_existing_comparison, write_comparison
 from modal.terminal_comparison import show_comparison_files, show_difference
 
 __all__ = ["DiffJob", "carry_out_diff"]

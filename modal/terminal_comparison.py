@@ -9,7 +9,7 @@ from modal.comparison import words as words
 from modal.comparison.changes import Comparison, ModePair
 from modal.comparison.comparison_differences import Difference
 from modal.comparison.shifts import Shift
-from modal.report.comparison_writing import ComparisonFiles
+from modal.report.comparison import ComparisonFiles
 from modal.terminal import listing, plain
 from modal.wording.numbers import hertz
 

@@ -37,7 +37,7 @@ from modal.comparison.words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
-from modal.report.comparison_writing import write_comparison
+from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

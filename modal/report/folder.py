@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
-from modal.interruption import uninterrupted
+from modal.report.interruption import uninterrupted
 from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 

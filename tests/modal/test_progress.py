@@ -4,8 +4,8 @@ import signal
 
 import pytest
 
-from modal.interruption import stop_politely, uninterrupted
 from modal.progress import progress_bar, time_left_text
+from modal.report.interruption import stop_politely, uninterrupted
 
 
 @pytest.mark.parametrize(
