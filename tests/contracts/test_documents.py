@@ -25,7 +25,7 @@ def pages_of(repository):
 
 
 def modal_report(*arguments, cwd):
-    code = "import sys; from modal.command import main; sys.argv[0] = 'modal-report'; sys.exit(main())"
+    code = "import sys; from modal.command.main import main; sys.argv[0] = 'modal-report'; sys.exit(main())"
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
 

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from modal.progress import progress_bar, time_left_text
+from modal.command.progress import progress_bar, time_left_text
 from modal.report.interruption import stop_politely, uninterrupted
 
 

@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from modal.commands.common import Overwrite, Traceback, examples, faults
-from modal.commands.run import Live, Pdf, exit_status, extras_of
+from modal.command.job import Job, carry_out, read_demo
+from modal.command.options import Overwrite, Traceback, examples, faults
+from modal.command.run import Live, Pdf, exit_status, extras_of
+from modal.command.terminal import show_comparison, show_files
 from modal.examples.demo import compare_with_truth, demo_truth
 from modal.examples.demo_geometry import demo_geometry
-from modal.job import Job, carry_out, read_demo
 from modal.sections.provenance import Provenance
-from modal.terminal import show_comparison, show_files
 
 __all__ = ["EXAMPLES", "demo"]
 

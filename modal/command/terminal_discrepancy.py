@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from modal.command.terminal import listing, plain
 from modal.discrepancy.results import Diagnosis, Finding
 from modal.report.discrepancy_writing import DiagnosisFiles
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
 from modal.sections.discrepancy_values import effect_text, found_value, interval_text, times_text
-from modal.terminal import listing, plain
 
 __all__ = ["show_diagnosis", "show_diagnosis_files"]
 

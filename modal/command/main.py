@@ -12,9 +12,9 @@ from typing import Annotated
 import typer
 
 import modal
-from modal.command_options import spread_files
-from modal.commands import check, demo, diff, gap, run, view
-from modal.commands.common import complain
+from modal.command import check, demo, diff, gap, run, view
+from modal.command.command_options import spread_files
+from modal.command.options import complain
 from modal.report.interruption import stop_no_more, stop_politely
 from modal.sections.provenance import installed_version
 

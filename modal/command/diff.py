@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from modal.commands.common import Overwrite, Traceback, examples, faults
-from modal.diff_job import DiffJob, carry_out_diff
+from modal.command.diff_job import DiffJob, carry_out_diff
+from modal.command.options import Overwrite, Traceback, examples, faults
 
 __all__ = ["EXAMPLES", "diff"]
 

@@ -15,8 +15,8 @@ from okid.record import Record
 
 if TYPE_CHECKING:
     from modal.acceptance.test_file import Specification
+    from modal.command.job import Job
     from modal.geometry.sensors import Geometry
-    from modal.job import Job
     from modal.report import ReportFiles
 
 __all__ = ["clear_stale", "prepare", "refuse_other_report", "refuse_pdf", "refuse_sources", "unknown_sensors"]

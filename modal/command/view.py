@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from modal.commands.common import Traceback, complain, examples, faults
-from modal.view_job import open_recording, recording_of
+from modal.command.options import Traceback, complain, examples, faults
+from modal.command.view_job import open_recording, recording_of
 
 __all__ = ["EXAMPLES", "view"]
 

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from modal.check_job import CheckJob, carry_out_check, check_status
-from modal.command_options import name_list
-from modal.commands.common import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults
-from modal.job import FileSource
+from modal.command.check_job import CheckJob, carry_out_check, check_status
+from modal.command.command_options import name_list
+from modal.command.job import FileSource
+from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults
 
 __all__ = ["EXAMPLES", "check"]
 

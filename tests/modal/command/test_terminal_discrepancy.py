@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from modal.command.terminal_discrepancy import show_diagnosis, show_diagnosis_files
 from modal.report.writing import DiagnosisFiles
-from modal.terminal_discrepancy import show_diagnosis, show_diagnosis_files
 
 
 def printed(show, *arguments, **options):

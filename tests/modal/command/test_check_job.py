@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modal.check_job import CheckJob, carry_out_check, check_status, quality_json
-from modal.job import FileSource
+from modal.command.check_job import CheckJob, carry_out_check, check_status, quality_json
+from modal.command.job import FileSource
+from modal.command.terminal_check import show_quality
 from modal.quality.check import check_quality
-from modal.terminal_check import show_quality
 from okid.errors import InvalidDataError
 from okid.record import Record
 

@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from modal.command_options import name_list, plain_name
-from modal.commands.common import Dt, Overwrite, Traceback, examples, faults
-from modal.commands.run import Pdf, extras_of
+from modal.command.command_options import name_list, plain_name
+from modal.command.gap_job import GapJob, carry_out_gap
+from modal.command.options import Dt, Overwrite, Traceback, examples, faults
+from modal.command.run import Pdf, extras_of
+from modal.command.terminal import plain
+from modal.command.terminal_discrepancy import show_diagnosis_files
 from modal.effects.catalogue import CATALOGUE
-from modal.gap_job import GapJob, carry_out_gap
-from modal.terminal import plain
-from modal.terminal_discrepancy import show_diagnosis_files
 from okid.record import InputHold
 
 __all__ = ["EXAMPLES", "gap"]

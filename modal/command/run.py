@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from modal.acceptance.check import all_met
-from modal.command_options import name_list, number_or_auto, plain_name, whole_or_auto
-from modal.commands.common import Dt, Hold, Inputs, Outputs, Overwrite, Records, Traceback, examples, faults
+from modal.command.command_options import name_list, number_or_auto, plain_name, whole_or_auto
+from modal.command.job import FileSource, Finished, Job, carry_out
+from modal.command.options import Dt, Hold, Inputs, Outputs, Overwrite, Records, Traceback, examples, faults
+from modal.command.terminal import show_files
 from modal.identification.trust import trust_of
-from modal.job import FileSource, Finished, Job, carry_out
-from modal.terminal import show_files
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

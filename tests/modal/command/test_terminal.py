@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from modal.command.terminal import MOST_NOISE, show_comparison, show_files, show_result
 from modal.examples.demo import ModeComparison
 from modal.report.writing import ReportFiles
-from modal.terminal import MOST_NOISE, show_comparison, show_files, show_result
 
 
 def printed(show, *arguments, **options):

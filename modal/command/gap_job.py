@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
+from modal.command.job import FileSource, Reading, own_warnings, progress_bar
+from modal.command.job_setup import refuse_other_report, refuse_pdf, refuse_sources
+from modal.command.terminal_discrepancy import show_diagnosis
 from modal.discrepancy.diagnosis import diagnose
 from modal.effects.catalogue import CATALOGUE
-from modal.job import FileSource, Reading, own_warnings, progress_bar
-from modal.job_setup import refuse_other_report, refuse_pdf, refuse_sources
 from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
 from modal.report.pdf import write_pdf
 from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
-from modal.terminal_discrepancy import show_diagnosis
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 

@@ -6,10 +6,10 @@ from typing import Literal
 
 from rich.console import Console
 
+from modal.command.terminal_comparison import show_comparison_files, show_difference
 from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.source import read_result
 from modal.report.comparison import refuse_existing_comparison, write_comparison
-from modal.terminal_comparison import show_comparison_files, show_difference
 
 __all__ = ["DiffJob", "carry_out_diff"]
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from modal.job import FileSource, own_warnings, progress_bar
-from modal.job_setup import refuse_sources
+from modal.command.job import FileSource, own_warnings, progress_bar
+from modal.command.job_setup import refuse_sources
+from modal.command.terminal_check import show_quality
 from modal.quality.check import check_quality
 from modal.quality.findings import ChannelQuality, DataQuality, Finding
-from modal.terminal_check import show_quality
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from modal.acceptance.check import check_limits
+from modal.command.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
+from modal.command.live_view import live_view
+from modal.command.progress import Progress, progress_bar
+from modal.command.terminal import show_result
 from modal.examples.demo import demo_record
 from modal.identification.pipeline import identify
-from modal.job_setup import clear_stale, prepare, refuse_other_report, refuse_sources, unknown_sensors
-from modal.live_view import live_view
-from modal.progress import Progress, progress_bar
 from modal.quality.check import check_quality
 from modal.report import ReportFiles, write_report
 from modal.report.pdf import write_pdf
 from modal.sections.provenance import Provenance, fingerprints
-from modal.terminal import show_result
 from okid.errors import IdentificationWarning
 from okid.readers import read_described
 from okid.record import InputHold, Record

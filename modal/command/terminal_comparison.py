@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from modal.command.terminal import listing, plain
 from modal.comparison import words as words
 from modal.comparison.changes import Comparison, ModePair
 from modal.comparison.comparison_differences import Difference
 from modal.comparison.shifts import Shift
 from modal.report.comparison import ComparisonFiles
-from modal.terminal import listing, plain
 from modal.wording.numbers import hertz
 
 __all__ = ["show_comparison_files", "show_difference"]

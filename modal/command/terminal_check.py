@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from modal.command.terminal import listing, plain
 from modal.quality.findings import LEVELS, ChannelQuality, DataQuality, Finding
-from modal.terminal import listing, plain
 from modal.wording.names import shorten
 from modal.wording.numbers import whole_percent
 from okid.record import Record

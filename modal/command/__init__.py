@@ -1,0 +1,1 @@
+"""The command `modal-report`, one file a command."""

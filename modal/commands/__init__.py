@@ -1,1 +1,0 @@
-"""The commands of `modal-report`, one file each; `modal.command` puts them together."""
