@@ -3,23 +3,34 @@
     H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2),   D = h[0]
 
 with E_in and E_out the first block column of the identity. The model of a lower order is a corner of the model of a
-higher order, so one decomposition (`era.decomposition`) serves all orders.
+higher order, so one decomposition (`era.balanced`) serves all orders.
 
 References:
     Juang, Pappa, Journal of Guidance, Control, and Dynamics 8(5), 1985, 620-627, doi 10.2514/3.20031.
+
+One decomposition of the scaled block Hankel matrix, and from it the balanced model of the highest order.
+
+    H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2)
+
+- H(1) is H(0) without its first block row, and one new block row at the end. So U' H(1) V needs no product with H(1):
+  H(0) V = U S gives all of it but the last block row.
+- U S^(1/2) is the observability matrix, so the gain comes from its own Markov parameters by K = S^(-1/2) U' [g1; g2;
+  ...].
+- Channels are scaled to comparable size first (h[i, j] input_scale[j] / output_scale[i]), because the decomposition
+  weighs them by size; the scales are undone on B, C and K.
 """
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
-from era.decomposition import HankelDecomposition, Method, RealiseOn, decompose
-from era.order import GapChoice, choose_order
+from era.hankel import block_sizes, hankel_energy
+from era.hankel_svd import GapChoice, Method, choose_order, hankel_triplets
 from era.realisation import HankelFactors, Realisation
-from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError
+from okid.arrays import FloatArray, require, whole_number
+from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
-from okid.scalars import whole_number
 
 __all__ = [
     "HankelDecomposition",
@@ -30,7 +41,201 @@ __all__ = [
     "order_choice",
     "realise",
     "realise_from",
+    "scaled_channels",
 ]
+
+RealiseOn = Literal["system", "system_and_gain"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HankelDecomposition:
+    """Singular value decomposition of the scaled block Hankel matrix, with the model of the highest order it allows.
+
+    Attributes:
+        left: (n_block_rows * n_outputs, max_order) leading left singular vectors U.
+        singular_values: all that were computed, falling; at least max_order.
+        right: (max_order, n_block_columns * n_channels) leading right singular vectors V'; n_channels counts the
+            inputs, the outputs where the gain stands in for missing inputs, or both for "system_and_gain".
+        A: (max_order, max_order) of the scaled channels.
+        B: (max_order, n_inputs) in the units of the record.
+        C: (n_outputs, max_order) in the units of the record.
+        D: (n_outputs, n_inputs) in the units of the record.
+        K: (max_order, n_outputs) in the units of the record, None when no gain is known.
+        dt: time step [s].
+        rank: numerical rank as far as it was computed: singular values above rounding error; never below max_order.
+        energy: sum of the squares of all singular values, also of those not computed.
+        subspace_error: (max_order,) sine of the angle between each left singular vector and the subspace one power step
+            earlier; zeros for the full decomposition. Vectors below about 0.1 agree with the full decomposition; larger
+            ones belong to the noise floor, where neighbouring singular values are too close for their vectors to
+            settle.
+        method: how it was computed.
+        n_block_rows: number of block rows.
+        n_block_columns: number of block columns.
+        input_scale: (n_inputs,) by which inputs were scaled.
+        output_scale: (n_outputs,) by which outputs were scaled.
+        observer_order: of the observer behind the Markov parameters, None when they were measured.
+    """
+
+    left: FloatArray
+    singular_values: FloatArray
+    right: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    K: FloatArray | None
+    dt: float
+    rank: int
+    energy: float
+    subspace_error: FloatArray
+    method: Literal["full", "randomised"]
+    n_block_rows: int
+    n_block_columns: int
+    input_scale: FloatArray
+    output_scale: FloatArray
+    observer_order: int | None
+
+    def __post_init__(self) -> None:
+        for array in (self.left, self.singular_values, self.right, self.A, self.B, self.C, self.K, self.subspace_error):
+            if array is not None:
+                array.flags.writeable = False
+
+    @property
+    def max_order(self) -> int:
+        """Highest order that `era.balanced.realise_from` can give."""
+        order: int = self.A.shape[0]
+        return order
+
+
+def decompose(
+    markov: MarkovParameters,
+    *,
+    n_block_rows: int | None = None,
+    n_block_columns: int | None = None,
+    max_order: int | None = None,
+    method: Method = "auto",
+    realise_on: RealiseOn = "system",
+    rng: np.random.Generator | None = None,
+) -> HankelDecomposition:
+    """Decompose the block Hankel matrix once, for the models of all orders.
+
+    Args:
+        markov: Markov parameters; without inputs, those of the gain are realised (output only).
+        n_block_rows: by default from `era.hankel.block_sizes`.
+        n_block_columns: likewise; rows and columns together use every lag.
+        max_order: highest order wanted; by default as many as the matrix (in full) or the search for the noise floor
+            (randomised) gives.
+        method: "full" is LAPACK's decomposition; "randomised" finds the leading part by products with H, exact to
+            rounding when H has low rank, and otherwise to `subspace_error`; "auto" takes "full" for small matrices.
+        realise_on: "system", or "system_and_gain" for the joint Hankel matrix of [h g]. The joint form has spurious
+            modes on noise-free data, where the gain is not that of the system's own order.
+        rng: for the randomised method; a fixed seed unless given, so equal data give equal models.
+
+    Raises:
+        InsufficientDataError: too few lags for the block sizes or for max_order.
+        InvalidDataError: the joint form, or no inputs, without Markov parameters of a gain; a method or realise_on that
+            is none of those above.
+
+    Example:
+        >>> markov = MarkovParameters(system=0.9 ** np.arange(20.0).reshape(20, 1, 1), dt=0.1)
+        >>> found = decompose(markov)
+        >>> found.rank, round(float(found.A[0, 0]), 12)
+        (1, 0.9)
+    """
+    require(markov, MarkovParameters, where="a realisation", made_by="okid.recover_markov")
+    for name, choice, known in (("method", method, get_args(Method)), ("realise_on", realise_on, get_args(RealiseOn))):
+        if choice not in known:
+            raise InvalidDataError(f"{name} must be one of {', '.join(known)}, but is {choice!r}.")
+    scaled = scaled_channels(markov, realise_on)
+    _, n_outputs, n_channels = scaled.shape
+    a, b = block_sizes(markov.n_lags, n_outputs, n_channels, n_block_rows=n_block_rows, n_block_columns=n_block_columns)
+    _check_order(max_order, (a, n_outputs), (b, n_channels))
+    found = hankel_triplets(scaled, a, b, max_order=max_order, method=method, rng=rng)
+    values = found.singular_values[: found.left.shape[1]]
+    A, B, C = _balanced_model(scaled, found.left, values, found.right)
+    gain_of = slice(n_channels - n_outputs, None) if _gain_is_realised(markov, realise_on) else None
+    K = B[:, gain_of] if gain_of is not None else _gain(markov, found.left, values, a)
+    return HankelDecomposition(
+        left=found.left,
+        singular_values=found.singular_values,
+        right=found.right,
+        A=A,
+        B=B[:, : markov.n_inputs] / markov.input_scale,
+        C=markov.output_scale[:, np.newaxis] * C,
+        D=markov.system[0],
+        K=None if K is None else K / markov.output_scale,
+        dt=markov.dt,
+        rank=found.rank,
+        energy=hankel_energy(scaled, a, b),
+        subspace_error=found.subspace_error,
+        method=found.method,
+        n_block_rows=a,
+        n_block_columns=b,
+        input_scale=markov.input_scale,
+        output_scale=markov.output_scale,
+        observer_order=markov.observer_order,
+    )
+
+
+def _gain_is_realised(markov: MarkovParameters, realise_on: RealiseOn) -> bool:
+    return realise_on == "system_and_gain" or markov.n_inputs == 0
+
+
+def scaled_channels(markov: MarkovParameters, realise_on: RealiseOn) -> FloatArray:
+    """What the block Hankel matrix is made of: (n_lags + 1, n_outputs, n_channels), channels of comparable size.
+
+    Args:
+        markov: Markov parameters; without inputs, those of the gain are taken.
+        realise_on: see `decompose`.
+
+    Raises:
+        InvalidDataError: the gain is needed and there is none.
+    """
+    out = markov.output_scale[:, np.newaxis]
+    system = markov.system * (markov.input_scale / out)
+    if not _gain_is_realised(markov, realise_on):
+        return system
+    if markov.gain is None:
+        raise InvalidDataError(
+            "Markov parameters without inputs, or a joint realisation with the gain, need the Markov parameters of "
+            "a gain, but there are none; recover them from an observer, or give system Markov parameters."
+        )
+    return np.concatenate([system, markov.gain * (markov.output_scale / out)], axis=2)
+
+
+def _check_order(max_order: int | None, rows: tuple[int, int], columns: tuple[int, int]) -> None:
+    """Blocks and channels of both sides must make a matrix of at least `max_order` rows and columns."""
+    (a, n_outputs), (b, n_channels) = rows, columns
+    smaller = min(a * n_outputs, b * n_channels)
+    if max_order is not None and not 0 <= max_order <= smaller:
+        raise InsufficientDataError(
+            f"model order {max_order} needs a block Hankel matrix of at least that many rows and columns, but {a} "
+            f"block rows of {n_outputs} and {b} block columns of {n_channels} channels make {a * n_outputs} x "
+            f"{b * n_channels}; use an order from 0 to {smaller} or recover more lags."
+        )
+
+
+def _balanced_model(
+    scaled: FloatArray, left: FloatArray, values: FloatArray, right: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B and C of the scaled channels, from U' H(1) V = (U without its last block)' (U S without its first) + new."""
+    _, n_outputs, n_channels = scaled.shape
+    a, b = left.shape[0] // n_outputs, right.shape[1] // n_channels
+    root = np.sqrt(values)
+    newest = scaled[a + 1 : a + 1 + b].transpose(1, 0, 2).reshape(n_outputs, b * n_channels)
+    kept = (left[: (a - 1) * n_outputs].T @ left[n_outputs:]) * values
+    A = (kept + left[(a - 1) * n_outputs :].T @ (newest @ right.T)) / (root[:, np.newaxis] * root)
+    return A, root[:, np.newaxis] * right[:, :n_channels], left[:n_outputs] * root
+
+
+def _gain(markov: MarkovParameters, left: FloatArray, values: FloatArray, n_block_rows: int) -> FloatArray | None:
+    """K of the scaled channels by least squares on [g1; g2; ...] = O K."""
+    if markov.gain is None:
+        return None
+    scaled = markov.gain * (markov.output_scale / markov.output_scale[:, np.newaxis])
+    stacked = scaled[1 : 1 + n_block_rows].reshape(-1, markov.n_outputs)
+    return (left.T @ stacked) / np.sqrt(values)[:, np.newaxis]
+
 
 GAP_BEFORE_THE_END = 10.0
 """Ratio of neighbours from which a gap is preferred to the end of what an observer can give. On ten random systems of
@@ -142,7 +347,7 @@ def realise(
 
     Args:
         markov: Markov parameters of the system, of the gain, or both.
-        order: number of states; "auto" cuts at the largest gap of the singular values (`era.order`).
+        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel_svd`).
         n_block_rows: see `decompose`.
         n_block_columns: see `decompose`.
         method: see `decompose`.

@@ -4,24 +4,153 @@
 
 With A and C given, the gain is found that makes the one-step errors e smallest, log det sum e e', by the scoring of
 `era.innovation_form`. It reaches what is asymptotically the best that any method can do, covariance W^-1 (x) R^-1 / N.
+
+Where the climb to the likeliest gain begins, how long it goes on, and when its end is of no use.
+
+Gains from noise covariances by the Riccati equation, and a stable gain for one that is not.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from era.gain_climb import climbed, first_gain, usable_gain
-from era.innovation_form import ScoredGain, first_fit, information, inverse, inverse_of_information
-from era.left_over import NoisePart, left_over
+from era.innovation_form import (
+    NoisePart,
+    ScoredGain,
+    Starts,
+    first_fit,
+    information,
+    inverse,
+    inverse_of_information,
+    left_over,
+    step,
+)
 from era.realisation import Realisation
 from era.simulation import check_channels
+from era.state_recursion import finite_gramian
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["GainEstimate", "estimate_gain", "gain_from_innovations"]
+__all__ = [
+    "GainEstimate",
+    "climbed",
+    "estimate_gain",
+    "first_gain",
+    "gain_from_innovations",
+    "riccati_gain",
+    "stabilised_gain",
+    "usable_gain",
+]
+
+
+def stabilised_gain(realisation: Realisation, gain: FloatArray, innovation_covariance: FloatArray) -> FloatArray:
+    """The gain itself where A - K C is stable; else the stable one of the same innovation spectrum, or zero if none is.
+
+    Args:
+        realisation: A and C.
+        gain: (order, n_outputs).
+        innovation_covariance: (n_outputs, n_outputs) of the innovations that the gain gives.
+
+    Example:
+        >>> model = Realisation([[0.9]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.01)
+        >>> stabilised_gain(model, np.array([[2.9]]), np.eye(1)).round(9)
+        array([[1.4]])
+    """
+    A, C = realisation.A, realisation.C
+    if np.abs(np.linalg.eigvals(A - gain @ C)).max(initial=0.0) < 1.0:
+        return gain
+    S = gain @ innovation_covariance
+    return riccati_gain(A, C, S @ gain.T, innovation_covariance, S)
+
+
+def riccati_gain(A: FloatArray, C: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray:
+    """Predictor gain (A P C' + S) (C P C' + R)^-1; zero where no solution P is stabilising.
+
+    Args:
+        A: (order, order).
+        C: (n_outputs, order).
+        Q: (order, order) covariance of the process noise.
+        R: (n_outputs, n_outputs) covariance of the measurement noise.
+        S: (order, n_outputs) covariance between the two.
+
+    Example:
+        >>> one = np.ones((1, 1))
+        >>> riccati_gain(0.5 * one, one, 0.01 * one, one, 0.1 * one).round(6)
+        array([[0.1]])
+    """
+    nothing = np.zeros_like(S)
+    try:
+        P = scipy.linalg.solve_discrete_are(A.T, C.T, (Q + Q.T) / 2, (R + R.T) / 2, s=S)
+        stable = np.asarray(np.linalg.solve(C @ P @ C.T + R, (A @ P @ C.T + S).T).T, dtype=np.float64)
+    except (np.linalg.LinAlgError, ValueError):  # no stabilising solution, or R singular
+        return nothing
+    if not np.isfinite(stable).all() or np.abs(np.linalg.eigvals(A - stable @ C)).max() >= 1.0:
+        return nothing
+    return stable
+
+
+MOST_STEPS = 40
+SMALLEST_RISE = 1e-2
+"""Of the log likelihood, below which another step moves K by much less than its standard deviation."""
+FIRST_SIZE = 1.0
+"""Energy of the free decays that one sample's process noise starts, relative to an output's noise."""
+LARGEST_POLE = 0.999
+"""Of a model whose free decays are given an energy."""
+LARGEST_LOSS = 2.0
+"""Growth of the innovations from starts of the free run, over those from the best starts, that a gain may have."""
+
+
+def first_gain(A: FloatArray, C: FloatArray, length: int) -> FloatArray:
+    """Gain for process noise that moves every state equally visibly.
+
+    From a zero gain alone the climb can get stuck where records are so short that free decays pass for noise.
+    """
+    # of the same model with its largest pole well within the unit circle, for the energy of a growing decay is none
+    shrunk = A * min(1.0, LARGEST_POLE / max(float(np.abs(np.linalg.eigvals(A)).max()), LARGEST_POLE))
+    equal = inverse_of_information(finite_gramian(shrunk, C.T @ C, length))
+    nothing = np.zeros((A.shape[0], C.shape[0]))
+    return riccati_gain(A, C, FIRST_SIZE * equal, np.eye(C.shape[0]), nothing)
+
+
+def usable_gain(
+    A: FloatArray, C: FloatArray, likeliest: ScoredGain, parts: Sequence[NoisePart], n_rows: int
+) -> ScoredGain:
+    """The likeliest gain, unless its predictions hang on starts that nobody can know beforehand.
+
+    Noise without power at some frequency has its likeliest gain near the edge of stability. From the starts of the free
+    run, which is all that a user has, such a gain predicts badly for long; then the one that is best from these starts
+    is taken.
+    """
+    allowed = 2.0 * np.log(LARGEST_LOSS) * C.shape[0]
+    kept = first_fit(A, C, likeliest.gain, parts, starts="kept")
+    if kept is not None and kept.log_determinant - likeliest.log_determinant <= allowed:
+        return likeliest
+    other = first_fit(A, C, first_gain(A, C, n_rows), parts, starts="kept")
+    if other is None:
+        return likeliest
+    other = climbed(A, C, other, n_rows, starts="kept")
+    if kept is not None and kept.log_determinant - other.log_determinant <= allowed:
+        return likeliest
+    return other
+
+
+def climbed(A: FloatArray, C: FloatArray, start: ScoredGain, n_rows: int, *, starts: Starts = "free") -> ScoredGain:
+    """The fit after as many steps as are worth it."""
+    best = start
+    for _ in range(MOST_STEPS):
+        moved = step(A, C, best, starts=starts)
+        if moved is None:
+            break
+        rise = 0.5 * n_rows * (best.log_determinant - moved.log_determinant)
+        best = moved
+        if rise < SMALLEST_RISE:
+            break
+    return best
+
 
 ROUND_OFF = 1e-9
 """Size of what the free run leaves of an output, relative to the output, that is rounding."""

@@ -13,9 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError
-from okid.scalars import whole_number
 
 __all__ = ["BlockHankelOperator", "block_hankel", "block_sizes", "hankel_energy"]
 

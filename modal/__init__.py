@@ -19,18 +19,16 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
-    from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
-    from modal.identification.storage import load
+    from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint, load
     from modal.modes.extraction import extract_modes
-    from modal.modes.mode import ModalModel, Mode
-    from modal.modes.uncertainty import Uncertainty
+    from modal.modes.mode import ModalModel, Mode, Uncertainty
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
     from modal.structure.elements import Element
+    from modal.structure.given import simulate
     from modal.structure.model_file import read_model, write_model
     from modal.structure.plant_model import PlantModel
-    from modal.structure.simulation import simulate
     from modal.structure.structural_model import StructuralModel
 
 __all__ = [
@@ -82,7 +80,7 @@ _PLACES = {
     "Sensor": "modal.geometry.sensors",
     "StabilisationPoint": "modal.identification.result",
     "StructuralModel": "modal.structure.structural_model",
-    "Uncertainty": "modal.modes.uncertainty",
+    "Uncertainty": "modal.modes.mode",
     "check_limits": "modal.acceptance.check",
     "check_quality": "modal.quality",
     "choose_orders": "modal.identification.order_search",
@@ -90,7 +88,7 @@ _PLACES = {
     "discrepancy": "modal.discrepancy",
     "extract_modes": "modal.modes.extraction",
     "identify": "modal.identification.pipeline",
-    "load": "modal.identification.storage",
+    "load": "modal.identification.result",
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
     "read_geometry": "modal.geometry.file",
@@ -98,7 +96,7 @@ _PLACES = {
     "read_result": "modal.comparison.source",
     "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",
-    "simulate": "modal.structure.simulation",
+    "simulate": "modal.structure.given",
     "write_model": "modal.structure.model_file",
     "write_report": "modal.report",
 }

@@ -9,11 +9,10 @@ from okid.errors import (
     UnreadableFileError,
 )
 from okid.excitation import Excitation, check_excitation
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.readers import read_record, read_records
 from okid.record import InputHold, Record
-from okid.recovery import recover_markov
 from okid.residuals import ResidualCheck, check_residuals
 
 __version__ = "0.1.0"

@@ -2,9 +2,18 @@
 
 An array is kept as a view where nobody else can write to it (a memory map opened for reading, an array that is already
 read-only all the way down), and copied otherwise, so that a frozen type is frozen in fact.
+
+Checks of single numbers that every stage takes: counts, orders, time steps.
+
+They take what a caller may hold (Python or numpy, 3 or 3.0) and refuse the rest in one sentence, whatever its type.
+
+A stage that is given the result of the wrong stage says which one it takes.
 """
 
+import math
+import operator
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,16 +21,20 @@ import numpy.typing as npt
 from okid.errors import InvalidDataError
 
 __all__ = [
-    "TINY",
     "BoolArray",
     "ComplexArray",
     "FloatArray",
+    "TINY",
     "column_block",
     "frozen",
     "frozen_complex",
     "frozen_with_gaps",
+    "real_number",
+    "require",
     "row_chunks",
     "time_major",
+    "time_step",
+    "whole_number",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -180,3 +193,82 @@ def _read_only(array: FloatArray) -> FloatArray:
     array = np.array(array, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array
+
+
+def real_number(value: Any) -> float:
+    """The value as a float; nan where it is no single real number (text, a list, a truth value, None).
+
+    Example:
+        >>> real_number(3), real_number("3"), real_number(True)
+        (3.0, nan, nan)
+    """
+    if isinstance(value, bool | str | bytes | bytearray) or getattr(value, "ndim", 0) != 0:
+        return math.nan
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
+def whole_number(value: Any, *, name: str, least: int, otherwise: str = "") -> int:
+    """The value as an int of at least `least`.
+
+    Args:
+        value: 3, 3.0 or a numpy scalar.
+        name: what to call it in an error.
+        least: smallest value allowed.
+        otherwise: what else the argument may be, for the message, e.g. 'or "auto"'.
+
+    Raises:
+        InvalidDataError: no number, no whole number, or one below `least`.
+
+    Example:
+        >>> whole_number(3.0, name="n_lags", least=1)
+        3
+    """
+    number = real_number(value)
+    if math.isfinite(number) and number == math.floor(number) and number >= least:
+        # An integer beyond 2^53 is not what its float says.
+        return operator.index(value) if hasattr(value, "__index__") else int(number)
+    options = f" {otherwise}" if otherwise else ""
+    raise InvalidDataError(f"{name} must be a whole number of at least {least}{options}, but is {value!r}.")
+
+
+def time_step(value: Any) -> float:
+    """A time step in seconds as a float.
+
+    Raises:
+        InvalidDataError: no number, or one that is not positive and finite.
+
+    Example:
+        >>> time_step(0.01)
+        0.01
+    """
+    step = real_number(value)
+    if not (math.isfinite(step) and step > 0):
+        raise InvalidDataError(f"dt must be a positive time step in seconds, but is {value!r}.")
+    return step
+
+
+def require(value: object, kind: type, *, where: str, made_by: str) -> None:
+    """Refuse anything but an instance of `kind`.
+
+    Args:
+        value: what the caller gave.
+        kind: the type that is taken.
+        where: the function that takes it.
+        made_by: how one comes by such a thing.
+
+    Raises:
+        InvalidDataError: another type; the message names both and the remedy.
+
+    Example:
+        >>> require(3, str, where="f", made_by="str(...)")
+        Traceback (most recent call last):
+        okid.errors.InvalidDataError: f takes a str, but was given int; make one by str(...).
+    """
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise InvalidDataError(
+            f"{where} takes {article} {kind.__name__}, but was given {type(value).__name__}; make one by {made_by}."
+        )

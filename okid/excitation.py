@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import BoolArray, FloatArray, whole_number
 from okid.gram import lag_gram
 from okid.record import Record
 from okid.rows import as_records, runs_of
-from okid.scalars import whole_number
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["Excitation", "check_excitation"]

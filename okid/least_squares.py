@@ -9,27 +9,281 @@ The normal equations square the condition number. `solve` therefore compares wha
 what the noise does to them, and where rounding is not far below, goes to the rows themselves (orthogonal
 factorisation), or for records too long for that to a truncated eigendecomposition followed by one refinement with
 residuals from the rows.
+
+The normal equations of the observer regression, cut out of a Gram matrix, and their triangular factor.
+
+    (V V' + penalty) Theta = V Y',   penalty = n_rows ridge diag(0; 1 ...; (1 + lag) ...)
+
+with v(k) = [1; u(k); u(k-1); y(k-1); ...; u(k-p); y(k-p)] in scaled channels. The regression solves them, the
+covariance of its solution needs the same matrix again.
+
+Least squares from the rows themselves: slower than by the Gram matrix, with the condition number, not its square.
+
+Coefficients of the observer equation in scaled channels, and their way into the units of the record.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import scipy
 
-from okid.arrays import BoolArray, FloatArray
-from okid.coefficients import Method, ObserverCoefficients, coefficients_from_solution
+from okid.arrays import BoolArray, FloatArray, real_number
 from okid.errors import InvalidDataError
 from okid.gram import LagGram
-from okid.normal_equations import NormalEquations, cholesky, normal_equations, triangular_solve
 from okid.record import Record
-from okid.row_factor import factor_rows, residual_products, solve_factor
-from okid.scalars import real_number
+from okid.rows import regressor_chunks
 from okid.scaling import ChannelScaling
 
-__all__ = ["RegressionRows", "solve"]
+__all__ = [
+    "Method",
+    "NormalEquations",
+    "ObserverCoefficients",
+    "RegressionRows",
+    "cholesky",
+    "coefficients_from_solution",
+    "factor_rows",
+    "normal_equations",
+    "residual_products",
+    "solve",
+    "solve_factor",
+    "triangular_solve",
+]
+
+Method = Literal["cholesky", "eigh", "qr"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ObserverCoefficients:
+    """An observer of scaled channels: (value - mean) / scale of every input and output.
+
+    Attributes:
+        feedthrough: (n_outputs, n_inputs) D.
+        input_coefficients: (order, n_outputs, n_inputs) alpha_1 ... alpha_order.
+        output_coefficients: (order, n_outputs, n_outputs) beta_1 ... beta_order.
+        offset: (n_outputs,) constant of each output's equation.
+        residual_covariance: (n_outputs, n_outputs) of the one-step residual, degrees of freedom taken off.
+        n_rows: rows that were fitted.
+        order: number of past samples.
+        ridge: added to the unit diagonal as ridge (1 + lag).
+        method: how it was solved.
+        condition: estimated condition number of the regressor matrix, ridge included.
+        rank: number of directions kept.
+    """
+
+    feedthrough: FloatArray
+    input_coefficients: FloatArray
+    output_coefficients: FloatArray
+    offset: FloatArray
+    residual_covariance: FloatArray
+    n_rows: int
+    order: int
+    ridge: float
+    method: Method
+    condition: float
+    rank: int
+
+    @property
+    def n_parameters(self) -> int:
+        """Unknowns per output."""
+        n_outputs, n_inputs = self.feedthrough.shape
+        return 1 + n_inputs + self.order * (n_inputs + n_outputs)
+
+
+def coefficients_from_solution(
+    solution: FloatArray,
+    squares: FloatArray,
+    *,
+    n_inputs: int,
+    n_rows: int,
+    ridge: float,
+    method: Method,
+    condition: float,
+    rank: int,
+) -> ObserverCoefficients:
+    """Cut a least-squares solution into the parts of the observer equation.
+
+    Args:
+        solution: (1 + n_inputs + order n_channels, n_outputs), rows [1, u(k), u(k-1), y(k-1), ..., y(k-order)].
+        squares: (n_outputs, n_outputs) sum of products of the residuals.
+        n_inputs: number of inputs.
+        n_rows: rows fitted.
+        ridge: as used.
+        method: as used.
+        condition: as estimated.
+        rank: directions kept.
+    """
+    n_outputs = solution.shape[1]
+    n_channels = n_inputs + n_outputs
+    past = solution[1 + n_inputs :].reshape(-1, n_channels, n_outputs).transpose(0, 2, 1)
+    return ObserverCoefficients(
+        feedthrough=np.ascontiguousarray(solution[1 : 1 + n_inputs].T),
+        input_coefficients=np.ascontiguousarray(past[:, :, :n_inputs]),
+        output_coefficients=np.ascontiguousarray(past[:, :, n_inputs:]),
+        offset=solution[0].copy(),
+        residual_covariance=squares / max(n_rows - rank, 1),
+        n_rows=n_rows,
+        order=past.shape[0],
+        ridge=ridge,
+        method=method,
+        condition=condition,
+        rank=rank,
+    )
+
 
 _EPS = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NormalEquations:
+    """What a ridge regression is solved from.
+
+    Attributes:
+        matrix: (n_unknowns, n_unknowns) V V' + penalty, in Fortran order so that it can be factored in place.
+        right: (n_unknowns, n_outputs) V Y'.
+        outputs: (n_outputs, n_outputs) Y Y'.
+        penalty: (n_unknowns,) what the ridge adds to the diagonal.
+        gram: that they were cut from.
+        ridge: relative to the unit diagonal, at lag 0.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+    outputs: FloatArray
+    penalty: FloatArray
+    gram: LagGram
+    ridge: float
+
+
+def normal_equations(gram: LagGram, ridge: float) -> NormalEquations:
+    """Take y(k), which is explained, out of phi(k), which explains.
+
+    Args:
+        gram: Gram matrix of the rows.
+        ridge: relative to the unit diagonal, at lag 0.
+
+    Example:
+        >>> equations = normal_equations(LagGram(matrix=np.eye(5), n_rows=10, order=1, n_inputs=1, n_outputs=1), 0.1)
+        >>> equations.penalty
+        array([0., 1., 2., 2.])
+    """
+    low, n_channels = 1 + gram.n_inputs, gram.n_inputs + gram.n_outputs
+    high = 1 + n_channels
+    whole = gram.matrix
+    size = whole.shape[0] - gram.n_outputs
+    matrix = np.empty((size, size), order="F")
+    # The transpose is C-ordered, as the Gram is: each slice is copied along memory.
+    view = matrix.T
+    view[:low, :low], view[:low, low:] = whole[:low, :low], whole[:low, high : size + gram.n_outputs]
+    view[low:, :low], view[low:, low:] = whole[high:, :low], whole[high:, high : size + gram.n_outputs]
+    right = np.concatenate([whole[:low, low:high], whole[high:, low:high]])
+    penalty = np.zeros(size)
+    if ridge > 0.0:
+        penalty[1:low] = 1.0
+        penalty[low:] = np.repeat(np.arange(2.0, gram.order + 2.0), n_channels)
+        penalty *= ridge * gram.n_rows
+        view.flat[:: size + 1] += penalty
+    return NormalEquations(
+        matrix=matrix, right=right, outputs=whole[low:high, low:high], penalty=penalty, gram=gram, ridge=ridge
+    )
+
+
+def cholesky(matrix: FloatArray) -> FloatArray | None:
+    """Lower factor, in place; None where the matrix is not positive definite to working precision."""
+    factor, info = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
+    if info != 0:
+        return None
+    pivots = factor.diagonal()
+    trusted = pivots.min() ** 2 > _EPS * matrix.shape[0] * pivots.max() ** 2
+    return factor if trusted else None
+
+
+def triangular_solve(factor: FloatArray, right: FloatArray, *, transposed: bool) -> FloatArray:
+    """Solve L X = right, or L' X = right where `transposed`; only the lower triangle of `factor` is read."""
+    solution, _ = scipy.linalg.lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))
+    return solution
+
+
+def factor_rows(
+    records: Sequence[Record],
+    order: int,
+    scaling: ChannelScaling,
+    rows: Sequence[BoolArray] | None,
+    penalty: FloatArray,
+) -> FloatArray:
+    """Upper triangle R of the orthogonal factorisation of [V Y], chunk after chunk, so memory is bounded.
+
+    Args:
+        records: of one system.
+        order: observer order.
+        scaling: mean and size of every channel.
+        rows: masks, None for all.
+        penalty: (n_unknowns,) ridge, entered as rows sqrt(penalty) below V.
+
+    Returns:
+        (n_unknowns + n_outputs, same).
+
+    References:
+        Demmel, Grigori, Hoemmen, Langou, SIAM Journal on Scientific Computing 34(1), 2012, section 3 (sequential
+        reduction of tall matrices), doi 10.1137/080731992.
+    """
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    size = penalty.size + n_outputs
+    # The ridge rows come first: every later factorisation then starts from at least `size` rows.
+    triangle = np.zeros((size, size))
+    triangle.flat[: penalty.size * (size + 1) : size + 1] = np.sqrt(penalty)
+    for chunk in regressor_chunks(records, order, scaling, rows):
+        stacked = np.empty((size + chunk.shape[0], size), order="F")
+        stacked[:size] = triangle
+        new = stacked[size:]
+        new[:, : 1 + n_inputs] = chunk[:, : 1 + n_inputs]
+        new[:, 1 + n_inputs : penalty.size] = chunk[:, 1 + n_inputs + n_outputs :]
+        new[:, penalty.size :] = chunk[:, 1 + n_inputs : 1 + n_inputs + n_outputs]
+        factored, _, _, _ = scipy.linalg.lapack.dgeqrf(stacked, lwork=64 * size, overwrite_a=1)
+        triangle = np.triu(factored[:size])
+    return triangle
+
+
+def solve_factor(triangle: FloatArray, n_outputs: int, noise: float) -> tuple[FloatArray, FloatArray, float, int]:
+    """Solution, residual products (ridge rows included), condition number and rank from the triangle of [V Y].
+
+    Args:
+        triangle: from `factor_rows`.
+        n_outputs: number of columns of Y.
+        noise: singular values of V that the rounding of the samples alone would give; smaller ones carry nothing.
+    """
+    size = triangle.shape[0] - n_outputs
+    left, right = triangle[:size, :size], triangle[:size, size:]
+    squares = triangle[size:, size:].T @ triangle[size:, size:]
+    u, values, vt = np.linalg.svd(left)
+    kept = values > 32.0 * max(noise, _EPS * np.sqrt(size) * values[0])
+    projected = u.T @ right
+    solution = vt[kept].T @ (projected[kept] / values[kept, np.newaxis])
+    squares += projected[~kept].T @ projected[~kept]
+    condition = float(values[0] / values[kept][-1]) if kept.any() else np.inf
+    return solution, squares, condition, int(kept.sum())
+
+
+def residual_products(
+    records: Sequence[Record],
+    order: int,
+    scaling: ChannelScaling,
+    rows: Sequence[BoolArray] | None,
+    solution: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """V'E (n_unknowns, n_outputs) and E'E of the residuals E = Y - V solution, summed over chunks."""
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    low, high = 1 + n_inputs, 1 + n_inputs + n_outputs
+    with_regressors, squares = np.zeros_like(solution), np.zeros((n_outputs, n_outputs))
+    for chunk in regressor_chunks(records, order, scaling, rows):
+        residual = chunk[:, low:high] - chunk[:, :low] @ solution[:low] - chunk[:, high:] @ solution[low:]
+        with_regressors[:low] += chunk[:, :low].T @ residual
+        with_regressors[low:] += chunk[:, high:].T @ residual
+        squares += residual.T @ residual
+    return with_regressors, squares
+
+
 _QR_OPERATIONS = 4e11
 """Largest orthogonal factorisation done unasked: some ten seconds of one core."""
 _NEGLIGIBLE = 1e-3

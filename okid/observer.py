@@ -15,10 +15,9 @@ from typing import Literal
 import numpy as np
 
 from okid.arrays import FloatArray
-from okid.coefficients import ObserverCoefficients
 from okid.errors import IdentificationWarning, InsufficientDataError
 from okid.gram import LagGram, lag_gram
-from okid.least_squares import RegressionRows, solve
+from okid.least_squares import ObserverCoefficients, RegressionRows, solve
 from okid.record import Record
 from okid.rows import as_records, check_enough_rows, check_rows_left
 from okid.scaling import ChannelScaling, channel_scaling

@@ -2,22 +2,192 @@
 
 Time-major arrays, one column a channel. A NaN in an output is a missing sample, a NaN in an input a gap; every stage
 that reads a record leaves out the rows that they touch. A record is never changed: each method returns a new one.
+
+What must hold of the parts of a record; each check raises one sentence that says what to change.
+
+Detrending and decimation of time-major arrays with missing samples; decimation in chunks, so maps stay on disk.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from okid.arrays import BoolArray, FloatArray, column_block, row_chunks, time_major
-from okid.conditioning import decimated, detrended, filter_half_length
+from okid.arrays import (
+    BoolArray,
+    FloatArray,
+    column_block,
+    real_number,
+    row_chunks,
+    time_major,
+    time_step,
+    whole_number,
+)
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.record_checks import as_inputs, channel_indices, check_lengths, check_names, check_not_empty, labels
-from okid.scalars import real_number, time_step, whole_number
 
-__all__ = ["InputHold", "Record"]
+__all__ = [
+    "InputHold",
+    "Record",
+    "as_inputs",
+    "channel_indices",
+    "check_lengths",
+    "check_names",
+    "check_not_empty",
+    "decimated",
+    "detrended",
+    "filter_half_length",
+    "labels",
+]
+
+CUT_OFF = 0.75
+"""Cut-off of the filter over the new Nyquist frequency: with this and the window, its stop band begins there."""
+
+KAISER_BETA = 8.0
+"""Window parameter: about 80 dB in the stop band."""
+
+HALF_LENGTH = 10
+"""Half the filter's length in new samples."""
+
+
+def filter_half_length(factor: int) -> int:
+    """Samples on either side that the anti-alias filter of `decimated` reaches to."""
+    return HALF_LENGTH * factor
+
+
+def detrended(array: FloatArray, degree: int) -> FloatArray:
+    """Each channel less its least-squares polynomial over the samples that are there.
+
+    Legendre polynomials over the whole span, so that the fit is well conditioned at any degree.
+
+    Args:
+        array: (n_samples, n_channels), NaN where missing.
+        degree: of the polynomial.
+    """
+    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(array)), degree)
+    result = np.array(array, order="C")
+    there = ~np.isnan(result)
+    complete = there.all(axis=0)
+    if complete.any():
+        coefficients, *_ = np.linalg.lstsq(basis, result[:, complete], rcond=None)
+        result[:, complete] -= basis @ coefficients
+    for index in np.flatnonzero(~complete):
+        rows = there[:, index]
+        coefficients, *_ = np.linalg.lstsq(basis[rows], result[rows, index], rcond=None)
+        result[rows, index] -= basis[rows] @ coefficients
+    return result
+
+
+def decimated(array: FloatArray, factor: int) -> FloatArray:
+    """Every `factor`-th row of the low-passed array, without the rows at the ends that the filter does not fill.
+
+    Args:
+        array: (n_samples, n_channels), NaN where missing; a row within the filter's reach of a NaN becomes NaN.
+        factor: of decimation, at least 2.
+
+    Returns:
+        (n_rows, n_channels): row r is centred at sample `filter_half_length(factor) + r * factor`.
+    """
+    import scipy
+
+    half = filter_half_length(factor)
+    taps = scipy.signal.firwin(2 * half + 1, CUT_OFF / factor, window=("kaiser", KAISER_BETA))
+    n_samples, n_channels = array.shape
+    n_rows = (n_samples - 2 * half - 1) // factor + 1
+    result = np.empty((n_rows, n_channels))
+    for rows in row_chunks(n_rows, n_channels * factor):
+        part = array[rows.start * factor : (rows.stop - 1) * factor + 2 * half + 1]
+        missing = np.isnan(part)
+        touched = missing.any()
+        # Output k of upfirdn is centred at k * factor - half: the first 2 HALF_LENGTH ones reach before the part.
+        filtered = scipy.signal.upfirdn(taps, np.where(missing, 0.0, part) if touched else part, 1, factor, axis=0)
+        result[rows] = filtered[2 * HALF_LENGTH : 2 * HALF_LENGTH + rows.stop - rows.start]
+        if touched:
+            count = np.cumsum(np.vstack([np.zeros((1, n_channels), dtype=np.intp), missing]), axis=0)
+            first = np.arange(rows.stop - rows.start) * factor
+            result[rows][count[first + 2 * half + 1] > count[first]] = np.nan
+    return result
+
+
+def as_inputs(values: npt.ArrayLike, n_samples: int) -> FloatArray:
+    """The inputs as an array; nothing at all means no inputs, (n_samples, 0)."""
+    inputs = time_major(values, name="inputs")
+    return inputs if inputs.size else time_major(np.empty((n_samples, 0)), name="inputs")
+
+
+def check_lengths(inputs: FloatArray, outputs: FloatArray) -> None:
+    """Raise unless there are samples and outputs, as many rows of both, and no more channels than rows."""
+    if outputs.shape[1] == 0 or len(outputs) == 0:
+        raise InvalidDataError(
+            f"a record needs at least one output and one sample, but its outputs have the shape {outputs.shape}."
+        )
+    if inputs.shape[0] != outputs.shape[0]:
+        raise InvalidDataError(
+            f"inputs have {inputs.shape[0]} samples and outputs {outputs.shape[0]}; both must cover the same rows."
+        )
+    for kind, array in (("inputs", inputs), ("outputs", outputs)):
+        n_samples, n_channels = array.shape
+        if n_channels > n_samples:
+            raise InvalidDataError(
+                f"{kind} have {n_channels} channels but only {n_samples} samples; rows are samples, so pass {kind}.T."
+            )
+
+
+def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -> tuple[str, ...]:
+    """The names or units of the channels: those given, else input_0, ... or empty units."""
+    what = "names" if named else "units"
+    if isinstance(given, str):
+        given = (given,)
+    if given is not None and not isinstance(given, Iterable):
+        raise InvalidDataError(f"{kind} {what} must be a sequence of words, one for each channel, but are {given!r}.")
+    given = () if given is None else tuple(given)
+    if len(given) == 0:
+        return tuple(f"{kind}_{i}" if named else "" for i in range(count))
+    if len(given) != count:
+        raise InvalidDataError(f"{len(given)} {kind} {what} were given for {count} {kind}s; give one for each channel.")
+    return tuple(str(label) for label in given)
+
+
+def check_names(names: tuple[str, ...]) -> None:
+    """Raise if a channel name stands more than once."""
+    double = sorted(name for name, count in Counter(names).items() if count > 1)
+    if double:
+        raise InvalidDataError(
+            f"channel names must be unique, but {', '.join(map(repr, double))} stand more than once."
+        )
+
+
+def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> None:
+    """Raise if a channel is missing in every sample; a mapped file is read only as far as needed."""
+    seen = np.zeros(array.shape[1], dtype=np.bool_)
+    for rows in row_chunks(*array.shape):
+        seen |= ~np.isnan(array[rows]).all(axis=0)
+        if seen.all():
+            return
+    empty = ", ".join(repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number)
+    if empty:
+        raise InvalidDataError(f"{kind} {empty} holds no number in any of its {array.shape[0]} samples; leave it out.")
+
+
+def channel_indices(chosen: Sequence[str | int] | None, names: tuple[str, ...], kind: str) -> list[int]:
+    """Indices of channels given by name or index; None means all."""
+    if chosen is None:
+        return list(range(len(names)))
+    if isinstance(chosen, str):
+        chosen = [chosen]
+    indices = []
+    for channel in chosen:
+        if isinstance(channel, str) and channel in names:
+            indices.append(names.index(channel))
+        elif not isinstance(channel, str) and 0 <= channel < len(names):
+            indices.append(int(channel))
+        else:
+            raise InvalidDataError(f"there is no {kind} {channel!r}; the {kind}s are {', '.join(names) or 'none'}.")
+    return indices
+
 
 InputHold = Literal["zero_order", "linear", "band_limited"]
 """What the input did between samples: held by a DAC, straight lines, or measured through an anti-alias filter."""

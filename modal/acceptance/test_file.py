@@ -34,9 +34,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modal.acceptance.limit_tables import limits_of
-from modal.acceptance.limits import Limit
-from modal.acceptance.toml_tables import Table, quoted
+from modal.acceptance.limits import Limit, Table, limits_of, quoted
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 

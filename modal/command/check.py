@@ -1,16 +1,239 @@
-"""`modal-report check`: the quality of the data, without an identification."""
+"""`modal-report check`: the quality of the data, without an identification.
 
+One run of `modal-report check`: read, look at the data, write the numbers if asked, then print what was found.
+
+What `modal-report check` prints: one row a channel, then the findings, the worst first.
+"""
+
+import contextlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from modal.command.check_job import CheckJob, carry_out_check, check_status
-from modal.command.command_options import name_list
-from modal.command.job import FileSource
-from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults
+from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
+from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources
+from modal.command.terminal import listing, plain
+from modal.quality.check import check_quality
+from modal.quality.findings import LEVELS, ChannelQuality, DataQuality, Finding
+from modal.wording.names import shorten
+from modal.wording.numbers import whole_percent
+from okid.errors import InvalidDataError
+from okid.record import Record
 
-__all__ = ["EXAMPLES", "check"]
+if TYPE_CHECKING:
+    from okid.record import Record
+
+__all__ = ["CheckJob", "EXAMPLES", "carry_out_check", "check", "check_status", "quality_json", "show_quality"]
+
+_COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
+_HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
+_WHAT_WIDTH = 17
+"""Letters of the longest key of a finding, so that all sentences begin in one column."""
+LONGEST_NAME = 28
+WIDE = 100
+"""Letters a line from which the table has room for the extremes of each channel."""
+MOST_CHANNELS = 40
+"""Rows of the table; of more channels the ones without a finding are left out first."""
+
+
+def show_quality(
+    console: Console, quality: DataQuality, records: Sequence[Record], *, remarks: Sequence[str] = ()
+) -> None:
+    """Verdict, table of the channels, findings in words.
+
+    Args:
+        console: to print on.
+        quality: of the records.
+        records: as they were read.
+        remarks: on what was done to their units.
+    """
+    console.print()
+    console.print(plain(quality.verdict, f"bold {_COLOURS[quality.level]}"))
+    console.print(plain(_size(records), "bright_black"))
+    console.print()
+    shown = _shown(quality.channels)
+    console.print(_table(shown, width=console.width))
+    hidden = len(quality.channels) - len(shown)
+    if hidden:
+        console.print(plain(f"and {hidden} more channel{'s' * (hidden > 1)} without a fault", "bright_black"))
+    for level in LEVELS:
+        _findings(console, level, [finding for finding in quality.findings if finding.level == level])
+    listing(console, "Units", remarks, "")
+
+
+def _size(records: Sequence[Record]) -> str:
+    first = records[0]
+    n_samples = sum(record.n_samples for record in records)
+    several = f"{len(records)} records, " if len(records) > 1 else ""
+    return (
+        f"{several}{n_samples} samples every {first.dt:.6g} s ({first.sampling_frequency:.6g} Hz, "
+        f"{n_samples * first.dt:.6g} "
+        f"s), {first.n_inputs} input{'s' * (first.n_inputs != 1)}, {first.n_outputs} "
+        f"output{'s' * (first.n_outputs != 1)}"
+    )
+
+
+def _shown(channels: Sequence[ChannelQuality]) -> list[ChannelQuality]:
+    if len(channels) <= MOST_CHANNELS:
+        return list(channels)
+    worst_first = sorted(channels, key=lambda channel: (channel.level == "good", not channel.findings))
+    kept = {channel.name for channel in worst_first[:MOST_CHANNELS]}
+    return [channel for channel in channels if channel.name in kept]
+
+
+def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
+    """One row a channel; on a narrow screen without its extremes, so that what was found in it has room."""
+    extremes = ("least", "greatest") if width >= WIDE else ()
+    table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
+    table.add_column("channel", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for heading in ("mean", "std", *extremes):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("SNR >=", justify="right", no_wrap=True)
+    table.add_column("explained", justify="right", no_wrap=True)
+    table.add_column("found", ratio=1)
+    for channel in channels:
+        numbers = channel.statistics
+        values = (numbers.mean, numbers.std, *((numbers.smallest, numbers.largest) if extremes else ()))
+        table.add_row(
+            plain(shorten(channel.name, LONGEST_NAME)),
+            plain(channel.role, "bright_black"),
+            *(plain(_number(x)) for x in values),
+            plain(shorten(channel.unit, 12), "bright_black"),
+            plain(_number(numbers.signal_to_noise, "{:.0f} dB")),
+            plain(whole_percent(numbers.explained)),
+            _what(channel),
+        )
+    return table
+
+
+def _what(channel: ChannelQuality) -> Text:
+    """The keys of the findings, or "good"."""
+    serious = [finding for finding in channel.findings if finding.level != "note"] or list(channel.findings)
+    words = ", ".join(dict.fromkeys(finding.what for finding in serious))
+    return plain(words or "good", _COLOURS[channel.level] if channel.level != "good" or not words else "bright_black")
+
+
+def _findings(console: Console, level: str, findings: Sequence[Finding]) -> None:
+    if not findings:
+        return
+    console.print()
+    console.print(plain(_HEADINGS[level], f"bold {_COLOURS[level]}"))
+    rows = Table.grid(padding=(0, 2, 0, 0), expand=True)
+    rows.add_column(no_wrap=True, width=_WHAT_WIDTH)
+    rows.add_column(ratio=1)
+    for finding in findings:
+        rows.add_row(plain(finding.what, _COLOURS[level]), plain(finding.sentence))
+    console.print(rows)
+
+
+def _number(value: float, form: str = "{:.3g}") -> str:
+    return form.format(value) if math.isfinite(value) else "–"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CheckJob:
+    """What to look at.
+
+    Attributes:
+        source: files, channels, time step.
+        json: file for the numbers and findings; None writes none. One that is there is replaced.
+    """
+
+    source: FileSource
+    json: Path | None = None
+
+
+def carry_out_check(job: CheckJob) -> tuple[DataQuality, Console]:
+    """Read, check, write, print what was found; the file is complete before a word is printed.
+
+    Raises:
+        InvalidDataError: files that cannot be read or do not belong together, or numbers that could not be written, or
+            not without losing a measured file.
+    """
+    if job.json is not None:
+        refuse_sources([job.json], job.source.files)
+    with progress_bar() as tell, own_warnings() as heard:
+        tell("reading", 0.0)
+        records, remarks = job.source.read()
+        tell("looking at the data", 0.3)
+        quality = check_quality(records)
+        if job.json is not None:
+            _write(job.json, quality_json(quality, records))
+    console = Console(highlight=False)
+    show_quality(console, quality, records, remarks=(*remarks, *heard))
+    return quality, console
+
+
+def check_status(quality: DataQuality) -> int:
+    """Exit status: 1 where something bad was found, else 0."""
+    return 1 if quality.level == "bad" else 0
+
+
+def quality_json(quality: DataQuality, records: "Sequence[Record]") -> str:
+    """Everything that was found as JSON; what is not known is null. The same records give the same bytes.
+
+    Args:
+        quality: of the records.
+        records: as they were read.
+    """
+    document = {
+        "level": quality.level,
+        "verdict": quality.verdict,
+        "records": [
+            {"name": record.name, "samples": record.n_samples, "dt": record.dt, "start_time": record.start_time}
+            for record in records
+        ],
+        "findings": [_finding(finding) for finding in quality.findings],
+        "channels": [_channel(channel) for channel in quality.channels],
+    }
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _finding(finding: Finding) -> dict[str, object]:
+    return {
+        "level": finding.level,
+        "what": finding.what,
+        "where": finding.where,
+        "sentence": finding.sentence,
+        "channels": list(finding.channels),
+        "spans": [{"record": record, "from": start, "to": stop} for record, start, stop in finding.spans],
+        "share": _known(finding.share),
+    }
+
+
+def _channel(channel: ChannelQuality) -> dict[str, object]:
+    numbers = {name: _known(value) for name, value in asdict(channel.statistics).items()}
+    return {"name": channel.name, "role": channel.role, "unit": channel.unit, "level": channel.level, **numbers}
+
+
+def _known(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def _write(path: Path, text: str) -> None:
+    """The whole file or none of it."""
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        try:
+            beside.write_text(text, encoding="utf-8")
+            beside.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                beside.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InvalidDataError(f"{path} could not be written ({error.strerror}); choose another place.") from error
+
 
 EXAMPLES = examples(
     "before anything else: check test.csv --inputs force",

@@ -5,12 +5,10 @@ from typing import Annotated
 
 import typer
 
-from modal.command.job import Job, carry_out, read_demo
 from modal.command.options import Overwrite, Traceback, examples, faults
-from modal.command.run import Live, Pdf, exit_status, extras_of
+from modal.command.run import Job, Live, Pdf, carry_out, exit_status, extras_of, read_demo
 from modal.command.terminal import show_comparison, show_files
-from modal.examples.demo import compare_with_truth, demo_truth
-from modal.examples.demo_geometry import demo_geometry
+from modal.examples.demo import compare_with_truth, demo_geometry, demo_truth
 from modal.sections.provenance import Provenance
 
 __all__ = ["EXAMPLES", "demo"]

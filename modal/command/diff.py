@@ -1,14 +1,132 @@
-"""`modal-report diff`: what changed between two results."""
+"""`modal-report diff`: what changed between two results.
 
+One run of `modal-report diff`: read two results, compare them, write what was asked for, then print it.
+
+What the command prints of a comparison: the headline, one row a mode, what is lost or new, what else differs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from modal.command.diff_job import DiffJob, carry_out_diff
 from modal.command.options import Overwrite, Traceback, examples, faults
+from modal.command.terminal import listing, plain
+from modal.comparison import words as words
+from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
+from modal.comparison.shifts import Shift
+from modal.comparison.source import read_result
+from modal.report.comparison import ComparisonFiles, refuse_existing_comparison, write_comparison
+from modal.wording.numbers import hertz
 
-__all__ = ["EXAMPLES", "diff"]
+__all__ = ["DiffJob", "EXAMPLES", "carry_out_diff", "diff", "show_comparison_files", "show_difference"]
+
+_ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
+_COLOURS = {
+    "beyond chance": "bold red",
+    "perhaps chance": "yellow",
+    "within its interval": "green",
+    "not known": "bright_black",
+}
+
+
+def show_difference(console: Console, comparison: Comparison) -> None:
+    """All of a comparison that a terminal has room for."""
+    before, after = comparison.before.name, comparison.after.name
+    console.print()
+    console.print(plain(f"{before} → {after}", "bright_black"))
+    console.print(plain(words.comparison_headline(comparison), "bold"))
+    if comparison.pairs:
+        console.print()
+        console.print(_table(comparison.pairs))
+    lost = [words.unmatched_sentence(one, present=before, absent=after) for one in comparison.lost]
+    new = [words.unmatched_sentence(one, present=after, absent=before) for one in comparison.new]
+    listing(console, "Lost", lost, "yellow")
+    listing(console, "New", new, "yellow")
+    listing(console, "Differs as well", [_difference(one) for one in comparison.differences], "")
+    listing(console, "Read with care", words.caution_sentences(comparison), "yellow")
+    console.print()
+    console.print(plain(words.how_sentence(comparison), "bright_black"))
+
+
+def show_comparison_files(console: Console, files: ComparisonFiles) -> None:
+    """Where the pages are, one line a file."""
+    console.print()
+    meanings = ((files.html, "to read"), (files.markdown, "the same as Markdown"), (files.json, "every number"))
+    for path, meaning in meanings:
+        console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
+
+
+def _table(pairs: Sequence[ModePair]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
+    for heading in ("", "Hz before", "after", "frequency", "damping ratio", "assurance"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("")
+    for pair in pairs:
+        worst = min(pair.shifts, key=lambda shift: _ORDER.index(shift.verdict))
+        table.add_row(
+            plain(str(pair.number_before), "bright_black"),
+            plain(hertz(pair.before.frequency)),
+            plain(hertz(pair.after.frequency)),
+            plain(words.percent_text(pair.frequency), _COLOURS[pair.frequency.verdict]),
+            plain(words.percent_text(pair.damping), _COLOURS[pair.damping.verdict]),
+            plain(words.assurance_text(pair.shape), _COLOURS[pair.shape.verdict]),
+            plain(_meaning(pair, worst), _COLOURS[worst.verdict]),
+        )
+    return table
+
+
+def _meaning(pair: ModePair, worst: Shift) -> str:
+    """What stands out most of a mode; where nothing does, that."""
+    if worst.verdict in ("within its interval", "not known"):
+        return words.verdict_change(pair) or ("no change seen" if worst.verdict != "not known" else "not known")
+    same = [shift.what for shift in pair.shifts if shift.verdict == worst.verdict]
+    parts = (f"{' and '.join(same)} {worst.verdict}", words.verdict_change(pair))
+    return "; ".join(part for part in parts if part)
+
+
+def _difference(one: Difference) -> str:
+    return f"{one.what}: {one.before or 'not there'} → {one.after or 'not there'}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DiffJob:
+    """What to compare.
+
+    Attributes:
+        before: folder or file of the first result.
+        after: of the second.
+        folder: for the pages; None: print only.
+        existing: "refuse" to touch pages that are there, or "replace" them.
+    """
+
+    before: Path
+    after: Path
+    folder: Path | None
+    existing: Literal["refuse", "replace"]
+
+
+def carry_out_diff(job: DiffJob) -> Comparison:
+    """Read, compare, write, print.
+
+    Raises:
+        UnreadableFileError: one of the two is no result.
+        InvalidDataError: the folder cannot be written.
+    """
+    if job.folder is not None:
+        refuse_existing_comparison(job.folder, job.existing)
+    comparison = compare_results(read_result(job.before), read_result(job.after))
+    files = None if job.folder is None else write_comparison(comparison, job.folder, existing=job.existing)
+    console = Console(highlight=False)
+    show_difference(console, comparison)
+    if files is not None:
+        show_comparison_files(console, files)
+    return comparison
+
 
 EXAMPLES = examples(
     "two results: diff before after",

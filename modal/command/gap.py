@@ -1,20 +1,289 @@
-"""`modal-report gap`: what a simulation is missing."""
+"""`modal-report gap`: what a simulation is missing.
 
+One run of `modal-report gap`: read model and records, diagnose, write everything, then print what was found.
+
+What the command prints of a diagnosis: the verdict, what is missing, before and after, and what to do next.
+"""
+
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
-from modal.command.command_options import name_list, plain_name
-from modal.command.gap_job import GapJob, carry_out_gap
-from modal.command.options import Dt, Overwrite, Traceback, examples, faults
-from modal.command.run import Pdf, extras_of
-from modal.command.terminal import plain
-from modal.command.terminal_discrepancy import show_diagnosis_files
+from modal.command.options import Dt, Overwrite, Traceback, examples, faults, name_list, plain_name
+from modal.command.run import (
+    FileSource,
+    Pdf,
+    Reading,
+    extras_of,
+    own_warnings,
+    progress_bar,
+    refuse_other_report,
+    refuse_pdf,
+    refuse_sources,
+)
+from modal.command.terminal import listing, plain
+from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.effects.catalogue import CATALOGUE
-from okid.record import InputHold
+from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
+from modal.report.pdf import write_pdf
+from modal.sections import discrepancy_words as words
+from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
+from modal.sections.discrepancy_values import effect_text, found_value, interval_text, times_text
+from modal.sections.provenance import Provenance, fingerprints
+from modal.structure.model_file import read_model
+from okid.errors import InvalidDataError
+from okid.record import InputHold, Record
 
-__all__ = ["EXAMPLES", "gap"]
+if TYPE_CHECKING:
+    from modal.discrepancy.results import Diagnosis
+    from modal.effects.effect import Effect
+
+__all__ = ["EXAMPLES", "GapJob", "carry_out_gap", "gap", "show_diagnosis", "show_diagnosis_files"]
+
+_TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
+_STAGES = {"before": "red", "linear": "yellow", "after": "green"}
+MOST_PARTS = 12
+"""Rows of the before/after table; the report has all."""
+
+
+def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[str] = ()) -> None:
+    """Verdict, findings, where, before and after, runner-up, what could still hide, what to do next, warnings."""
+    judgement = words.judge_diagnosis(diagnosis)
+    console.print()
+    console.print(plain(words.diagnosis_headline(diagnosis), "bold"))
+    console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
+    if diagnosis.findings:
+        console.print()
+        console.print(_findings(diagnosis.findings))
+    listing(console, "Why", [_why(finding) for finding in diagnosis.findings], "")
+    listing(console, "Where they disagreed, before any effect was tried", words.where_sentences(diagnosis), "")
+    stages = stages_of(diagnosis)
+    if stages:
+        console.print()
+        console.print(plain("Held-out gap, times the noise floor", "bold"))
+        console.print(_before_after(stages))
+    limits = words.hidden_sentence(diagnosis)
+    hidden = words.capital(limits.removeprefix(words.COULD_HIDE))
+    listing(console, "What the data could still hide", [hidden] if limits else [], "")
+    listing(console, "Next", words.next_sentences(diagnosis), "cyan")
+    listing(console, "Warnings", words.read_first(diagnosis), "yellow")
+    listing(console, "Data", (*words.floor_summary(diagnosis), *remarks), "")
+
+
+def show_diagnosis_files(console: Console, files: DiagnosisFiles) -> None:
+    """Where the report is, one line a file, so that it can be opened by a click or a copy."""
+    console.print()
+    meanings = (
+        (files.html, "report to read"),
+        (files.markdown, "the same as Markdown"),
+        (files.json, "every number"),
+        (files.csv, "one row a parameter found"),
+        (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
+        (files.model, "the updated model, to go on with"),
+    )
+    for path, meaning in meanings:
+        if path is not None:
+            console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
+
+
+def _findings(findings: Sequence[Finding]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
+    for heading in ("effect", "place", ""):
+        table.add_column(heading)
+    table.add_column("value ± std", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("95 %", no_wrap=True)
+    for finding in findings:
+        head = (plain(effect_text(finding.effect), "bold green"), plain(finding.where))
+        if not finding.parameters:
+            table.add_row(*head)
+        for number, one in enumerate(finding.parameters):
+            table.add_row(
+                *(head if number == 0 else ("", "")),
+                plain(one.name),
+                plain(found_value(one), "bold"),
+                plain(one.unit),
+                plain(interval_text(one.value, one.std), "bright_black"),
+            )
+    return table
+
+
+def _why(finding: Finding) -> str:
+    name = words.capital(effect_text(finding.effect))
+    evidence = words.as_sentence(finding.evidence.words)
+    law = f"{finding.effect}: {finding.law}"
+    return f"{name} at {finding.where} ({law}): {evidence} {words.runner_up_sentence(finding)}"
+
+
+def _before_after(stages: Sequence[Stage]) -> Table:
+    """By output and by record; bands only as far as there is room."""
+    table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
+    table.add_column("by", no_wrap=True)
+    table.add_column("")
+    for stage in stages:
+        table.add_column(stage.name, justify="right", no_wrap=True)
+    for row in rows_of(stages)[:MOST_PARTS]:
+        cells = [plain(times_text(size), _STAGES[stage.kind]) for stage, size in zip(stages, row.sizes, strict=True)]
+        table.add_row(plain(row.part, "bright_black"), plain(row.name), *cells)
+    return table
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GapJob:
+    """What to do, and with which files.
+
+    Attributes:
+        model: file of the model.
+        fit: files of the records to fit.
+        held_out: files of the held-out records.
+        inputs: names of the input columns; the model's own names unless given.
+        outputs: names of the output columns; the model's own names unless given.
+        dt: time step [s] where the files have none.
+        hold: what the inputs did between samples.
+        catalogue: keys of the effects to try; all unless given.
+        folder: for the report.
+        existing: "refuse" to touch a report that is there, or "replace" it.
+        extras: "pdf" prints the report into a file too.
+    """
+
+    model: Path
+    fit: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+    inputs: list[str] | None
+    outputs: list[str] | None
+    dt: float | None
+    hold: InputHold
+    catalogue: list[str] | None
+    folder: Path
+    existing: Literal["refuse", "replace"]
+    extras: frozenset[Literal["live", "pdf"]] = frozenset()
+
+    @property
+    def pdf(self) -> Path | None:
+        """Where the printed report goes."""
+        return self.folder / "report.pdf" if "pdf" in self.extras else None
+
+    def provenance(self) -> Provenance:
+        """How to do the same again; without the folder, so that it does not change the report."""
+        words = ["modal-report", "gap", str(self.model), "--fit", *map(str, self.fit)]
+        words += ["--held-out", *map(str, self.held_out)]
+        for option, names in (("--inputs", self.inputs), ("--outputs", self.outputs), ("--catalogue", self.catalogue)):
+            words += [option, ",".join(names)] if names else []
+        words += ["--dt", repr(self.dt)] if self.dt is not None else []
+        words += ["--hold", self.hold] if self.hold != "band_limited" else []
+        sources = (self.model, *self.fit, *self.held_out)
+        return Provenance(command=shlex.join(words), sources=tuple(map(str, sources)), dt=self.dt)
+
+
+def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
+    """Read, diagnose, write, print what was found; the report is complete before a word of it is printed.
+
+    Raises:
+        InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
+        InsufficientDataError: records that are too short or too poor.
+    """
+    refuse_existing_diagnosis(job.folder, job.existing)
+    if job.pdf is not None:
+        refuse_pdf(job.pdf, job.existing)
+    refuse_other_report(job.folder, "modes.csv")
+    refuse_sources(
+        (*DiagnosisFiles.in_folder(job.folder), *([] if job.pdf is None else [job.pdf])),
+        (job.model, *job.fit, *job.held_out),
+    )
+    catalogue = chosen_effects(job.catalogue)
+    _check_apart(job)
+    with progress_bar() as tell, own_warnings() as heard:
+        tell("reading the model", 0.0)
+        model = read_model(job.model)
+        tell("reading the records", 0.01)
+        fit, held_out, remarks = read_sides(job, model)
+        files_read = fingerprints((job.model, *job.fit, *job.held_out))
+        found = diagnose(
+            model,
+            fit,
+            held_out,
+            catalogue=catalogue,
+            progress=lambda what, share: tell(what, 0.03 + 0.89 * share),
+        )
+        tell("writing the report and the recording", 0.92)
+        remarks = (*remarks, *(text for text in heard if text not in found.warnings))
+        provenance = replace(job.provenance(), remarks=remarks, files=files_read)
+        files = write_diagnosis(found, job.folder, existing=job.existing, provenance=provenance)
+        if job.existing == "replace":  # what an earlier report left and this one does not have
+            (job.folder / "report.pdf").unlink(missing_ok=True)
+            if files.model is None:
+                (job.folder / "model.json").unlink(missing_ok=True)
+        if job.pdf is not None:
+            tell("printing the report", 0.97)
+            write_pdf(files.html, job.pdf)
+    console = Console(highlight=False)
+    show_diagnosis(console, found, remarks=remarks)
+    return found, files, console
+
+
+def chosen_effects(keys: list[str] | None) -> "Mapping[str, Effect]":
+    """The part of the catalogue with these keys, all of it unless they are given.
+
+    Raises:
+        InvalidDataError: a key that the catalogue does not have.
+    """
+    if keys is None:
+        return CATALOGUE
+    unknown = [key for key in keys if key not in CATALOGUE]
+    if unknown:
+        raise InvalidDataError(f"there is no effect {unknown[0]!r} in the catalogue; it holds {', '.join(CATALOGUE)}.")
+    return {key: CATALOGUE[key] for key in keys}
+
+
+def read_sides(job: GapJob, model: Any) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
+    """The records to fit, the held-out ones, and remarks on what was done to the units of their channels."""
+    inputs = job.inputs or _own_names(model, "inputs", job)
+    outputs = job.outputs or _own_names(model, "outputs", job)
+    fit, remarks = _read(job, job.fit, inputs, outputs)
+    held_out, more = _read(job, job.held_out, list(fit[0].input_names), list(fit[0].output_names))
+    return fit, held_out, tuple(dict.fromkeys((*remarks, *more)))
+
+
+def _read(job: GapJob, files: tuple[Path, ...], inputs: list[str] | None, outputs: list[str] | None) -> Reading:
+    return FileSource(files=list(files), inputs=inputs, outputs=outputs, dt=job.dt, hold=job.hold).read()
+
+
+def _own_names(model: Any, what: Literal["inputs", "outputs"], job: GapJob) -> list[str] | None:
+    """Names that the model gives its channels; None where it has no say.
+
+    Raises:
+        InvalidDataError: it numbers them only, so which columns they are must be said.
+    """
+    word = what[:-1]
+    names = [str(name) for name in getattr(model, f"{word}_names", ())]
+    if names and all(re.fullmatch(rf"{word}_\d+", name) for name in names):
+        raise InvalidDataError(
+            f"the model in {job.model.name} does not name its {what}, so their columns must be named: add --{what} "
+            f"with {len(names)} column name{'s' * (len(names) > 1)} in the order of the model."
+        )
+    if not names and what == "inputs":
+        raise InvalidDataError(
+            f"the model in {job.model.name} does not name its inputs; name their columns with --inputs."
+        )
+    return names or None
+
+
+def _check_apart(job: GapJob) -> None:
+    fitted = {path.resolve() for path in job.fit}
+    both = sorted({str(path) for path in job.held_out if path.resolve() in fitted})
+    if both:
+        raise InvalidDataError(
+            f"{', '.join(both)} is given to fit and as held out; the proof needs records that were not fitted to."
+        )
+
 
 EXAMPLES = examples(
     "a model and its records: gap frame.toml --fit low.csv high.csv --held-out middle.csv -o gap",

@@ -13,9 +13,8 @@ import typer
 
 import modal
 from modal.command import check, demo, diff, gap, run, view
-from modal.command.command_options import spread_files
-from modal.command.options import complain
-from modal.report.interruption import stop_no_more, stop_politely
+from modal.command.options import complain, spread_files
+from modal.report.folder import stop_no_more, stop_politely
 from modal.sections.provenance import installed_version
 
 __all__ = ["main"]

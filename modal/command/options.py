@@ -1,18 +1,36 @@
-"""What all commands share: options that mean the same everywhere, and errors as one sentence and an exit status."""
+"""What all commands share: options that mean the same everywhere, and errors as one sentence and an exit status.
+
+What a user types on the command line, turned into what the library takes; one sentence where that cannot be.
+"""
 
 import contextlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from modal.wording.names import visible
-from okid.errors import IdentificationError, InsufficientDataError
+from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError
 from okid.record import InputHold
 
-__all__ = ["Dt", "Hold", "Inputs", "Outputs", "Overwrite", "Traceback", "complain", "examples", "faults"]
+__all__ = [
+    "Dt",
+    "Hold",
+    "Inputs",
+    "Outputs",
+    "Overwrite",
+    "Traceback",
+    "complain",
+    "examples",
+    "faults",
+    "name_list",
+    "number_or_auto",
+    "plain_name",
+    "spread_files",
+    "whole_or_auto",
+]
 
 Inputs = Annotated[
     list[str] | None,
@@ -78,3 +96,88 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
 def complain(sentence: str) -> None:
     """One line on stderr."""
     typer.echo(f"modal-report: {re.sub(' +', ' ', visible(sentence))}", err=True)
+
+
+Auto = Literal["auto"]
+
+
+def name_list(given: list[str] | None, what: str) -> list[str] | None:
+    """Names with commas between, from one option or several; None where it was not given.
+
+    Example:
+        >>> name_list(["a, b", "c"], "inputs")
+        ['a', 'b', 'c']
+    """
+    if given is None:
+        return None
+    names = [name.strip() for text in given for name in text.split(",") if name.strip()]
+    if not names:
+        raise InvalidDataError(
+            f"the {what} are given as {', '.join(given)!r}, which names no channel; name at least one, or leave the "
+            "option out."
+        )
+    return names
+
+
+def whole_or_auto(text: str, what: str) -> int | Auto:
+    """A whole number of at least 1, or "auto"."""
+    if text == "auto":
+        return "auto"
+    if not re.fullmatch(r"[0-9]{1,6}", text) or int(text) < 1:
+        raise InvalidDataError(f"the {what} must be a whole number of at least 1 or auto, but is {text!r}.")
+    return int(text)
+
+
+def number_or_auto(text: str, what: str) -> float | Auto:
+    """A number of at least 0, or "auto"."""
+    if text == "auto":
+        return "auto"
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise InvalidDataError(f"the {what} must be a number of at least 0 or auto, but is {text!r}.")
+    return value
+
+
+def plain_name(stem: str) -> str:
+    """A name for a folder, from that of a file.
+
+    Example:
+        >>> plain_name("../test 1")
+        'test_1'
+    """
+    return re.sub(r"[^\w.-]+", "_", stem)[:80].strip("._") or "result"
+
+
+def spread_files(arguments: Sequence[str], options: Sequence[str]) -> list[str]:
+    """Let an option take all the files that follow it: "--fit a b" becomes "--fit a --fit b".
+
+    Only behind the first word that is no option's value; before it, an option takes the one file that follows, so that
+    the first word cannot be taken for a file of the option.
+
+    Args:
+        arguments: of the command, without its name.
+        options: that take files.
+
+    Example:
+        >>> spread_files(["model.toml", "--fit", "a", "b", "--dt", "0.1"], ["--fit"])
+        ['model.toml', '--fit', 'a', '--fit', 'b', '--dt', '0.1']
+    """
+    spread: list[str] = []
+    taking, first_seen, is_value = "", False, False
+    for word in arguments:
+        if word.startswith("-") and len(word) > 1:
+            taking = word if word in options else ""
+            is_value = "=" not in word
+            spread.append(word)
+        elif is_value:
+            is_value = False
+            spread.append(word)
+        elif taking and first_seen:
+            spread += [taking, word]
+        else:
+            first_seen = True
+            spread.append(word)
+    return spread

@@ -1,13 +1,20 @@
 """What the command prints: the mode table, what it means, and where the files are.
 
 Names come from files: every cell is a `Text`, never markup, and shows control characters instead of obeying them.
+
+The work shown in a running viewer while it goes on; without one asked for, or to be had, nothing happens.
+
+A progress bar that says how long the work will still take, as far as that can be known.
 """
 
+import contextlib
 import math
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -16,16 +23,34 @@ from rich.text import Text
 from modal.acceptance.check import LimitOutcome
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
-from modal.identification.trust import damping_text, frequency_text, trust_of
-from modal.modes.mode import Mode
-from modal.modes.numbering import numbered
-from modal.report.kept_result import LARGEST_KEPT
-from modal.report.writing import ReportFiles
+from modal.identification.words import damping_text, frequency_text, trust_of
+from modal.modes.mode import Mode, numbered
+from modal.recording.live import live_recording, log_progress, log_records, log_result
+from modal.report.writing import LARGEST_KEPT, ReportFiles
 from modal.sections.words import data_sentences, modes_headline
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
+from okid.record import Record
 
-__all__ = ["listing", "plain", "show_comparison", "show_files", "show_limits", "show_result"]
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
+    from modal.geometry.sensors import Geometry
+    from modal.identification.result import Identification
+
+__all__ = [
+    "LiveView",
+    "Progress",
+    "listing",
+    "live_view",
+    "plain",
+    "progress_bar",
+    "show_comparison",
+    "show_files",
+    "show_limits",
+    "show_result",
+    "time_left_text",
+]
 
 LONGEST_NAME = 80
 """Letters of the name of a limit, which is a stranger's text."""
@@ -165,3 +190,105 @@ def _first_part(reason: str) -> str:
 
 def _number(value: float, form: str) -> str:
     return form.format(value) if math.isfinite(value) else "–"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LiveView:
+    """A viewer that is told of the work.
+
+    Attributes:
+        recording: stream to the viewer, None where there is none.
+    """
+
+    recording: Any = None
+
+    def show_records(self, records: Sequence[Record]) -> None:
+        """The page of the records, as soon as they are read."""
+        if self.recording is not None:
+            log_records(records, self.recording)
+
+    def show_progress(self, what: str, share: float) -> None:
+        """What is being done, and the share that is behind."""
+        if self.recording is not None:
+            log_progress(self.recording, what, share)
+
+    def show_result(self, result: "Identification", geometry: "Geometry | None") -> None:
+        """All pages of the result."""
+        if self.recording is not None:
+            log_result(result, self.recording, geometry=geometry)
+
+
+@contextlib.contextmanager
+def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[LiveView]:
+    """A viewer for the time of the work.
+
+    Args:
+        wanted: whether one was asked for.
+        tell: gets one sentence where no viewer can be had.
+
+    Example:
+        >>> with live_view(wanted=False, tell=print) as view:
+        ...     view.show_progress("reading", 0.0)
+    """
+    if not wanted:
+        yield LiveView()
+        return
+    with live_recording(tell=tell) as recording:
+        yield LiveView(recording=recording)
+
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of all work that is behind."""
+
+LEAST_SHARE = 0.05
+LEAST_SECONDS = 1.5
+"""Before this share and this time nothing is said: the start says little about the rest."""
+
+
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), _time_left_column())
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
+
+
+def time_left_text(share: float, elapsed: float) -> str:
+    """How long the rest will take if it goes on as it went, roughly; "" while that would be a guess.
+
+    Args:
+        share: of all work that is behind.
+        elapsed: [s] since the start.
+
+    Example:
+        >>> time_left_text(0.25, 20.0), time_left_text(0.5, 200.0), time_left_text(0.01, 9.0)
+        ('about 60 s left', 'about 3 min left', '')
+    """
+    if not (LEAST_SHARE <= share < 1.0 and elapsed >= LEAST_SECONDS):
+        return ""
+    left = elapsed * (1.0 - share) / share
+    if left < 90.0:
+        step = 1 if left < 10.0 else 5
+        return f"about {max(1, step * math.ceil(left / step))} s left"
+    if left < 5400.0:
+        return f"about {round(left / 60.0)} min left"
+    return f"about {left / 3600.0:.1f} h left"
+
+
+def _time_left_column() -> "ProgressColumn":
+    from rich.progress import ProgressColumn, Task
+    from rich.text import Text
+
+    class TimeLeft(ProgressColumn):
+        """What `time_left_text` says of a task."""
+
+        def render(self, task: Task) -> Text:
+            return Text(time_left_text(task.completed / (task.total or 1.0), task.elapsed or 0.0), style="bright_black")
+
+    return TimeLeft()

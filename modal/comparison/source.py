@@ -10,9 +10,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from modal.identification.result import Choice, Identification
-from modal.identification.storage import load
-from modal.identification.trust import trust_of
+from modal.identification.result import Choice, Identification, load
+from modal.identification.words import trust_of
 from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError

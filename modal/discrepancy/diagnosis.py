@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.checks import check_records, fewest_samples
-from modal.discrepancy.fitting.graded import LostMotion
 from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.fitting.observer_form import LostMotion
 from modal.discrepancy.results import Calibrated, Diagnosis, Step
 from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.covariance import covariance
-from modal.discrepancy.selection.decision import Decision, decide_nodes
+from modal.discrepancy.selection.decision import Decision, covariance, decide_nodes
 from modal.discrepancy.setup import (
     Progress,
     Setup,
+    check_records,
+    fewest_samples,
     locate_gap,
     prepare_setup,
     roots,
@@ -22,27 +22,26 @@ from modal.discrepancy.setup import (
     with_uncovered_floor,
 )
 from modal.discrepancy.stages import calibrated_parameters
-from modal.discrepancy.validation.advice import advise, circumstances_of
-from modal.discrepancy.validation.cautions import with_cautions
-from modal.discrepancy.validation.doubted_units import doubted_units
-from modal.discrepancy.validation.findings import findings_of, hypothesis_of
-from modal.discrepancy.validation.grid_error import grid_error
+from modal.discrepancy.validation.cautions import doubted_units, grid_error, with_cautions
+from modal.discrepancy.validation.findings import advise, circumstances_of, detection_limits, findings_of, hypothesis_of
 from modal.discrepancy.validation.law_curves import law_curves
-from modal.discrepancy.validation.limits import detection_limits
-from modal.discrepancy.validation.other_hold import by_the_better_hold, half_a_sample
-from modal.discrepancy.validation.spans import cut_into_spans, floor_of_spans, span_words
+from modal.discrepancy.validation.other_hold import (
+    by_the_better_hold,
+    cut_into_spans,
+    floor_of_spans,
+    half_a_sample,
+    span_words,
+)
 from modal.effects.ambiguity import Circumstance
-from modal.effects.catalogue import CATALOGUE
+from modal.effects.catalogue import CATALOGUE, effect_name
 from modal.effects.effect import Effect
-from modal.effects.effect_names import effect_name
-from modal.estimation.threads import one_blas_thread
+from modal.estimation.modal_states import one_blas_thread
 from modal.localisation.evidence import Location
 from modal.localisation.levels import LevelModes
 from modal.simulation.plant import Plant
 from modal.structure.given import given_model, returned_model
 from modal.structure.structural_model import SensorKind
-from modal.wording.numbers import listed
-from modal.wording.statements import quantity
+from modal.wording.numbers import listed, quantity
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

@@ -7,22 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.checks import check_plant, check_records
-from modal.discrepancy.fitting.calibration import fitted_either_way
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.fitting.nodes import Node, node_of, polished
+from modal.discrepancy.fitting.nodes import Node, fitted_either_way, node_of, polished
 from modal.discrepancy.fitting.observer_form import observer_gain
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.results import Calibrated
-from modal.discrepancy.selection.covariance import covariance
-from modal.discrepancy.selection.decision import Decision, decide_nodes
+from modal.discrepancy.selection.decision import Decision, covariance, decide_nodes
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.setup import prepare_setup
-from modal.discrepancy.validation.advice import circumstances_of
+from modal.discrepancy.setup import check_plant, check_records, prepare_setup
+from modal.discrepancy.validation.findings import circumstances_of
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
-from modal.simulation.drive import drive_of
-from modal.simulation.steps import steps_per_sample
+from modal.simulation.drive import drive_of, steps_per_sample
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
 from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray
@@ -78,7 +74,7 @@ def fit(
         NumericalError: A model that cannot be simulated along the records.
 
     Example:
-        >>> from modal.structure.simulation import simulate
+        >>> from modal.structure.given import simulate
         >>> from modal.structure.structural_model import StructuralModel
         >>> truth = StructuralModel.chain([1.0], [100.0], [0.4], force_dofs=[0], sensor_dofs=[0])
         >>> push = np.random.default_rng(1).standard_normal((800, 1))

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import memoryless
-from modal.effects.smoothing import positive_part
+from modal.effects.memoryless import memoryless, positive_part
 
 __all__ = ["BilinearStiffness"]
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepLift, Values
 from modal.effects.jump import jump, jump_line
 from modal.effects.memoryless import memoryless
-from modal.effects.motion import StepLift
 
 __all__ = ["CoulombFriction"]
 

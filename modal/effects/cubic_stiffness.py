@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import memoryless
-from modal.effects.smoothing import cut_to_finite
+from modal.effects.memoryless import cut_to_finite, memoryless
 
 __all__ = ["CubicStiffness"]
 

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.levels import levels
-from modal.effects.memoryless import memoryless
-from modal.effects.smoothing import positive_part
+from modal.effects.memoryless import levels, memoryless, positive_part
 
 __all__ = ["GapSpring"]
 

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
-from modal.effects.memoryless import memoryless
-from modal.effects.smoothing import positive_part
-from modal.effects.stiff_step import WALL, share_of_end
+from modal.effects.memoryless import WALL, memoryless, positive_part, share_of_end
 from okid.arrays import FloatArray
 
 __all__ = ["Overflow"]

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import memoryless
-from modal.effects.smoothing import cut_to_finite
+from modal.effects.memoryless import cut_to_finite, memoryless
 from okid.arrays import FloatArray
 
 __all__ = ["SineSoftening"]

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
-from modal.effects.levels import levels
+from modal.effects.memoryless import levels, positive_part
 from modal.effects.rate_independent import Leg, advance_along, stop_operator
-from modal.effects.smoothing import positive_part
 from okid.arrays import FloatArray
 
 __all__ = ["SlackInHysteresis"]

@@ -2,8 +2,21 @@
 
 A candidate is fitted on the rows outside a fold: the Gram matrix of these rows serves all ridges of an observer order,
 the decomposition of its Hankel matrix all model orders.
+
+Which rows are held out, and which stretches of long records are run freely to score a candidate.
+
+Every row counts in the fit. A free run through a million samples for each of a thousand candidates would take hours and
+say no more than one through thirty thousand, so long records are scored on stretches spread evenly over them. Each
+stretch holds ten blocks; its first block never counts in the score, so that the initial state, which is fitted there
+too, is known before the first row that does.
+
+One candidate: fitted on the rows outside a fold, reduced to every model order by one SVD, run freely and scored.
+
+The squared error of the run counts on the fold's rows only. Without inputs there is no free run to score: the one-step
+prediction of the reduced model takes its place.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,31 +25,136 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose
 from era.hankel import block_sizes
 from era.realisation import Realisation
-from modal.estimation.free_run import driven_by_outputs, filled
-from modal.estimation.stretches import folds_of, stretches_of
+from modal.estimation.free_run import (
+    ModalForm,
+    driven_by_outputs,
+    filled,
+    free_run,
+    modal_form,
+    modal_form_of,
+    one_step_predictor,
+)
 from okid.arrays import BoolArray, FloatArray
-from okid.coefficients import ObserverCoefficients
 from okid.gram import LagGram, lag_gram
-from okid.least_squares import solve
-from okid.markov import MarkovParameters
+from okid.least_squares import ObserverCoefficients, solve
+from okid.markov import MarkovParameters, recover_arrays, recover_system
 from okid.record import Record
-from okid.recovery import recover_arrays, recover_system
-from okid.rows import runs_of
+from okid.rows import interleaved_folds, runs_of, whole_record_folds
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = [
-    "LARGEST_PULSE",
     "Ground",
+    "LARGEST_PULSE",
+    "Stretch",
+    "Trial",
     "corner",
     "decompose_coefficients",
+    "folds_of",
     "hankel_limits",
     "hankel_shape",
+    "is_long",
+    "make_trials",
     "markov_lags",
     "prepare_ground",
     "scaled_record",
+    "stretches_of",
     "training_decomposition",
     "training_gram",
+    "trial_of",
 ]
+
+LONGEST_SCORED = 30_000
+"""Samples that are run freely for each candidate; shorter data are run whole."""
+STRETCH = 10_000
+"""Samples of one stretch."""
+BLOCKS = 10
+MANY_RECORDS = 4
+"""Records from which on whole ones are held out,"""
+ALIKE = 0.5
+"""if the shortest is at least this share of the longest,"""
+LEAST_TRAINED = 0.01
+"""and if each input keeps this share of its power when the whole records of a fold are left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Stretch:
+    """Some consecutive rows of one record.
+
+    Attributes:
+        record: index of the record.
+        first: first row.
+        last: one past the last row.
+        n_lead: rows at the start that are never scored; 0 for a whole record, whose first block always trains.
+    """
+
+    record: int
+    first: int
+    last: int
+    n_lead: int
+
+    def held_out(self, fold: Sequence[BoolArray]) -> BoolArray:
+        """(n_rows,) rows of the stretch that the fold scores."""
+        rows = fold[self.record][self.first : self.last].copy()
+        rows[: self.n_lead] = False
+        return rows
+
+
+def is_long(records: Sequence[Record]) -> bool:
+    """Whether the records are scored on stretches."""
+    return sum(record.n_samples for record in records) > LONGEST_SCORED
+
+
+def folds_of(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
+    """[fold][record] held-out rows.
+
+    Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
+    one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, or ten
+    blocks a stretch where the records are long.
+    """
+    lengths = [record.n_samples for record in records]
+    longest = max(lengths)
+    if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
+        folds = whole_record_folds(records)
+        if _every_input_trains(records, folds):
+            return folds
+    if not is_long(records) or longest <= STRETCH:
+        return interleaved_folds(records)
+    n_stretches = -(-longest // STRETCH)
+    return interleaved_folds(records, n_blocks=BLOCKS * n_stretches, min_block=STRETCH // BLOCKS)
+
+
+def _every_input_trains(records: Sequence[Record], folds: Sequence[Sequence[BoolArray]]) -> bool:
+    """Whether each input moves in the whole records that each fold leaves: not where one drives one record alone."""
+    moved = [np.square(record.inputs - record.inputs.mean(axis=0)).sum(axis=0) for record in records]
+    least = LEAST_TRAINED * np.sum(moved, axis=0)
+    return all(
+        bool((np.sum([m for m, rows in zip(moved, fold, strict=True) if not rows.any()], axis=0) > least).all())
+        for fold in folds
+    )
+
+
+def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
+    """Whole records, or about `LONGEST_SCORED` samples of them in stretches spread evenly.
+
+    Example:
+        >>> record = Record([], np.zeros(95_000) + np.arange(95_000.0), 0.01)
+        >>> [(stretch.first, stretch.last) for stretch in stretches_of([record])]
+        [(0, 9500), (38000, 47500), (85500, 95000)]
+    """
+    if not is_long(records):
+        return tuple(Stretch(record=i, first=0, last=record.n_samples, n_lead=0) for i, record in enumerate(records))
+    pieces = []
+    for i, record in enumerate(records):
+        n_pieces = max(1, -(-record.n_samples // STRETCH))
+        edges = np.linspace(0, record.n_samples, n_pieces + 1).round().astype(int).tolist()
+        pieces += [
+            Stretch(record=i, first=first, last=last, n_lead=0 if first == 0 else (last - first) // BLOCKS)
+            for first, last in itertools.pairwise(edges)
+        ]
+    n_kept = max(1, LONGEST_SCORED * len(pieces) // sum(record.n_samples for record in records))
+    kept = np.unique(np.linspace(0, len(pieces) - 1, min(n_kept, len(pieces))).round().astype(int))
+    return tuple(pieces[i] for i in kept)
+
 
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
@@ -180,3 +298,132 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
     n_channels = n_inputs or n_outputs
     a, b = block_sizes(n_lags, n_outputs, n_channels, n_block_rows=None, n_block_columns=None)
     return a * n_outputs, b * n_channels
+
+
+GAIN = 0.99
+"""Leave larger models of an observer out after some in a row that do not bring the error below this share."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Trial:
+    """One candidate that was fitted and scored.
+
+    Attributes:
+        observer_order: of the observer.
+        ridge: of its fit.
+        model_order: of the reduced model.
+        squared_errors: (n_folds, n_outputs) on held-out rows, scaled channels; nan for folds not run.
+        block_errors: (n_blocks,) squared error of each held-out block relative to the power of all of them, mean over
+            outputs: what two trials are compared by.
+        error: relative held-out error, mean over outputs: 1 - fit.
+        refinement_steps: output-error steps made on each fold's training rows before scoring.
+        weak_modes: modes of the model order that were added from what the refined model left over.
+    """
+
+    observer_order: int
+    ridge: float
+    model_order: int
+    squared_errors: FloatArray
+    block_errors: FloatArray
+    error: float
+    refinement_steps: int = 0
+    weak_modes: int = 0
+
+
+def make_trials(
+    ground: Ground,
+    observer_orders: Sequence[int],
+    ridge: float,
+    model_orders: Sequence[int],
+    fold_indices: Sequence[int],
+    *,
+    patience: int | None = None,
+) -> list[Trial]:
+    """Fit every observer order with one ridge and score its models; what was done before is not done again.
+
+    Args:
+        ground: of all trials.
+        observer_orders: to fit.
+        ridge: of the fits.
+        model_orders: rising.
+        fold_indices: folds to score on.
+        patience: model orders in a row that do not bring an observer's error below `GAIN` of its best, after which its
+            larger ones are left out; None scores all.
+    """
+    trials = []
+    power = ground.power[list(fold_indices)]
+    for p in observer_orders:
+        best, without_gain = np.inf, 0
+        for n in model_orders:
+            blocks = [_scored(ground, (p, ridge, n, i), max(model_orders)) for i in fold_indices]
+            whole = [errors for errors in blocks if errors is not None]
+            if len(whole) == len(blocks):
+                trials.append(trial_of(p, ridge, n, whole, power))
+                without_gain = 0 if trials[-1].error < GAIN * best else without_gain + 1
+                best = min(best, trials[-1].error)
+            if without_gain == patience:
+                break
+    return trials
+
+
+def _scored(ground: Ground, candidate: tuple[int, float, int, int], max_order: int) -> FloatArray | None:
+    """Block errors of (observer order, ridge, model order, fold); None where the candidate cannot run."""
+    if candidate not in ground.scores:
+        observer_order, ridge, model_order, fold = candidate
+        found = training_decomposition(ground, observer_order, ridge, fold, max_order)
+        ground.scores[candidate] = None if found is None else _block_errors(ground, found, model_order, fold)
+    return ground.scores[candidate]
+
+
+def trial_of(
+    observer_order: int,
+    ridge: float,
+    model_order: int,
+    blocks: Sequence[FloatArray],
+    power: FloatArray,
+    *,
+    refinement_steps: int = 0,
+    weak_modes: int = 0,
+) -> Trial:
+    """A trial from the squared errors of each fold's blocks, (n_blocks, n_outputs) a fold."""
+    squared = np.array([errors.sum(axis=0) for errors in blocks])
+    whole = power.sum(axis=0)
+    return Trial(
+        observer_order=observer_order,
+        ridge=ridge,
+        model_order=model_order,
+        squared_errors=squared,
+        block_errors=(np.concatenate(blocks) / whole).mean(axis=1),
+        error=float(np.sqrt(squared.sum(axis=0) / whole).mean()),
+        refinement_steps=refinement_steps,
+        weak_modes=weak_modes,
+    )
+
+
+def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_order: int, fold: int) -> FloatArray | None:
+    """(n_blocks, n_outputs) squared error of the free run on the fold's blocks; None when the model cannot run."""
+    form = _form(decomposition, model_order)
+    if form is None:
+        return None
+    errors = []
+    for record, trained, held_out, edges in zip(
+        ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
+    ):
+        if edges:
+            missed = record.outputs - free_run(form, record, trained).outputs
+            missed[~held_out] = 0.0
+            np.square(missed, out=missed)
+            # what lies between two blocks is a segment, too, and left out
+            errors.append(np.add.reduceat(missed, np.ravel(edges)[: None if edges[-1][1] < len(missed) else -1])[::2])
+    return np.concatenate(errors)
+
+
+def _form(decomposition: HankelDecomposition, order: int) -> ModalForm | None:
+    """The model that runs: without inputs the one-step predictor; None beyond the rank or where it cannot run."""
+    found = decomposition
+    if found.D.shape[1] == 0:
+        model = corner(found, order)
+        return None if model is None else modal_form(one_step_predictor(model))
+    if order > min(found.rank, found.max_order):
+        return None
+    return modal_form_of(found.A[:order, :order], found.B[:order], found.C[:, :order], found.D)

@@ -1,18 +1,34 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
-The run from rest is one pass of block products (`modal.estimation.modal_recursion`). The initial state and a constant level of
-each output come from the training samples of the same run by least squares (`modal.estimation.initial_fit`); an initial state
+The run from rest is one pass of block products (`modal.estimation.free_run`). The initial state and a constant level of
+each output come from the training samples of the same run by least squares (`modal.estimation.free_run`); an initial state
 fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
+
+Initial state and level of each output, by least squares on the training samples of a free run.
+
+With x = a + j b per pole the free response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
+sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows, and these have a closed form.
+
+The free run of a model in modal form by matrix products over blocks of samples.
+
+    x(k+1) = lambda x(k) + b' u(k),   y(k) = Re(c (w x(k))) + D u(k)
+
+A block of samples takes two products: what its inputs and the states at its start make of its outputs, and what its
+inputs add to the states after it. The states at the starts of blocks are the same diagonal recursion with lambda^L,
+solved by pairing blocks until one is left. Rounding errors are those of the eigenvectors, eps times their condition.
+
+An initial state shows in the starts of blocks as lambda^(L i) x(0), so its response, and the product of that response
+with anything else, are one product each and no power of a pole is taken sample by sample.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
 from era.realisation import Realisation
-from modal.estimation.initial_fit import TrainingPattern, fit_initial_state
-from modal.estimation.modal_recursion import ModalRecursion
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
@@ -20,15 +36,237 @@ from okid.rows import runs_of
 __all__ = [
     "FreeRun",
     "ModalForm",
+    "ModalRecursion",
+    "TrainingPattern",
     "driven_by_outputs",
     "filled",
+    "fit_initial_state",
     "free_run",
     "free_runs",
     "modal_form",
     "modal_form_of",
     "one_step_predictor",
+    "powers_of",
     "run_from_rest",
 ]
+
+TrainingPattern = tuple[npt.NDArray[np.int64], Sequence[tuple[int, int]]]
+"""Outputs, and the runs (first, one past last) of the rows on which these outputs train."""
+STATE_REGULARISATION = 1e-9
+"""Of each free response's energy over the whole record: keeps a response that no training row shows from growing."""
+
+
+def fit_initial_state(
+    poles: ComplexArray,
+    shapes: ComplexArray,
+    products: ComplexArray,
+    totals: FloatArray,
+    *,
+    patterns: Sequence[TrainingPattern],
+    n_samples: int,
+) -> tuple[ComplexArray, FloatArray]:
+    """Least squares of what the inputs do not explain on the free responses and a constant.
+
+    Args:
+        poles: (n_poles,) one of each conjugate pair.
+        shapes: (n_outputs, n_poles) w c, with the weights.
+        products: (n_poles,) sum over training samples of what is to be explained times w c lambda^k.
+        totals: (n_outputs,) sum over training samples of what is to be explained.
+        patterns: every output in one of them.
+        n_samples: of the record.
+
+    Returns:
+        (n_poles,) initial state and (n_outputs,) level.
+    """
+    n_poles, n_outputs = poles.size, totals.size
+    plain, conjugate = np.zeros((2, n_poles, n_poles), dtype=np.complex128)
+    to_level = np.empty((n_poles, n_outputs), dtype=np.complex128)
+    n_rows = np.empty(n_outputs)
+    same, crossed = np.outer(poles, poles), np.outer(poles.conj(), poles)
+    for outputs, runs in patterns:
+        edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
+        own, n_trained = shapes[outputs], float((edges[:, 1] - edges[:, 0]).sum())
+        first, last = poles[:, np.newaxis] ** edges[:, 0], poles[:, np.newaxis] ** edges[:, 1]
+        plain += _series(first @ first.T - last @ last.T, same, n_trained) * (own.T @ own)
+        conjugate += _series(first.conj() @ first.T - last.conj() @ last.T, crossed, n_trained) * (own.conj().T @ own)
+        to_level[:, outputs] = _series((first - last).sum(axis=1), poles, n_trained)[:, np.newaxis] * own.T
+        n_rows[outputs] = max(1.0, n_trained)
+
+    size = 2 * n_poles + n_outputs
+    matrix = np.zeros((size, size))
+    a, b, c = slice(0, n_poles), slice(n_poles, 2 * n_poles), slice(2 * n_poles, size)
+    matrix[a, a] = 0.5 * (conjugate.real + plain.real)
+    matrix[b, b] = 0.5 * (conjugate.real - plain.real)
+    matrix[a, b] = -0.5 * (conjugate.imag + plain.imag)
+    matrix[b, a] = matrix[a, b].T
+    matrix[a, c], matrix[b, c] = to_level.real, -to_level.imag
+    matrix[c, a], matrix[c, b] = to_level.real.T, -to_level.imag.T
+    matrix[c, c] = np.diag(n_rows)
+    vector = np.concatenate([products.real, -products.imag, totals])
+
+    energy = 0.5 * _energies(poles, n_samples) * np.square(np.abs(shapes)).sum(axis=0)
+    scale = np.concatenate([energy, energy, n_rows])
+    scale = np.sqrt(np.where(scale > 0.0, scale, 1.0))
+    scaled = matrix / np.outer(scale, scale)
+    scaled[np.diag_indices(size)] += STATE_REGULARISATION
+    solution = _solved(scaled, vector / scale) / scale
+    return solution[a] + 1j * solution[b], solution[c]
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    _, solution, info = scipy.linalg.lapack.dposv(matrix, right)
+    if info:  # rounding of the sums beyond the regularisation: poles at the edge of stability
+        solution = scipy.linalg.lstsq(matrix, right, cond=1e-13, check_finite=False)[0]
+    result: FloatArray = solution
+    return result
+
+
+def _series(ends: ComplexArray, ratio: ComplexArray, n_rows: float) -> ComplexArray:
+    """Sum of ratio^k over the runs' rows, from the sum of ratio^first - ratio^last over the runs."""
+    # a ratio of 1 (an integrator): every term of the series is 1
+    one = np.abs(1.0 - ratio) < 1e-12
+    return np.where(one, n_rows, ends / np.where(one, 1.0, 1.0 - ratio))
+
+
+def _energies(poles: ComplexArray, n_samples: int) -> FloatArray:
+    """(n_poles,) sum of |pole|^(2 k) over the samples."""
+    ratio = np.square(np.abs(poles))
+    one = 1.0 - ratio < 1e-12
+    result: FloatArray = np.where(one, float(n_samples), (1.0 - ratio**n_samples) / np.where(one, 1.0, 1.0 - ratio))
+    return result
+
+
+BLOCK = 16
+"""Samples of a block: longer ones multiply more, shorter ones leave more starts to solve for."""
+DIED_OUT = 1e-12
+"""Of a free response's first value: what is smaller is not followed any further."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModalRecursion:
+    """Products over blocks of `BLOCK` samples; a complex number is two neighbouring reals.
+
+    Attributes:
+        steps: (n_poles,) lambda^BLOCK.
+        reach: (BLOCK n_inputs, 2 n_poles) states after a block from its inputs.
+        free: (2 n_poles, BLOCK n_outputs) outputs of a block from the states at its start.
+        forced: (BLOCK n_inputs, BLOCK n_outputs) outputs of a block from its inputs.
+    """
+
+    steps: ComplexArray
+    reach: FloatArray
+    free: FloatArray
+    forced: FloatArray
+
+    @classmethod
+    def of(
+        cls, poles: ComplexArray, participations: ComplexArray, weighted_shapes: ComplexArray, D: FloatArray
+    ) -> "ModalRecursion":
+        """The products of one model.
+
+        Args:
+            poles: (n_poles,).
+            participations: (n_poles, n_inputs) b.
+            weighted_shapes: (n_outputs, n_poles) w c.
+            D: (n_outputs, n_inputs).
+        """
+        (n_outputs, n_inputs), n_poles = D.shape, poles.size
+        powers = powers_of(poles, BLOCK + 1)
+        reach = powers[BLOCK - 1 :: -1, np.newaxis, :] * participations.T
+        response = np.conj(powers[:BLOCK, np.newaxis, :] * weighted_shapes)
+        free = _as_reals(response.reshape(BLOCK * n_outputs, n_poles)).T
+        pulse = np.empty((BLOCK, n_outputs, n_inputs))
+        pulse[0] = D
+        pulse[1:] = (free[:, : (BLOCK - 1) * n_outputs].T @ _as_reals(participations.T).T).reshape(BLOCK - 1, *D.shape)
+        forced = np.zeros((BLOCK, n_inputs, BLOCK, n_outputs))
+        for i in range(BLOCK):
+            forced[i, :, i:] = pulse[: BLOCK - i].transpose(2, 0, 1)
+        return cls(
+            steps=powers[BLOCK],
+            reach=_as_reals(reach.reshape(BLOCK * n_inputs, n_poles)),
+            free=free,
+            forced=forced.reshape(BLOCK * n_inputs, BLOCK * n_outputs),
+        )
+
+    def from_rest(self, inputs: FloatArray) -> FloatArray:
+        """(n_samples, n_outputs) outputs for (n_samples, n_inputs) inputs."""
+        blocks = _in_blocks(inputs)
+        starts = _starts(_as_complex(blocks @ self.reach), self.steps)
+        outputs = np.hstack([blocks, _as_reals(starts)]) @ np.vstack([self.forced, self.free])
+        return outputs.reshape(blocks.shape[0] * BLOCK, -1)[: inputs.shape[0]]
+
+    def n_alive(self, n_samples: int) -> int:
+        """Samples, of so many, until the slowest free response has died out."""
+        slowest = float(np.abs(self.steps).max(initial=0.0))
+        if slowest >= 1.0 - BLOCK * DIED_OUT:
+            return n_samples
+        n_blocks = 1 + int(np.ceil(np.log(DIED_OUT) / np.log(max(slowest, 1e-300))))
+        return min(n_samples, n_blocks * BLOCK)
+
+    def free_response(self, state: ComplexArray, n_samples: int) -> FloatArray:
+        """(n_samples, n_outputs) outputs from an initial state without inputs."""
+        starts = powers_of(self.steps, -(-n_samples // BLOCK)) * state
+        outputs = _as_reals(starts) @ self.free
+        return outputs.reshape(starts.shape[0] * BLOCK, -1)[:n_samples]
+
+    def products(self, signals: FloatArray) -> ComplexArray:
+        """(n_poles,) sums over rows and outputs of signals (n_samples, n_outputs) times w c lambda^k."""
+        blocks = _in_blocks(signals)
+        each = _as_complex(blocks @ self.free.T)
+        return (powers_of(self.steps, blocks.shape[0]) * each.conj()).sum(axis=0)
+
+
+def powers_of(poles: ComplexArray, count: int) -> ComplexArray:
+    """(count, n_poles) poles^k for k = 0 ... count - 1, by doubling.
+
+    Example:
+        >>> powers_of(np.array([0.5 + 0j]), 4).real.ravel().tolist()
+        [1.0, 0.5, 0.25, 0.125]
+    """
+    powers = np.empty((count, poles.size), dtype=np.complex128)
+    powers[:1] = 1.0
+    done, step = 1, poles
+    while done < count:
+        take = min(done, count - done)
+        np.multiply(powers[:take], step, out=powers[done : done + take])
+        done, step = done + take, step * step
+    return powers
+
+
+def _starts(added: ComplexArray, step: ComplexArray) -> ComplexArray:
+    """States at the starts of blocks, x_0 = 0 and x_(i+1) = step x_i + added_i; pairs of blocks make longer ones."""
+    n_blocks = added.shape[0]
+    starts = np.zeros_like(added)
+    if n_blocks > 1:
+        n_pairs = n_blocks // 2
+        first, second = added[: 2 * n_pairs : 2], added[1 : 2 * n_pairs : 2]
+        pairs = _starts(step * first + second, step * step)
+        starts[: 2 * n_pairs : 2] = pairs
+        starts[1 : 2 * n_pairs : 2] = step * pairs + first
+        if n_blocks % 2:
+            starts[-1] = step * starts[-2] + added[-2]
+    return starts
+
+
+def _in_blocks(signals: FloatArray) -> FloatArray:
+    """(n_blocks, BLOCK n_channels), zeros after the end."""
+    n_samples, n_channels = signals.shape
+    n_blocks = -(-n_samples // BLOCK)
+    if n_samples < n_blocks * BLOCK:
+        signals = np.vstack([signals, np.zeros((n_blocks * BLOCK - n_samples, n_channels))])
+    return np.ascontiguousarray(signals).reshape(n_blocks, BLOCK * n_channels)
+
+
+def _as_reals(values: ComplexArray) -> FloatArray:
+    """(n, 2 m) real and imaginary parts side by side."""
+    n_rows, n_columns = values.shape
+    return np.ascontiguousarray(values).view(np.float64).reshape(n_rows, 2 * n_columns)
+
+
+def _as_complex(values: FloatArray) -> ComplexArray:
+    n_rows, n_columns = values.shape
+    return values.view(np.complex128).reshape(n_rows, n_columns // 2)
+
 
 LARGEST_EIGENVECTOR_CONDITION = 1e10
 """Frobenius norm of the eigenvectors times that of their inverse: at least the condition number in the 2-norm."""

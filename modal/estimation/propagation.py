@@ -1,6 +1,6 @@
 """First-order propagation of an observer's uncertainty to modes and Markov parameters, by a Jacobian through ERA.
 
-How far each pair of blocks of rows pulls the observer's coefficients (`okid.block_grams`) is a direction dTheta; the
+How far each pair of blocks of rows pulls the observer's coefficients (`okid.coefficient_covariance`) is a direction dTheta; the
 squares of what all directions do to a number add up to its variance, whatever colour the residuals have. A direction
 goes the way of the data: through the recursion of the Markov parameters,
 
@@ -29,16 +29,13 @@ import numpy as np
 from era.hankel import BlockHankelOperator
 from era.realisation import Realisation
 from modal.modes.modal_form import INSEPARABLE, discrete_poles
-from modal.modes.mode import Mode
-from modal.modes.uncertainty import Uncertainty
-from okid.arguments import require
-from okid.arrays import ComplexArray, FloatArray
-from okid.block_grams import FEWEST_BLOCKS, block_deviations, block_grams, pair_freedom
+from modal.modes.mode import Mode, Uncertainty
+from okid.arrays import ComplexArray, FloatArray, require
+from okid.coefficient_covariance import FEWEST_BLOCKS, block_deviations, block_grams, pair_freedom
 from okid.errors import InvalidDataError
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, solve_recursion
 from okid.observer import ObserverFit
 from okid.record import Record
-from okid.recursion import solve_recursion
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
@@ -78,7 +75,7 @@ def propagated(
 
     Example:
         >>> from okid.observer import fit_observer
-        >>> from okid.recovery import recover_markov
+        >>> from okid.markov import recover_markov
         >>> from era.balanced import realise
         >>> from modal.modes.extraction import extract_modes
         >>> rng = np.random.default_rng(1)

@@ -7,7 +7,7 @@ from pathlib import Path
 from modal.discrepancy.results import Diagnosis
 from modal.report.writing import write_report
 from modal.sections.discrepancy_values import step_text
-from modal.wording.statements import times_floor_text
+from modal.wording.numbers import times_floor_text
 from okid.errors import IdentificationError, InvalidDataError
 
 __all__ = ["options", "parameter", "shrinking", "write_when_asked"]

@@ -27,8 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.geometry.dof_names import dof_of
-from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, node_numbers
+from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, dof_of, node_numbers
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.guard import check_file, first_line

@@ -1,8 +1,30 @@
 """What is drawn of a structure, in lengths of the picture: nodes around the middle, lines as segments, reach of motion.
 
 A picture must stay light whatever comes: of many segments, those that can move are kept first.
+
+From where to look at a structure so that its extent and its motion are both seen.
+
+Seen along the unit vector d, the plane of two axes i and j shows the share |d_k| of its area (k the third axis). With
+weights w_k of the planes, the product of all shares to the power of their weights is largest at
+
+    d_k^2 = w_k / (w_x + w_y + w_z),        w_x = s_y s_z,  w_y = s_z s_x,  w_z = s_x s_y
+
+(Lagrange). s_i is how much of interest lies along axis i: extent and motion. A beam along X that moves in Z is so seen
+from the front, a plate from above, a tower that moves in X and Y over its corner, a building like a box; a little less
+from the right than that, since along a diagonal corners hide one another.
+
+How far a shape is from real: its components in the complex plane, and what their phases say in words.
+
+The components of a real mode lie on one line through 0: all sensors reach their extremes together. Phase collinearity
+(1 on a line) and mean phase deviation (degrees from it) measure that; with few sensors both say little.
+
+Shapes whose components are of one kind, so that an assurance does not hang on what was measured in which unit.
+
+For a mode with pole s, velocity is s and acceleration s^2 times displacement. Where the outputs are displacements,
+velocities and accelerations together, dividing by that power makes displacements of all of them, whatever the units.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -10,12 +32,88 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from modal.geometry.eye import Eye, chosen_eye
-from modal.geometry.placement import Placement
+from modal.geometry.placement import ROTATION, TRANSLATION, Placement, derivatives_of, rows_by_unit, turned
 from modal.modes.mode import Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.readers.units import convert_unit
 
-__all__ = ["Scene", "envelope_of", "scene_of"]
+__all__ = [
+    "Eye",
+    "Scene",
+    "chosen_eye",
+    "comparable_shapes",
+    "comparison_words",
+    "complexity_words",
+    "envelope_of",
+    "phasors",
+    "scene_of",
+]
+
+MOTION: Final = 0.45
+"""Weight of the motion along an axis, as a share of that of the largest extent."""
+
+LEAST: Final = 0.07
+"""Weight of an axis without extent or motion: enough for a picture to look like one of space."""
+
+ASIDE: Final = 0.72
+"""Share of the way to the right that is gone: along a diagonal, corners and columns would hide one another."""
+
+LOWEST: Final = 0.16
+HIGHEST: Final = 0.62
+"""Sine of the least and greatest height of the eye above the ground."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Eye:
+    """A direction of view.
+
+    Attributes:
+        towards: (3,) unit vector from the structure to the eye.
+        right: (3,) unit vector that points right in the picture.
+        up: (3,) unit vector that points up in the picture.
+    """
+
+    towards: FloatArray
+    right: FloatArray
+    up: FloatArray
+
+    def seen(self, points: FloatArray) -> FloatArray:
+        """(n, 2) places in the picture, right and up, of (n, 3) points; without perspective."""
+        return np.asarray(points @ np.column_stack([self.right, self.up]), dtype=np.float64)
+
+
+def chosen_eye(placement: Placement) -> Eye:
+    """The direction that shows most: from the front right, above the ground.
+
+    Args:
+        placement: extent by its nodes, motion by its sensors.
+
+    Example:
+        >>> from modal.geometry.placement import placed
+        >>> chosen_eye(placed(None, ["a", "b", "c"])).towards.round(2).tolist()  # right, front, above
+        [0.17, -0.92, 0.36]
+    """
+    positions = placement.geometry.positions
+    extent = np.ptp(positions, axis=0)
+    largest = float(extent.max())
+    of_extent = extent / largest if largest > 0 else np.zeros(3)
+    seen = np.zeros(3)
+    for block in placement.motions.blocks:
+        # how far each axis moves when every sensor of the block reads 1
+        seen = np.maximum(seen, np.linalg.norm(block.matrix, axis=2).max(axis=0))
+    of_motion = MOTION * np.minimum(seen, 1.0)
+    size = np.maximum(np.hypot(of_extent, of_motion), LEAST)
+    planes = np.array([size[1] * size[2], size[2] * size[0], size[0] * size[1]])
+    return _eye(np.sqrt(planes / planes.sum()) * [ASIDE, -1.0, 1.0])
+
+
+def _eye(towards: FloatArray) -> Eye:
+    height = float(np.clip(towards[2], LOWEST, HIGHEST))
+    level = towards[:2] / np.linalg.norm(towards[:2])
+    towards = np.array([*(level * np.sqrt(1.0 - height**2)), height])
+    right = np.array([-level[1], level[0], 0.0])
+    return Eye(towards=towards, right=right, up=np.cross(towards, right))
+
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -124,3 +222,111 @@ def _evenly(indices: IndexArray, most: int) -> IndexArray:
     if len(indices) <= most:
         return indices
     return indices[np.linspace(0, len(indices) - 1, max(most, 0)).astype(np.intp)]
+
+
+REAL_COLLINEARITY: Final = 0.95
+REAL_DEVIATION: Final = 10.0
+"""From this phase collinearity and up to this mean phase deviation [deg] a shape is called nearly real."""
+
+MIXED_COLLINEARITY: Final = 0.5
+"""Below this, no phase is common: a random shape of three sensors reaches it on average."""
+
+
+def phasors(mode: Mode, output_units: Sequence[str]) -> ComplexArray:
+    """Components of a shape, largest 1 in each unit, turned to the best real phase.
+
+    Velocities and accelerations beside displacements are divided by the pole and its square, which brings their phases
+    together.
+
+    Args:
+        mode: whose shape.
+        output_units: of the outputs.
+
+    Returns:
+        (n_outputs,).
+    """
+    derivatives = derivatives_of(output_units)
+    divisor = np.array([mode.pole**power if mode.pole else 1.0 for power in derivatives])
+    values = np.asarray(mode.shape / divisor, dtype=np.complex128)
+    for row in rows_by_unit(output_units):
+        largest = np.abs(values[list(row)]).max()
+        if largest > 0:
+            values[list(row)] /= largest
+    return turned(values)
+
+
+def complexity_words(mode: Mode) -> str:
+    """What collinearity and phase deviation of a shape say; the numbers are given with it.
+
+    Example:
+        >>> shape = np.array([1.0, -0.5])
+        >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.4, damping_ratio=0.1, shape=shape,
+        ...             participation=np.ones(1), phase_collinearity=0.99, mpd=1.2)
+        >>> complexity_words(mode)
+        'nearly real'
+    """
+    if mode.shape.size < 2:
+        return "one sensor"
+    if not (np.isfinite(mode.phase_collinearity) and np.isfinite(mode.mpd)):
+        return "not known"
+    if mode.phase_collinearity >= REAL_COLLINEARITY and mode.mpd <= REAL_DEVIATION:
+        return "nearly real"
+    if mode.phase_collinearity < MIXED_COLLINEARITY:
+        return "no common phase"
+    return "complex"
+
+
+def comparable_shapes(modes: Sequence[Mode], output_names: Sequence[str], output_units: Sequence[str]) -> ComplexArray:
+    """(n_outputs, n_modes) shapes as displacements where units differ and allow it, as they are otherwise.
+
+    Args:
+        modes: with shapes of n_outputs components.
+        output_names: of the outputs.
+        output_units: of the outputs.
+
+    Example:
+        >>> from types import SimpleNamespace
+        >>> fast = SimpleNamespace(pole=10j, shape=np.array([1.0, -200.0]))
+        >>> comparable_shapes([fast], ["a", "b"], ["m", "m/s^2"]).real.ravel().tolist()
+        [1.0, 2.0]
+    """
+    if not modes:
+        return np.empty((len(output_names), 0), dtype=np.complex128)
+    shapes = np.column_stack([mode.shape for mode in modes]).astype(np.complex128)
+    kinds = _kinds(output_names, output_units)
+    if kinds is None:
+        return shapes
+    factors = np.array([factor for factor, _ in kinds])
+    powers = np.array([order for _, order in kinds])
+    poles = np.array([mode.pole or 1.0 for mode in modes], dtype=np.complex128)
+    return np.asarray(shapes * factors[:, np.newaxis] / poles ** powers[:, np.newaxis], dtype=np.complex128)
+
+
+def comparison_words(output_names: Sequence[str], output_units: Sequence[str]) -> str:
+    """What was done to outputs of several units before shapes are compared; "" where they have one.
+
+    Example:
+        >>> comparison_words(["a", "b"], ["m", "m"])
+        ''
+    """
+    if len(set(output_units)) < 2:
+        return ""
+    if _kinds(output_names, output_units) is None:
+        return (
+            "The assurance is that of the numbers as they are, so outputs in units with large numbers weigh more in it."
+        )
+    return (
+        "The outputs have different units: for the assurance all are made displacements, velocities divided by the "
+        "pole and accelerations by its square."
+    )
+
+
+def _kinds(names: Sequence[str], units: Sequence[str]) -> list[tuple[float, int]] | None:
+    """SI units in one unit of each output and how often it is derived by time; None for one unit, or several kinds."""
+    if len(set(units)) < 2:
+        return None
+    known = [convert_unit(name, unit) if unit else None for name, unit in zip(names, units, strict=True)]
+    for kind in (TRANSLATION, ROTATION):
+        if all(one is not None and one.unit in kind for one in known):
+            return [(one.factor, kind[one.unit]) for one in known if one is not None]
+    return None

@@ -8,21 +8,26 @@ white noise:  from (J'WJ)^-1 (J'W S W J) (J'WJ)^-1, S the variance of each outpu
               W = S^-1
 any colour:   from the score J'W e of each of the blocks of rows, which are nearly independent of each other when they
               are long against the memory of noise and modes (batch means; known to sqrt(1 / (2 n_blocks)), about 11 %)
+
+Standard deviations of the modes of an identification: of its refinement, else propagated through OKID and ERA.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal.estimation.output_error import NONE, LinearPart, normal_equations, training_gram
-from modal.identification.refined_model import RefinedModel
+from modal.estimation.propagation import propagated
+from modal.identification.final_model import FinalModel
+from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import Mode
-from modal.modes.uncertainty import Uncertainty
+from modal.modes.mode import ModalModel, Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InsufficientDataError
+from okid.record import Record
 
-__all__ = ["output_error_uncertainty"]
+__all__ = ["output_error_uncertainty", "with_deviations"]
 
 LEAST_CURVATURE = 1e-12
 """Relative curvature below which a direction of the parameters is not in the data."""
@@ -266,3 +271,47 @@ def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) ->
         deviations[k] = np.sqrt((change**2).sum(axis=0) + (loadings.noise[:, np.newaxis] * alone) ** 2)
         power, slope = power * poles, slope * poles + power
     return deviations
+
+
+def with_deviations(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> tuple[ModalModel, Uncertainty]:
+    """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
+
+    Args:
+        model: modes of the final model's realisation.
+        final: the final model.
+        records: that it was fitted to.
+    """
+    if final.refined is not None:
+        known = output_error_uncertainty(final.refined, model.modes, n_lags=final.markov.n_lags)
+    else:
+        known = _propagated(model, final, records)
+    modes = tuple(
+        replace(
+            mode,
+            frequency_std=float(known.frequency_std[i]),
+            damping_ratio_std=float(known.damping_ratio_std[i]),
+            shape_std=known.shape_std[i],
+        )
+        for i, mode in enumerate(model.modes)
+    )
+    return replace(model, modes=modes), known
+
+
+def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:
+    try:
+        return propagated(
+            records, observer=final.observer, markov=final.markov, realisation=final.cut, modes=model.modes
+        )
+    except InsufficientDataError:  # too short for two blocks
+        return _unknown(model, final)
+
+
+def _unknown(model: ModalModel, final: FinalModel) -> Uncertainty:
+    n_modes, n_outputs = len(model), final.cut.n_outputs
+    return Uncertainty(
+        method="propagation",
+        frequency_std=np.full(n_modes, np.nan),
+        damping_ratio_std=np.full(n_modes, np.nan),
+        shape_std=np.full((n_modes, n_outputs), np.nan),
+        markov_std=np.full((final.markov.n_lags + 1, n_outputs, final.cut.n_inputs), np.nan),
+    )

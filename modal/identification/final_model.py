@@ -13,18 +13,16 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
-from modal.estimation.cross_validation import hankel_limits, markov_lags
+from modal.estimation.cross_validation import Trial, hankel_limits, markov_lags
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.trials import Trial
 from modal.identification.order_search import Search
-from modal.identification.refined_model import RefinedModel, refined_model
+from modal.identification.refined_search import RefinedModel, refined_model
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.errors import IdentificationWarning, NumericalError
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 
 __all__ = ["FinalModel", "fit_all_rows"]
 

@@ -10,11 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from era.innovation_check import check_innovations
+from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.fits import measure_fit, model_runs
-from modal.estimation.threads import one_blas_thread
-from modal.identification.deviations import with_deviations
+from modal.estimation.modal_states import one_blas_thread
+from modal.identification.covariance import with_deviations
 from modal.identification.final_model import fit_all_rows
 from modal.identification.order_search import choose_orders, given_orders
 from modal.identification.refined_search import refined_search
@@ -22,16 +22,16 @@ from modal.identification.result import Identification
 from modal.identification.words import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
 from modal.modes.extraction import extract_modes
 from modal.preparation.steps import Preparation, prepare
-from modal.verdict.doubts import FILTER_EDGE
 from modal.verdict.excitation import driven_gain
 from modal.verdict.judgement import judge
+from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
+from okid.arrays import whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records
-from okid.scalars import whole_number
 
 __all__ = ["identify"]
 

@@ -1,21 +1,47 @@
-"""What `modal.identify` returns: every stage of the road from records to modes, and why each choice was made."""
+"""What `modal.identify` returns: every stage of the road from records to modes, and why each choice was made.
 
+An identification as one file, and back: every number bit for bit, nothing in it that could run.
+
+The file is an .npz archive (a zip of .npy arrays, readable with `numpy.load`) with one JSON text, `result.json`, for
+all that is not an array. What may stand in a field is told by the field's own type in the code: the file names no class
+and no module, so no file can make us build anything but an `Identification`. Arrays are stored uncompressed, so a file
+can never ask for more memory than its own size.
+"""
+
+import io
+import json
 import math
-from dataclasses import dataclass
+import os
+import types
+import zipfile
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
 
 from era.realisation import Realisation
-from modal.modes.mode import ModalModel
-from modal.modes.uncertainty import Uncertainty
+from modal.modes.mode import ModalModel, Uncertainty
 from okid.arrays import FloatArray, frozen_with_gaps
+from okid.errors import InvalidDataError, UnreadableFileError
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = ["Choice", "Fit", "Identification", "OrderEvidence", "StabilisationPoint"]
+__all__ = [
+    "Choice",
+    "Existing",
+    "Fit",
+    "Identification",
+    "OrderEvidence",
+    "SCHEMA_VERSION",
+    "StabilisationPoint",
+    "load",
+    "save",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -165,6 +191,201 @@ class Identification:
         Raises:
             InvalidDataError: the file exists and may not be replaced, or it cannot be written.
         """
-        from modal.identification.storage import save  # it needs this type, so it cannot be imported above
 
         return save(self, path, existing=existing)
+
+
+Existing = Literal["refuse", "replace"]
+"""What to do with a file that is already there."""
+
+SCHEMA_VERSION = 1
+"""Raised when a field changes its meaning; a new field with a default does not need it."""
+
+_TEXT = "result.json"
+_MOST_TEXT = 1 << 27
+"""Bytes of JSON text that are read at most: 128 MiB, some hundred times a large result's."""
+_DTYPES = {np.dtype(name) for name in ("bool", "int32", "int64", "float64", "complex128")}
+_DAMAGE = (
+    zipfile.BadZipFile,
+    KeyError,
+    ValueError,
+    TypeError,
+    EOFError,
+    OSError,
+    NotImplementedError,
+    OverflowError,
+    RecursionError,
+)
+"""What zipfile, json, numpy and our own types raise at bytes that are not what they say."""
+
+
+def save(identification: Identification, path: str | Path, *, existing: Existing = "refuse") -> Path:
+    """Write everything that `identify` returned into one file; read it with `load`.
+
+    The file appears under its name only when it is complete. The same result gives the same bytes.
+
+    Args:
+        identification: what to keep.
+        path: of the file; the usual ending is .npz.
+        existing: "refuse" (an error when the file is there) or "replace".
+
+    Returns:
+        The path.
+
+    Raises:
+        InvalidDataError: the file exists and may not be replaced, its folder does not exist, or it cannot be written.
+    """
+    path = Path(path)
+    if existing not in get_args(Existing):
+        raise InvalidDataError(f"existing must be one of {', '.join(get_args(Existing))}, but is {existing!r}.")
+    if path.is_dir() or (existing == "refuse" and path.exists()):
+        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace' for a file.")
+    if not path.parent.is_dir():
+        raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
+    arrays: dict[int, tuple[str, npt.NDArray[Any]]] = {}
+    text = json.dumps({"schema": SCHEMA_VERSION, "result": _encode(identification, arrays)}, allow_nan=False)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            _write(unfinished, text, dict(arrays.values()))
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+    return path
+
+
+def load(path: str | Path) -> Identification:
+    """Read what `save` wrote.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        UnreadableFileError: no such file, damaged, not written by `save`, or written by a newer version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UnreadableFileError(f"there is no file {path}; give the path of a saved identification.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            document = json.loads(_member(archive, _TEXT, most=_MOST_TEXT))
+            version = document["schema"]
+            if version == SCHEMA_VERSION:
+                result = _decode(document["result"], Identification, archive, {})
+    except _DAMAGE as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise UnreadableFileError(
+            f"{path} is damaged or no saved identification ({words or type(error).__name__}); save it again."
+        ) from error
+    if version != SCHEMA_VERSION:
+        raise UnreadableFileError(
+            f"{path} has schema version {version}, this program reads {SCHEMA_VERSION}; identify again or use the "
+            "version that wrote it."
+        )
+    return cast("Identification", result)
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def _encode(value: Any, arrays: dict[int, tuple[str, npt.NDArray[Any]]]) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _encode(getattr(value, field.name), arrays) for field in fields(value)}
+    if isinstance(value, np.ndarray):
+        if value.dtype not in _DTYPES:
+            raise InvalidDataError(f"arrays of {value.dtype} cannot be saved; use float64 or complex128.")
+        # one member for an array that several records share; the array is kept alive by the identification
+        return {"array": arrays.setdefault(id(value), (f"array_{len(arrays)}", value))[0]}
+    if isinstance(value, tuple):
+        return [_encode(item, arrays) for item in value]
+    if isinstance(value, complex):
+        return [_encode_scalar(value.real), _encode_scalar(value.imag)]
+    return _encode_scalar(value)
+
+
+def _encode_scalar(value: Any) -> Any:
+    if value is None or isinstance(value, str | bool):
+        return value
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))  # JSON has no nan; text keeps all digits
+    raise InvalidDataError(f"a value of type {type(value).__name__} cannot be saved; keep results in frozen types.")
+
+
+def _write(path: Path, text: str, arrays: dict[str, npt.NDArray[Any]]) -> None:
+    with zipfile.ZipFile(path, "x", zipfile.ZIP_STORED) as archive:
+        archive.writestr(zipfile.ZipInfo(_TEXT), text)  # ZipInfo: no clock, so the same result gives the same bytes
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array, order="C"), allow_pickle=False)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def _member(archive: zipfile.ZipFile, name: str, *, most: int | None = None) -> bytes:
+    info = archive.getinfo(name)
+    if info.compress_type != zipfile.ZIP_STORED or (most is not None and info.file_size > most):
+        raise ValueError(f"member {name} is compressed or too large")
+    return archive.read(info)
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
+    """A read-only view of the member's bytes; its header must account for every one of them."""
+    data = _member(archive, f"{name}.npy")
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError(f"array {name} has an unknown format")
+    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype not in _DTYPES or by_columns or math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
+        raise ValueError(f"array {name} is not what its header says")
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+
+
+def _decode(value: Any, hint: Any, archive: zipfile.ZipFile, arrays: dict[str, npt.NDArray[Any]]) -> Any:
+    """Build what `hint` asks for, or raise ValueError; `arrays` keeps those that were read, for they may be shared."""
+    if is_dataclass(hint):
+        return _decode_dataclass(value, hint, archive, arrays)
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and types.NoneType in choices:
+            return None
+        (only,) = (choice for choice in choices if choice is not types.NoneType)
+        return _decode(value, only, archive, arrays)
+    if origin is tuple and isinstance(value, list):
+        each = choices[:1] * len(value) if choices[-1] is Ellipsis else choices
+        return tuple(_decode(item, one, archive, arrays) for item, one in zip(value, each, strict=True))
+    if origin is np.ndarray and isinstance(value, dict):
+        name = value["array"]
+        if name not in arrays:
+            arrays[name] = _array(archive, name)
+        return arrays[name]
+    return _decode_scalar(value, hint)
+
+
+def _decode_scalar(value: Any, hint: Any) -> Any:
+    if hint is complex and isinstance(value, list):
+        real, imaginary = (_decode_scalar(part, float) for part in value)
+        return complex(real, imaginary)
+    if hint is float and (type(value) in (float, int) or value in ("nan", "inf", "-inf")):
+        return float(value)
+    if (hint in (int, bool, str) and type(value) is hint) or (get_origin(hint) is Literal and value in get_args(hint)):
+        return value
+    raise ValueError(f"a value of type {type(value).__name__} stands where {hint} belongs")
+
+
+def _decode_dataclass(value: Any, hint: Any, archive: zipfile.ZipFile, arrays: dict[str, npt.NDArray[Any]]) -> Any:
+    hints = get_type_hints(hint)
+    known = {field.name: field for field in fields(hint)}
+    if not isinstance(value, dict) or not value.keys() <= known.keys():
+        raise ValueError(f"{hint.__name__} has fields that this program does not know")
+    given = {name: _decode(item, hints[name], archive, arrays) for name, item in value.items()}
+    for name, field in known.items():
+        if name not in given and field.default is MISSING and field.default_factory is MISSING:
+            raise ValueError(f"{hint.__name__} lacks its {name}")
+    return hint(**given)

@@ -10,13 +10,11 @@ import numpy as np
 
 from modal.localisation.character import coherent_share
 from modal.localisation.gap import Gap
-from modal.localisation.level_words import mode_statements
 from modal.localisation.levels import LevelModes
-from modal.localisation.line_words import line_statements
-from modal.localisation.lines import Lines
-from modal.localisation.words import agreement, disagreement
+from modal.localisation.lines import Lines, line_statements
+from modal.localisation.words import agreement, disagreement, mode_statements
 from modal.simulation.tolerances import AT_FLOOR
-from modal.wording.statements import Statement
+from modal.wording.numbers import Statement
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = ["Location", "locate"]

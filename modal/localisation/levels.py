@@ -15,14 +15,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.estimation.threads import one_blas_thread
-from modal.localisation.free_decay import decay_windows
+from modal.estimation.modal_states import one_blas_thread
 from modal.localisation.gap import excitation_levels
-from modal.localisation.level_fits import LevelFit, follow_levels, partners
-from modal.localisation.level_starts import decay_start, driven_start
+from modal.localisation.level_fits import LevelFit, decay_start, decay_windows, driven_start, follow_levels, partners
 from modal.modes.mode import Mode, ModeKind
-from modal.modes.overlap import IndexArray
-from modal.modes.shape_comparison import assurance
+from modal.modes.shape_comparison import IndexArray, assurance
 from modal.preparation.steps import split_at_input_gaps
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError

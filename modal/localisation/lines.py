@@ -10,6 +10,10 @@ References:
     41(3), 2005, 491-504, doi 10.1016/j.automatica.2004.10.004.
     Pintelon, Schoukens, System Identification: A Frequency Domain Approach, 2nd edition, Wiley 2012, chapter 4,
     doi 10.1002/9781118287422.
+
+The period of an excitation that repeats, found from the inputs.
+
+The sentences of odd and even lines.
 """
 
 from collections.abc import Sequence
@@ -19,13 +23,72 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.localisation.periods import input_period, periods_of
-from okid.arrays import BoolArray, ComplexArray, FloatArray
+from modal.wording.numbers import Statement, percent
+from okid.arrays import BoolArray, ComplexArray, FloatArray, whole_number
 from okid.record import Record
 from okid.rows import as_records
-from okid.scalars import whole_number
 
-__all__ = ["LineKind", "Lines", "RecordLines", "measure_lines"]
+__all__ = ["LineKind", "Lines", "RecordLines", "input_period", "line_statements", "measure_lines", "periods_of"]
+
+LARGEST_DIFFERENCE = 1e-3
+"""Mean square of u(k + T) - u(k) over twice the variance of u from which on T is no period: 3 % noise on the input."""
+UNLIKE = 0.1
+"""The same measure: a shift must first pull the input apart from itself this far, else it only shows a slow signal."""
+SHORTEST = 4
+"""Samples of a period."""
+
+
+def input_period(record: Record) -> int | None:
+    """Number of samples after which all inputs repeat, at least twice in the record; None where there is none.
+
+    Args:
+        record: with inputs, none of them missing; others have no period.
+
+    Example:
+        >>> sine = np.sin(2 * np.pi * np.arange(100) / 20)
+        >>> input_period(Record(sine, sine, 0.1)), input_period(Record(np.arange(100.0), sine, 0.1))
+        (20, None)
+    """
+    inputs = record.inputs[:, np.ptp(record.inputs, axis=0) > 0.0]
+    n_samples = record.n_samples
+    if not inputs.shape[1] or np.isnan(record.inputs).any() or n_samples < 2 * SHORTEST:
+        return None
+    difference = _differences((inputs - inputs.mean(axis=0)) / inputs.std(axis=0))
+    apart = np.flatnonzero(difference > UNLIKE)
+    if not apart.size:
+        return None
+    again = np.flatnonzero(difference < LARGEST_DIFFERENCE)
+    again = again[again > max(apart[0], SHORTEST - 1)]
+    if not again.size:
+        return None
+    # an input that moves slowly is nearly itself one sample on as well: the best of the first few shifts
+    run = again[: 1 + int(np.argmax(np.append(np.diff(again) > 1, values=True)))]
+    return int(run[np.argmin(difference[run])])
+
+
+def periods_of(values: FloatArray, period: int) -> FloatArray:
+    """(n_periods, period, n_columns) the last whole periods of a signal, in order.
+
+    Example:
+        >>> periods_of(np.arange(7.0)[:, np.newaxis], 3)[:, :, 0].tolist()
+        [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    """
+    n_periods = len(values) // period
+    return values[len(values) - n_periods * period :].reshape(n_periods, period, values.shape[1])
+
+
+def _differences(inputs: FloatArray) -> FloatArray:
+    """(n_samples // 2 + 1,) mean square of u(k + T) - u(k) over twice the variance, the worst input of each shift T."""
+    n_samples = len(inputs)
+    spectrum = np.fft.rfft(inputs, 2 * n_samples, axis=0)
+    shifts = np.arange(n_samples // 2 + 1)
+    products = np.fft.irfft(np.square(np.abs(spectrum)), axis=0)[shifts]
+    power = np.concatenate([np.zeros((1, inputs.shape[1])), np.cumsum(np.square(inputs), axis=0)])
+    ends = power[n_samples - shifts] + power[n_samples] - power[shifts]
+    # both ends share what they miss: a period in which the input rests must not divide by zero
+    difference: FloatArray = (ends - 2.0 * products) / (2.0 * (n_samples - shifts)[:, np.newaxis])
+    return difference.max(axis=1)
+
 
 LineKind = Literal["excited", "odd", "even"]
 
@@ -179,3 +242,39 @@ def _measured(outputs: ComplexArray, kinds: Sequence[BoolArray], period: int) ->
             shows[i] = power[i] > np.maximum(limit * floor[i], 1e-24 * mean.max(axis=0))
     counts = (int(kinds[0].sum()), int(kinds[1].sum()), int(kinds[2].sum()))
     return RecordLines(period=period, n_periods=n_periods, counts=counts, power=power, noise=floor, shows=shows)
+
+
+def line_statements(lines: Lines) -> list[Statement]:
+    """What the lines that are not excited show, one sentence; or why no record can show them.
+
+    Args:
+        lines: from `measure_lines`.
+    """
+    measured = lines.measured
+    if not measured:
+        reasons = list(dict.fromkeys(lines.reasons))
+        return [Statement(subject="lines", text=f"Odd and even lines tell nothing here: {'; '.join(reasons)}.")]
+    level = np.array([one.level for one in measured])  # (n_records, 2, n_outputs)
+    has_odd, has_even = (any(one.counts[kind] for one in measured) for kind in (1, 2))
+    odd, even = float(level[:, 0].max()), float(level[:, 1].max())
+    if odd == 0.0 and even == 0.0:
+        what = "lines that are not excited" if has_odd and has_even else f"{'odd' if has_odd else 'even'} lines"
+        return [Statement(subject="lines", text=f"The {what} carry noise only: no nonlinearity shows on them.")]
+    if even > DOMINANT * odd:
+        text = f"Even lines carry {percent(np.sqrt(even))} of the amplitude of an excited line"
+        text += f", odd ones {_size(odd)}" if has_odd else ""
+        text += ": a law that is even in the motion (quadratic, bilinear, one-sided contact)."
+    elif odd > DOMINANT * even:
+        text = f"Odd lines that are not excited carry {percent(np.sqrt(odd))} of the amplitude of an excited line"
+        text += f", even ones {_size(even)}" if has_even else ""
+        text += ": a law that is odd in the motion (cubic, friction, drag, symmetric contact)."
+    else:
+        text = (
+            f"Odd lines that are not excited carry {percent(np.sqrt(odd))} and even ones {percent(np.sqrt(even))} of "
+            "the amplitude of an excited line: a law that is neither odd nor even, or two laws."
+        )
+    return [Statement(subject="lines", text=text)]
+
+
+def _size(power: float) -> str:
+    return percent(float(np.sqrt(power))) if power > 0.0 else "noise only"

@@ -11,8 +11,7 @@ from era.realisation import Realisation
 from modal.modes.indicators import DECAY_LIMIT, Indicators, evaluate
 from modal.modes.modal_form import ModalBasis, continuous_poles, kind_of, largest_component, modal_basis
 from modal.modes.mode import ModalModel, Mode
-from okid.arguments import require
-from okid.arrays import frozen_complex
+from okid.arrays import frozen_complex, require
 
 __all__ = ["NYQUIST_MARGIN", "aliased_frequency", "extract_modes", "remarks"]
 

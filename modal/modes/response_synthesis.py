@@ -15,11 +15,10 @@ import scipy
 from era.realisation import Realisation
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode
-from okid.arrays import ComplexArray, FloatArray
+from okid.arrays import ComplexArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import as_records, runs_of
-from okid.scalars import whole_number
 
 __all__ = [
     "AveragedSpectra",

@@ -3,13 +3,12 @@
 No plotting library: a page needs lines, areas and words as SVG, in colours that it exchanges itself.
 """
 
-from modal.plots.charts import Notes, chart_text
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
 from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
 from modal.plots.responses import frequency_responses, markov_parameters, output_spectra
 from modal.plots.shapes import assurance_matrix, geometry_picture, mode_shapes, shape_complexity
-from modal.plots.vector import svg_text
+from modal.plots.vector import Notes, chart_text, svg_text
 
 __all__ = [
     "Chart",

@@ -1,24 +1,45 @@
-"""Where simulation and measurement disagree, and how the gap shrinks: over time, over frequency, by part, by step."""
+"""Where simulation and measurement disagree, and how the gap shrinks: over time, over frequency, by part, by step.
+
+A named law over the data: the force that the found effect makes, and the force that the data ask for without it.
+
+Modes against the level of the excitation: frequency and damping of the best linear model of each level.
+"""
 
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from modal.discrepancy.results import Hypothesis, Step
+from modal.discrepancy.results import Hypothesis, LawCurve, Step
 from modal.localisation.gap import Gap
+from modal.plots.histories import APART as ROLES
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of
-from modal.plots.panels import Panel
+from modal.plots.panels import NINETY_FIVE, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
-from modal.plots.style import STYLE, Role, envelope
-from modal.sections.discrepancy_spectra import gap_density
-from modal.sections.discrepancy_stages import Row, Stage
-from modal.sections.discrepancy_values import NAMED_WITHIN, effect_text, effects_text, times_floor, times_text
+from modal.sections.discrepancy_stages import LevelLine, Row, Stage, gap_density
+from modal.sections.discrepancy_values import (
+    NAMED_WITHIN,
+    effect_text,
+    effects_text,
+    law_against,
+    law_gives,
+    times_floor,
+    times_text,
+)
 from modal.wording.names import plot_label
+from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["before_and_after", "gap_histories", "gap_spectra", "hypothesis_bars", "shrinking_gap"]
+__all__ = [
+    "before_and_after",
+    "draw_laws",
+    "gap_histories",
+    "gap_spectra",
+    "hypothesis_bars",
+    "modes_against_level",
+    "shrinking_gap",
+]
 
 MOST_BARS = 8
 """Show so many hypotheses, the best first."""
@@ -206,3 +227,90 @@ def _step_label(name: str) -> str:
     """The step on two lines: what, where."""
     what, _, where = name.partition(" at ")
     return f"+ {plot_label(effect_text(what))}\nat {plot_label(where, limit=20)}" if where else plot_label(what)
+
+
+def draw_laws(laws: Sequence[LawCurve]) -> Chart:
+    """Each law with its 95 % band, over the force in bins of the motion that the data give free of any law.
+
+    A law with memory has no single force at a motion: it is drawn as the loop that it ran through along the loudest
+    record, and dashed as it loads from rest.
+
+    Args:
+        laws: of the found effects.
+    """
+    figure = row_of(len(laws), most_columns=2, width=STYLE.page if len(laws) > 1 else 6.4, height=3.6)
+    for panel, law in zip(figure.panels, laws, strict=True):
+        _law(panel, law)
+    return figure
+
+
+def _law(panel: Panel, law: LawCurve) -> None:
+    if law.loop_motion.size:
+        panel.line(law.loop_motion, law.loop_force, "system", label="law as found, along the record")
+        panel.line(law.motion, law.force, "muted", dash="dashed", label="loaded from rest")
+    else:
+        width = NINETY_FIVE * law.deviation
+        low, high = law.force - width, law.force + width
+        panel.area(law.motion, low, high, "system", opacity=STYLE.pale, label="95 % of the law")
+        panel.line(law.motion, law.force, "system", width=STYLE.thick, label="law as found")
+    if law.points_motion.size:
+        panel.bars(law.points_motion, law.points_force, NINETY_FIVE * law.points_deviation, "measured")
+        panel.dots(law.points_motion, law.points_force, "measured", dot=STYLE.dot, label="from the data, 95 %")
+    panel.across(0.0, "muted", width=STYLE.thin)
+    if law.motion.size and law.motion.min() < 0.0 < law.motion.max():
+        panel.upright(0.0, "muted", width=STYLE.thin)
+    panel.x.label, panel.y.label = plot_label(law_against(law), limit=40), plot_label(law_gives(law), limit=44)
+    panel.y.limits = _span(law)
+    panel.head = f"{effect_text(law.effect)} at {plot_label(law.where)}"
+    panel.key = "best"
+
+
+def _span(law: LawCurve) -> tuple[float, float]:
+    """Room for law and points; a point whose bar is wider than all the rest may stick out."""
+    parts = [law.force, law.points_force, law.loop_force]
+    values = np.concatenate([part[np.isfinite(part)] for part in parts])
+    if not values.size:
+        return -1.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    margin = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+APART = 0.012
+"""Stand the bars of two modes apart by this share of the level."""
+
+
+def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
+    """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
+
+    Args:
+        lines: from `modal.sections.discrepancy_stages.level_lines`.
+    """
+    damped = [line for line in lines if np.isfinite(line.damping).any()]
+    figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
+    for place, line in enumerate(lines):
+        role, shift = ROLES[place % len(ROLES)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
+        _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
+        if line in damped:
+            _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)
+    for panel, title in zip(figure.panels, ("change of frequency [%]", "damping ratio [%]"), strict=False):
+        panel.across(0.0, "muted", width=STYLE.thin)  # a damping ratio is seen from nothing
+        panel.x.ticks = _ticks(lines)
+        panel.x.log, panel.x.margin = True, 0.08
+        panel.x.label = "level of the excitation, relative to the loudest record"
+        panel.head = title
+    figure.panels[0].key = "best"
+    return figure
+
+
+def _bars(panel: Panel, points: tuple[FloatArray, FloatArray, FloatArray], role: Role, name: str) -> None:
+    """Draw (n,) places, values and their standard deviations."""
+    levels, values, deviations = points
+    panel.bars(levels, values, NINETY_FIVE * np.nan_to_num(deviations), role)
+    panel.line(levels, values, role, dot=STYLE.dot, label=plot_label(name))
+
+
+def _ticks(lines: Sequence[LevelLine]) -> list[tuple[float, str]]:
+    """One at each level: there are few, and nothing is known between them."""
+    levels = sorted({level for line in lines for level in line.levels.tolist()})
+    return [(level, f"{level:.2g}") for level in levels]

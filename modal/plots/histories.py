@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from modal.plots.layout import Chart, Key, grid_of
-from modal.plots.panels import Panel
-from modal.plots.style import STYLE, Role, envelope
+from modal.plots.panels import STYLE, Panel, Role, envelope
 from modal.wording.names import plot_label
 from modal.wording.numbers import fit_text
 from okid.arrays import FloatArray

@@ -1,6 +1,6 @@
 """A chart: panels in rows and columns, a key, and where each of them lies; nothing is drawn here.
 
-A chart is made once and read twice: `modal.plots.vector` draws it, `modal.plots.charts` tells its numbers to the page's
+A chart is made once and read twice: `modal.plots.vector` draws it, `modal.plots.vector` tells its numbers to the page's
 script.
 """
 
@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.plots.panels import Panel
-from modal.plots.style import STYLE, text_width
+from modal.plots.panels import STYLE, Panel, text_width
 
 __all__ = ["Chart", "Key", "grid_of", "row_of"]
 

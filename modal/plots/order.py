@@ -8,9 +8,8 @@ import numpy as np
 from modal.identification.result import OrderEvidence, StabilisationPoint
 from modal.modes.mode import ModalModel
 from modal.plots.layout import Chart, Key, grid_of
-from modal.plots.panels import Panel
-from modal.plots.style import STYLE, Role
-from modal.sections.spectra import power_spectra
+from modal.plots.panels import STYLE, Panel, Role
+from modal.sections.discrepancy_stages import power_spectra
 from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record

@@ -2,21 +2,366 @@
 
 Lengths are points (1/72 inch) from the left upper corner of the chart; values beyond an axis, infinite ones too, are
 drawn as far as its edge.
+
+What is drawn on a panel: curves, areas, separate pieces and words, and the scale of an axis.
+
+Where an axis has its ticks, and what stands beside them.
+
+Colours by meaning, the same in every picture, and the sizes of letters and lines.
 """
 
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modal.plots.marks import Anchor, Area, Curve, Dash, Mark, Scale, Segments, Word
-from modal.plots.style import STYLE, Role
-from modal.plots.ticks import Tick, ticks_between
 from okid.arrays import FloatArray
 
-__all__ = ["Panel", "Where"]
+__all__ = [
+    "Anchor",
+    "Area",
+    "COLOURS",
+    "Curve",
+    "Dash",
+    "Mark",
+    "NINETY_FIVE",
+    "Panel",
+    "Role",
+    "STYLE",
+    "Scale",
+    "Segments",
+    "Tick",
+    "Where",
+    "Word",
+    "envelope",
+    "runs",
+    "text_width",
+    "ticks_between",
+]
+
+Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
+"""What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
+says, what is left over, and modes that are of the system, may be, and are not."""
+
+COLOURS: Final[dict[Role, str]] = {
+    "paper": "#ffffff",
+    "ink": "#1c2430",
+    "muted": "#667080",
+    "grid": "#e1e5ea",
+    "measured": "#2b6cd4",
+    "model": "#e2761b",
+    "residual": "#c63c4d",
+    "system": "#12875c",
+    "doubtful": "#b67a12",
+    "noise": "#a3abb5",
+}
+"""Draw in these on light paper; a page exchanges each for its own by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """Sizes in points, 1/72 inch, but for the page.
+
+    Attributes:
+        tick: letters of ticks and keys.
+        label: letters of the names of axes.
+        head: letters above a panel.
+        line: height of a line of words over the size of its letters.
+        grid: width of grid and axes.
+        gap: between words and what they stand beside.
+        sample: length of the piece of line in a key.
+        margin: share of the range of the data that stays free at both ends of an axis.
+        across: least distance of ticks along, wide enough for a number.
+        down: least distance of ticks upwards.
+        ground: opacity of the paper behind a key.
+        thin: width of a line that another is to be seen over, or that only marks a place.
+        stroke: width of a line.
+        thick: width of the line that matters most.
+        dot: diameter of a dot.
+        faint: opacity of an area behind everything.
+        pale: opacity of a band that means something, and of a line that is not to be trusted.
+        half: opacity of what another line is drawn over.
+        strong: opacity of a line that lets what is behind it shine through.
+        page: width of a picture as wide as its page [in].
+    """
+
+    tick: float = 8.5
+    label: float = 9.0
+    head: float = 9.5
+    line: float = 1.25
+    grid: float = 0.7
+    gap: float = 4.0
+    sample: float = 18.0
+    margin: float = 0.05
+    across: float = 36.0
+    down: float = 25.0
+    ground: float = 0.85
+    thin: float = 0.8
+    stroke: float = 1.2
+    thick: float = 1.7
+    dot: float = 4.8
+    faint: float = 0.12
+    pale: float = 0.25
+    half: float = 0.5
+    strong: float = 0.8
+    page: float = 10.4
+
+
+NINETY_FIVE: Final = 1.96
+"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
+
+STYLE: Final = Style()
+"""Draw every picture in these sizes."""
+
+_WIDTHS: Final = (("iljtfrI|!.,:;'()[] ·", 0.38), ("mwMW@%—…", 0.92), ("ABCDEFGHKNOPQRUVXYZ&+±−=<>≥≤→", 0.72))
+"""Take letters as this wide, as a share of their size: those of the widest of the usual fonts of browsers."""
+
+
+def text_width(text: str, size: float) -> float:
+    """About how wide a line of words is [pt], on the safe side: the reader's browser has the font, not we."""
+    kinds = {letter: width for letters, width in _WIDTHS for letter in letters}
+    return size * sum(kinds.get(letter, 0.62) for letter in text)
+
+
+def envelope(time: FloatArray, values: FloatArray, *, n_points: int = 1200) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest value of each of `n_points / 2` stretches: a long record drawn small, its peaks kept.
+
+    Example:
+        >>> import numpy as np
+        >>> envelope(np.arange(8.0), np.array([0, 5.0, 1, 1, 1, -2, 0, 0]), n_points=4)[1].tolist()
+        [0.0, 5.0, -2.0, 1.0]
+    """
+    if values.size <= n_points:
+        return time, values
+    step = -(-values.size // (n_points // 2))
+    n_whole = values.size // step
+    blocks = values[: n_whole * step].reshape(n_whole, step)
+    empty = np.asarray(np.isnan(blocks).all(axis=1))
+    filled = np.where(empty[:, None], 0.0, blocks)
+    pairs = np.stack([np.nanmin(filled, axis=1), np.nanmax(filled, axis=1)], axis=1)
+    pairs[empty] = np.nan
+    times = time[: n_whole * step].reshape(n_whole, step)[:, [0, step // 2]]
+    return times.ravel(), pairs.ravel()
+
+
+Tick = tuple[float, str]
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def ticks_between(low: float, high: float, *, most: int, log: bool = False) -> list[Tick]:
+    """Round values from `low` to `high` with their texts, about `most` of them.
+
+    Example:
+        >>> ticks_between(-0.3, 1.1, most=4)
+        [(0.0, '0.0'), (0.5, '0.5'), (1.0, '1.0')]
+        >>> ticks_between(2e-4, 30.0, most=3, log=True)
+        [(0.001, '10⁻³'), (0.1, '10⁻¹'), (10.0, '10¹')]
+        >>> ticks_between(0.5, 30.0, most=3, log=True)
+        [(1.0, '1'), (10.0, '10')]
+    """
+    if not (math.isfinite(low) and math.isfinite(high) and high > low):
+        return []
+    if log:
+        return _powers(low, high, most)
+    step = _step((high - low) / most)
+    values = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    largest = float(np.abs(values).max(initial=step))
+    power = math.floor(math.log10(largest))
+    scaled = power > 4 or power < -3
+    digits = max(0, (power if scaled else 0) - math.floor(math.log10(step) + 1e-9))
+    unit = 10.0**power if scaled else 1.0
+    tail = f"·{_power(power)}" if scaled else ""
+    return [(float(value), f"{value / unit:.{digits}f}{tail if value else ''}".replace("-", "−")) for value in values]
+
+
+def _powers(low: float, high: float, most: int) -> list[Tick]:
+    """Powers of ten, every second, third ... of many; round values between them where there are few."""
+    first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+    if last - first < 1:
+        between = [10.0**power * m for power in range(first - 1, last + 1) for m in (1, 2, 5)]
+        kept = [value for value in between if low <= value <= high]
+        return [(value, f"{value:.3g}") for value in kept] if len(kept) > 1 else ticks_between(low, high, most=most)
+    every = max(1, -(-(last - first) // most))
+    powers = range(first, last + 1, every)
+    plain = powers[0] > -4 and powers[-1] < 5 and powers[-1] - powers[0] < 4
+    return [(10.0**power, f"{10.0**power:g}" if plain else _power(power)) for power in powers]
+
+
+def _power(power: int) -> str:
+    return f"10{str(power).translate(_SUPERSCRIPTS)}"
+
+
+def _step(least: float) -> float:
+    """The smallest of 1, 2 and 5 times a power of ten that is at least `least`."""
+    unit = 10.0 ** math.floor(math.log10(least))
+    return next(unit * m for m in (1, 2, 5, 10) if unit * m >= least * (1.0 - 1e-9))
+
+
+Dash = Literal["", "dashed", "dotted"]
+Anchor = Literal["start", "middle", "end"]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Curve:
+    """Points joined by a line, marked by dots, or both; nan breaks it.
+
+    Attributes:
+        x: (n,).
+        y: (n,).
+        role: its colour.
+        width: of the line, 0 for dots alone.
+        opacity: 1 hides what is behind.
+        dash: of the line.
+        dot: diameter of the dots, 0 for none.
+        square: dots are squares.
+        label: for the key, "" for none.
+        follows: shown and hidden with the line of this label, without an entry of its own.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    role: Role
+    width: float
+    opacity: float
+    dash: Dash
+    dot: float
+    square: bool
+    label: str
+    follows: str
+
+    @property
+    def corners(self) -> FloatArray:
+        """(n, 2) all that it needs room for."""
+        return np.stack([self.x, self.y], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Area:
+    """Filled polygons of one colour.
+
+    Attributes:
+        polygons: each (n, 2).
+        role: colour.
+        opacity: 1 hides what is behind.
+        label: for the key.
+    """
+
+    polygons: tuple[FloatArray, ...]
+    role: Role
+    opacity: float
+    label: str
+
+    @property
+    def corners(self) -> FloatArray:
+        """(n, 2) all that it needs room for."""
+        return np.concatenate([*self.polygons, np.empty((0, 2))])
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Segments:
+    """Many separate pieces of one style.
+
+    Attributes:
+        ends: (n, 2, 2) start and end of each, (x, y).
+        role: colour.
+        width: of the lines.
+        opacity: 1 hides what is behind.
+        label: for the key.
+        arrows: each has a head at its end.
+    """
+
+    ends: FloatArray
+    role: Role
+    width: float
+    opacity: float
+    label: str
+    arrows: bool
+
+    @property
+    def corners(self) -> FloatArray:
+        """(n, 2) all that it needs room for."""
+        return self.ends.reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Word:
+    """A line of words at a place of the panel.
+
+    Attributes:
+        x: of the place.
+        y: of the place; infinity is the upper edge.
+        text: the words.
+        role: colour.
+        size: of the letters.
+        anchor: which part of the words stands there.
+        shift: right and down from the place.
+    """
+
+    x: float
+    y: float
+    text: str
+    role: Role
+    size: float
+    anchor: Anchor
+    shift: tuple[float, float]
+
+
+Mark = Curve | Area | Segments
+
+
+class Scale:
+    """One side of a panel; like a sheet of paper, it changes until it is drawn.
+
+    Attributes:
+        label: what it shows, the unit in brackets.
+        limits: first and last value, from the data unless given; the first may be the greater.
+        log: logarithmic.
+        ticks: (value, text), even ones unless given.
+        labelled: the ticks have their numbers.
+        grid: lines across the panel.
+        upright: the words of the ticks stand on end.
+        margin: share of the range that stays free at both ends where the limits come from the data.
+        role: colour of the words of the ticks.
+    """
+
+    __slots__ = ("grid", "label", "labelled", "limits", "log", "margin", "role", "ticks", "upright")
+
+    def __init__(self) -> None:
+        self.label = ""
+        self.limits: tuple[float, float] | None = None
+        self.log = False
+        self.ticks: Sequence[Tick] | None = None
+        self.labelled = True
+        self.grid = True
+        self.upright = False
+        self.margin = STYLE.margin
+        self.role: Role = "muted"
+
+    def fitted(self, values: FloatArray) -> tuple[float, float]:
+        """The limits, from (n,) values unless they are given."""
+        if self.limits is not None:
+            return self.limits
+        seen = values[np.isfinite(values) & ((values > 0) | (not self.log))]
+        if not seen.size:
+            return (0.1, 1.0) if self.log else (0.0, 1.0)
+        low, high = float(seen.min()), float(seen.max())
+        if self.log:
+            room = self.margin * math.log(high / low) if high > low else math.log(2.0)
+            return low * math.exp(-room), high * math.exp(room)
+        room = self.margin * (high - low) if high > low else self.margin * abs(high) or self.margin
+        return low - room, high + room
+
+
+def runs(there: FloatArray) -> Iterator[tuple[int, int]]:
+    """First and behind-last index of each run of finite rows of (n, 2) points."""
+    edges = np.flatnonzero(np.diff(np.pad(np.isfinite(there).all(axis=1), 1)))
+    yield from list(pairwise(edges.tolist()))[::2]
+
 
 Where = Literal["upper left", "upper right", "lower left", "lower right", "best"]
 

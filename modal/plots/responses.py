@@ -7,9 +7,8 @@ import numpy as np
 from era.realisation import Realisation
 from modal.modes.response_synthesis import MeasuredFrf, frf
 from modal.plots.layout import Chart, Key, grid_of, row_of
-from modal.plots.panels import Panel
-from modal.plots.style import STYLE, Role
-from modal.sections.spectra import power_spectra
+from modal.plots.panels import STYLE, Panel, Role
+from modal.sections.discrepancy_stages import power_spectra
 from modal.wording.names import plot_label
 from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters

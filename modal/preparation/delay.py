@@ -14,13 +14,12 @@ import scipy
 
 from era.realisation import Realisation
 from modal.identification.result import Choice
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
+from okid.markov import recover_system
 from okid.record import Record
-from okid.recovery import recover_system
-from okid.scalars import whole_number
 from okid.scaling import channel_scaling
 
 __all__ = ["InputDelay", "choose_input_delay", "given_input_delay", "late_inputs", "with_input_delay"]

@@ -15,10 +15,9 @@ import numpy as np
 from era.realisation import Realisation
 from modal.identification.result import Choice
 from modal.preparation.drift import FreedTrials, choose_drift, held_out_squares, is_significant, lasting_share
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError
 from okid.record import Record
-from okid.scalars import whole_number
 
 __all__ = ["Integrators", "choose_integrators", "given_integrators", "with_integrators"]
 

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.balanced import decompose, realise_from
-from modal.estimation.cross_validation import LARGEST_PULSE, hankel_limits, markov_lags
+from modal.estimation.cross_validation import LARGEST_PULSE, hankel_limits, markov_lags, stretches_of
 from modal.estimation.free_run import ModalForm, free_runs, modal_form
-from modal.estimation.stretches import stretches_of
 from okid.gram import lag_gram
 from okid.least_squares import solve
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, recover_system
 from okid.record import Record
-from okid.recovery import recover_system
 from okid.scaling import channel_scaling
 
 __all__ = ["QuickModel", "best_model", "observer_markov", "quick_model"]

@@ -20,11 +20,10 @@ from modal.preparation.drift import (
 )
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import runs_of
-from okid.scalars import whole_number
 
 __all__ = ["Preparation", "checked_parts", "prepare", "split_at_input_gaps"]
 

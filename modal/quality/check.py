@@ -12,23 +12,37 @@ from modal.modes.response_synthesis import (
     measured_frf_of,
     segment_length,
 )
-from modal.quality.amplitude import clipping_findings
-from modal.quality.channel import Channel, channels_of
+from modal.quality.amplitude import (
+    clipping_findings,
+    constant_findings,
+    repeat_findings,
+    resolution_findings,
+    resolution_of,
+    stuck_findings,
+)
 from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.copies import copy_findings
-from modal.quality.findings import LEVELS, ChannelQuality, ChannelStatistics, DataQuality, Finding
-from modal.quality.hammer import hit_findings, hits_of, is_hammer, ring_findings
-from modal.quality.hum import HumLines, hum_findings, mains_lines
-from modal.quality.inputs import excitation_findings, together_findings
-from modal.quality.length import length_findings
-from modal.quality.level import is_steady, level_findings, offset_findings
-from modal.quality.missing import gap_findings, missing_findings
-from modal.quality.resolution import resolution_findings, resolution_of
-from modal.quality.samples import sharp_samples, spike_findings
-from modal.quality.slow import drift_findings
-from modal.quality.spectrum import alias_findings, most_white_noise, period_findings, white_findings
-from modal.quality.stuck import constant_findings, repeat_findings, stuck_findings
-from modal.quality.timing import timing_findings
+from modal.quality.findings import LEVELS, Channel, ChannelQuality, ChannelStatistics, DataQuality, Finding, channels_of
+from modal.quality.inputs import (
+    copy_findings,
+    excitation_findings,
+    hit_findings,
+    hits_of,
+    is_hammer,
+    ring_findings,
+    timing_findings,
+    together_findings,
+)
+from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
+from modal.quality.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
+from modal.quality.spectrum import (
+    HumLines,
+    alias_findings,
+    hum_findings,
+    mains_lines,
+    most_white_noise,
+    period_findings,
+    white_findings,
+)
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import as_records

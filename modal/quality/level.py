@@ -1,14 +1,36 @@
-"""The level of a channel: a mean far from zero, and a size that changes within the record."""
+"""The level of a channel: a mean far from zero, and a size that changes within the record.
+
+Slow drift of the outputs that no input causes.
+
+As the identification decides it (`modal.preparation.drift`), but with the pulse response of an observer in the place of a
+model: what the inputs do is taken off, once with a response fitted to the records as they are and once with one
+fitted to records without slow motion, and slow functions of time must predict held-out blocks of the rest clearly
+better.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import Channel, named, spoken, where_found
-from modal.quality.findings import Finding
+from modal.preparation.drift import (
+    CANDIDATES,
+    LEAST_GAIN,
+    SAMPLES_PER_FUNCTION,
+    SIGNIFICANT,
+    SLOW_INPUTS,
+    held_out_squares,
+    is_significant,
+    slow_functions,
+    without_drift,
+)
+from modal.quality.coherence import best_pulse, predicted_outputs
+from modal.quality.findings import Channel, Finding, named, spoken, where_found
+from modal.wording.numbers import percent
 from okid.arrays import FloatArray
+from okid.errors import IdentificationError
+from okid.record import Record
 
-__all__ = ["block_levels", "is_steady", "level_findings", "offset_findings"]
+__all__ = ["block_levels", "drift_findings", "is_steady", "level_findings", "offset_findings"]
 
 LARGE_OFFSET = 10.0
 """Mean over standard deviation."""
@@ -130,3 +152,118 @@ def _change(levels: FloatArray) -> tuple[int, float, float] | None:
 def _spread(levels: FloatArray) -> float:
     known = levels[~np.isnan(levels)]
     return float(known.max() / known.min()) if known.size and known.min() > 0.0 else np.inf
+
+
+MOST_ROWS = 6000
+FEWEST_ROWS = 800
+BLOCKS = 1000
+NOTED = 0.01
+"""Of a channel's power: less slow motion than this is not worth a word."""
+DOUBTFUL = 0.5
+SENSIBLE = -0.5
+"""Share that a pulse response explains, below which it adds more than it explains: nothing is known then."""
+MOSTLY = 0.5
+"""Of an output's slow motion: where the inputs cause more of it, the rest is what the pulse response missed."""
+
+
+def drift_findings(records: Sequence[Record]) -> list[Finding]:
+    """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere.
+
+    Args:
+        records: of one system.
+    """
+    longest = max(records, key=lambda record: record.n_samples)
+    if longest.n_inputs == 0 or longest.n_samples < FEWEST_ROWS or np.isnan(longest.inputs).any():
+        return []
+    slow = np.flatnonzero(_slow_shares(longest) > NOTED)
+    if slow.size == 0:
+        return []
+    try:
+        thinned = longest.decimated(max(1, -(-longest.n_samples // MOST_ROWS)))
+    except IdentificationError:
+        return []
+    if np.isnan(thinned.outputs).all(axis=0).any() or _slow_inputs(thinned) > SLOW_INPUTS:
+        return []
+    shares = {int(i): _drift_share(thinned.select(outputs=[int(i)])) for i in slow}
+    which = sorted((i for i in shares if shares[i] > NOTED), key=lambda i: -shares[i])
+    if not which:
+        return []
+    names = tuple(longest.output_names[i] for i in which)
+    share = shares[which[0]]
+    return [
+        Finding(
+            level="doubtful" if share > DOUBTFUL else "note",
+            what="drift",
+            where=named(names),
+            sentence=f"output{'s' * (len(names) > 1)} {named(names)} drift{'s' * (len(names) == 1)} slowly in a way "
+            f"that no input explains ({'up to ' * (len(names) > 1)}{percent(share)} of the power): temperature, a "
+            "charge amplifier or an integrated signal; the identification takes drift off, motion that slow cannot "
+            "be identified.",
+            channels=names,
+            share=share,
+        )
+    ]
+
+
+def _slow_shares(record: Record) -> FloatArray:
+    """(n_outputs,) share of an output's power that all slow functions can take, over block means."""
+    shares = np.zeros(record.n_outputs)
+    size = -(-record.n_samples // BLOCKS)
+    n_blocks = record.n_samples // size
+    functions = np.linalg.qr(slow_functions(n_blocks, CANDIDATES[-1]))[0][:, 1:]
+    for i in range(record.n_outputs):
+        values = record.outputs[: n_blocks * size, i]
+        there = ~np.isnan(values)
+        if not there.any():
+            continue
+        blocks = np.where(there, values - values[there].mean(), 0.0).reshape(n_blocks, size).mean(axis=1)
+        taken = float(np.sum((functions.T @ blocks) ** 2)) / n_blocks
+        shares[i] = taken / max(float(values[there].var()), np.finfo(float).tiny)
+    return shares
+
+
+def _slow_inputs(record: Record) -> float:
+    """Largest power of an input in the slow functions, relative to that of white noise of the same size."""
+    functions = np.linalg.qr(slow_functions(record.n_samples, CANDIDATES[-1]))[0][:, 1:]
+    inputs = record.inputs - record.inputs.mean(axis=0)
+    slow = np.sum((functions.T @ inputs) ** 2, axis=0) / functions.shape[1]
+    return float((slow / np.maximum(inputs.var(axis=0), np.finfo(float).tiny)).max())
+
+
+def _drift_share(record: Record) -> float:
+    """Share of one output's power that drifts; 0 where no drift is proved."""
+    most = [n for n in CANDIDATES if n <= record.n_samples // SAMPLES_PER_FUNCTION]
+    there = ~np.isnan(record.outputs[:, 0])
+    if not there.all():
+        record = record.samples(*_longest_run(there))
+        most = [n for n in most if n <= record.n_samples // SAMPLES_PER_FUNCTION]
+    if record.n_samples < FEWEST_ROWS or len(most) < 2:
+        return 0.0
+    plain = without_drift(record, 0)
+    own, freed = best_pulse(plain), best_pulse(without_drift(record, most[-1]))
+    if freed is None or not freed[1].min() >= SENSIBLE:
+        return 0.0
+    settled = record.n_samples // 10  # the answer to what came before the record has died out, about
+    left = (plain.outputs - predicted_outputs(freed[0], plain.inputs))[settled:]
+    errors = {n: held_out_squares([left], n) for n in most}
+    best = min(most, key=lambda n: float(errors[n].sum()))
+    without = errors[0]
+    if own is not None:
+        explained = held_out_squares([(plain.outputs - predicted_outputs(own[0], plain.inputs))[settled:]], 0)
+        without = explained if explained.sum() < without.sum() else without
+    gain = without - errors[best]
+    if best == 0 or not is_significant(gain, SIGNIFICANT) or gain.sum() < LEAST_GAIN * without.sum():
+        return 0.0
+    moved = [held_out_squares([plain.outputs[settled:]], n).sum() for n in (0, best)]
+    if gain.sum() < MOSTLY * (moved[0] - moved[1]):
+        return 0.0
+    functions = slow_functions(len(left), best)
+    fitted = functions @ np.linalg.lstsq(functions, left, rcond=None)[0]
+    return min(1.0, float(fitted.var() / plain.outputs[settled:].var()))
+
+
+def _longest_run(there: np.ndarray) -> tuple[int, int]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(int)))
+    starts, stops = edges[::2], edges[1::2]
+    i = int((stops - starts).argmax())
+    return int(starts[i]), int(stops[i])

@@ -3,18 +3,26 @@
 Each sample is compared with the cubic through its two neighbours on either side. A spike is off by six times what is
 usual nearby, and with it taken out the neighbours lie as they usually do: a hit, a step or the start of a ringing
 stays rough.
+
+Samples without a number: how many, in how many gaps, and what they leave to fit to.
+
+Records too short for any fit, or for a look at coherence.
+
+The smallest observer that holds one mode looks two samples back: of n_channels channels it has 2 n_channels + n_inputs
+coefficients an output, and one row of the records gives one equation for them.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from modal.quality.channel import MOST_SPANS, Channel, named, spoken, where_found
-from modal.quality.findings import Finding, Level
+from modal.quality.findings import MOST_SPANS, Channel, Finding, Level, named, spoken, when, where_found
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+from okid.rows import runs_of, usable_rows
 
-__all__ = ["sharp_samples", "spike_findings"]
+__all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings"]
 
 TIMES_USUAL = 6.0
 """A normal variable is as far off once in 5e8 samples, and the largest of three blocks is taken for usual."""
@@ -158,3 +166,105 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
     nearby = np.concatenate([part[max(0, k - BLOCK) : max(0, k - 1)], part[k + 2 : k + BLOCK]])
     low, high = np.nanquantile(nearby, [0.25, 0.75])
     return bool(high - low > LEAST_SIZE * channel.std)
+
+
+MANY = 0.05
+OBSERVER_ORDER = 50
+"""Past samples that an observer uses, about: a row counts when it and they are complete."""
+FEW_ROWS = 0.5
+TOO_FEW_ROWS = 0.1
+
+
+def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
+    """Missing samples of one channel."""
+    if channel.n_missing == 0:
+        return []
+    gaps = [(number, *run) for number, part in enumerate(channel.parts) for run in runs_of(np.isnan(part))]
+    longest = max(stop - start for _, start, stop in gaps)
+    spans = tuple(channel.span(*gap) for gap in gaps[:MOST_SPANS])
+    share = channel.n_missing / channel.n_samples
+    several = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "one gap of"
+    return [
+        Finding(
+            level="bad" if share > 0.5 else "doubtful" if share > MANY else "note",
+            what="missing samples",
+            where=where_found(channel.name, spans, n_records),
+            sentence=f"{channel.role} {named(channel.name)} lacks {percent(share)} of its samples, in {several} "
+            f"{spoken(longest * channel.dt)} s: the rows they touch are left out"
+            + ("; leave the channel out if the others matter more." if share > MANY else "."),
+            channels=(channel.name,),
+            spans=spans,
+            share=share,
+        )
+    ]
+
+
+def gap_findings(records: Sequence[Record]) -> list[Finding]:
+    """Gaps of all channels together that leave few rows with a complete past."""
+    n_usable = n_rows = 0
+    for record in records:
+        complete = record.complete_rows()
+        order = min(OBSERVER_ORDER, record.n_samples // 4)
+        n_usable += int(usable_rows(complete, order).sum())
+        n_rows += record.n_samples - order
+    share = n_usable / max(1, n_rows)
+    if share >= FEW_ROWS:
+        return []
+    return [
+        Finding(
+            level="bad" if share < TOO_FEW_ROWS else "doubtful",
+            what="missing samples",
+            where=when((), len(records)),
+            sentence=f"gaps leave {percent(share)} of the rows with {OBSERVER_ORDER} whole samples before them, which "
+            "is what a fit can use: leave out the channels with the most gaps, or fill gaps of a few samples.",
+            share=1.0 - share,
+        )
+    ]
+
+
+PAST = 2
+"""Samples of the past that one mode needs."""
+ROWS_PER_COEFFICIENT = 10
+"""With fewer, a fit follows the noise."""
+
+
+def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[Finding]:
+    """Too few samples for the smallest observer, or for the coherence of inputs and outputs.
+
+    Args:
+        records: of one system.
+        has_coherence: whether their coherence could be estimated.
+
+    Example:
+        >>> [finding.level for finding in length_findings([Record([], [0.0, 1.0, 0.0], 0.1)], has_coherence=False)]
+        ['bad']
+    """
+    first = records[0]
+    n_channels = first.n_inputs + first.n_outputs
+    n_samples = sum(record.n_samples for record in records)
+    n_rows = sum(max(0, record.n_samples - PAST) for record in records)
+    n_coefficients = PAST * n_channels + first.n_inputs
+    found = []
+    if n_rows < ROWS_PER_COEFFICIENT * n_coefficients:
+        needed = ROWS_PER_COEFFICIENT * n_coefficients + PAST
+        found.append(
+            Finding(
+                level="bad" if n_rows < n_coefficients else "doubtful",
+                what="few samples",
+                where="all records",
+                sentence=f"{n_samples} samples of {n_channels} channel{'s' * (n_channels > 1)} are "
+                f"{'too few to fit anything' if n_rows < n_coefficients else 'few'}: an observer that holds one mode "
+                f"has {n_coefficients} coefficients an output; record {needed} samples or more, or leave channels out.",
+            )
+        )
+    if first.n_inputs and not has_coherence:
+        found.append(
+            Finding(
+                level="note",
+                what="no coherence",
+                where="all records",
+                sentence="the records are too short, or have too many gaps, for measured coherence: how much of the "
+                "outputs the inputs explain was not looked at.",
+            )
+        )
+    return found

@@ -5,23 +5,182 @@ are drawn in a 2-D view: frame, grid, ticks, legend. One unit of the view is abo
 
 Several frames may stand one below the other in one pane, each a band of its height: they share the horizontal axis and
 zoom together, which separate views do not.
+
+Axes of drawn plots: a range of values, and ticks where a person would put them.
+
+The colours of every page: few, bright on near-black, one meaning each.
+
+The views that several pages are made of: series over time, drawn plots, words.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from modal.recording.axis import Axis
-from modal.recording.palette import FRAME, GREY, GRID, PALE, Colour
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["Figure", "Pane", "legend_share"]
+__all__ = [
+    "Axis",
+    "BACKGROUND",
+    "BLUE",
+    "CYCLE",
+    "Colour",
+    "DIM_BLUE",
+    "DIM_GREEN",
+    "FRAME",
+    "Figure",
+    "GOLD",
+    "GREEN",
+    "GREY",
+    "GRID",
+    "ORANGE",
+    "PALE",
+    "Pane",
+    "RED",
+    "SHARE_AXIS",
+    "WHITE",
+    "by_share",
+    "document_view",
+    "legend_share",
+    "linear_axis",
+    "log_axis",
+    "plot_view",
+    "series_view",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Axis:
+    """A range of values, its ticks, and what it is.
+
+    Attributes:
+        title: quantity and unit.
+        low: value at the start (its logarithm for a logarithmic axis, as for the others below).
+        high: value at the end.
+        ticks: values that carry a grid line and a text.
+        texts: one a tick.
+        scale: "linear" or "log10".
+    """
+
+    title: str
+    low: float
+    high: float
+    ticks: tuple[float, ...]
+    texts: tuple[str, ...]
+    scale: Literal["linear", "log10"] = "linear"
+
+    def share(self, values: npt.ArrayLike) -> FloatArray:
+        """Where values lie on the axis: 0 at its start, 1 at its end; nan for those that a log axis cannot show."""
+        given = np.asarray(values, dtype=np.float64)
+        if self.scale == "log10":
+            given = np.log10(np.where(given > 0, given, np.nan))
+        return np.asarray((given - self.low) / (self.high - self.low))
+
+
+SHARE_AXIS: Final = Axis(title="coherence", low=0.0, high=1.04, ticks=(0.0, 0.5, 1.0), texts=("0", "0.5", "1"))
+"""Of a coherence, in a low frame."""
+
+
+def linear_axis(title: str, low: float, high: float, *, whole: bool = False) -> Axis:
+    """An axis from `low` to `high` with ticks at round steps.
+
+    Args:
+        title: quantity and unit.
+        low: start.
+        high: end; a range without width is widened.
+        whole: ticks at whole numbers only.
+
+    Example:
+        >>> linear_axis("order", 0, 42).texts
+        ('0', '10', '20', '30', '40')
+    """
+    if not high > low:
+        low, high = low - 0.5 - abs(low) / 2, low + 0.5 + abs(low) / 2
+    raw = (high - low) / 5
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / raw)))
+    if whole:
+        step = max(1.0, np.round(step))
+    first = np.ceil(low / step - 1e-9)
+    ticks = step * np.arange(first, np.floor(high / step + 1e-9) + 1)
+    ticks = np.where(np.abs(ticks) < step * 1e-9, 0.0, ticks)
+    texts = tuple(f"{tick:.6g}" for tick in ticks)
+    return Axis(title=title, low=low, high=high, ticks=tuple(ticks.tolist()), texts=texts)
+
+
+def log_axis(title: str, low: float, high: float) -> Axis:
+    """A logarithmic axis a little wider than `low` to `high`, both positive, with ticks at decades.
+
+    Example:
+        >>> log_axis("singular value", 0.03, 20).texts
+        ('0.1', '1', '10')
+    """
+    start, stop = np.log10(low), np.log10(high)
+    margin = max(0.08 * (stop - start), 0.15)
+    start, stop = start - margin, stop + margin
+    first, last = int(np.ceil(start)), int(np.floor(stop))
+    if last <= first:  # at least two decades, or nothing can be read off
+        first, last = min(first, last), max(first, last) + (first == last)
+        start, stop = min(start, first), max(stop, last)
+    step = max(1, -(-(last - first) // 7))
+    decades = np.arange(first, last + 1, step)
+    texts = tuple(f"{10.0**d:g}" if -4 < d < 5 else f"1e{d}" for d in decades.tolist())
+    return Axis(title=title, low=start, high=stop, ticks=tuple(map(float, decades)), texts=texts, scale="log10")
+
+
+Colour = tuple[int, int, int]
+
+BACKGROUND: Final[Colour] = (13, 14, 17)
+FRAME: Final[Colour] = (120, 124, 134)
+GRID: Final[Colour] = (38, 41, 48)
+GREY: Final[Colour] = (112, 116, 126)
+PALE: Final[Colour] = (196, 200, 210)
+WHITE: Final[Colour] = (240, 242, 248)
+BLUE: Final[Colour] = (86, 156, 255)  # measured
+DIM_BLUE: Final[Colour] = (58, 88, 140)
+ORANGE: Final[Colour] = (255, 160, 77)  # simulated from the inputs alone
+GREEN: Final[Colour] = (72, 207, 140)  # kept, stable, system
+GOLD: Final[Colour] = (245, 196, 84)  # inputs, choices
+RED: Final[Colour] = (240, 96, 96)  # what is left over
+CYCLE: Final[tuple[Colour, ...]] = (
+    GOLD,
+    (150, 130, 255),
+    (86, 210, 220),
+    (240, 130, 190),
+    (190, 210, 90),
+    (210, 160, 120),
+)
+"""For channels of equal rank, in this order, again from the start when there are more."""
+
+DIM_GREEN: Final[Colour] = (38, 84, 62)
+
+_KNOTS: Final = np.array([0.0, 0.5, 0.8, 0.95, 1.0])
+_STOPS: Final = np.array([(84, 88, 98), (104, 98, 90), GOLD, GREEN, GREEN], dtype=np.float64)
+
+
+def by_share(share: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+    """Colour of a share in [0, 1]: grey to 0.5, gold at 0.8, green from 0.95 on; nan is grey.
+
+    Args:
+        share: (n,) values; those outside [0, 1] take the colour of the nearer end.
+
+    Returns:
+        (n, 3) red, green, blue.
+
+    Example:
+        >>> by_share([0.0, 1.0]).tolist()
+        [[84, 88, 98], [72, 207, 140]]
+    """
+    position = np.clip(np.nan_to_num(np.atleast_1d(np.asarray(share, dtype=np.float64))), 0.0, 1.0)
+    channels = [np.interp(position, _KNOTS, _STOPS[:, c]) for c in range(3)]
+    return np.round(np.column_stack(channels)).astype(np.uint8)
+
 
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 24.0, 40.0, 58.0
 """Margins around the frame for ticks and titles, in view units."""
@@ -250,3 +409,35 @@ class Figure:
             static=True,
             strict=True,
         )
+
+
+def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
+    """The view of series over time, linked with all others."""
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(
+        origin=origin,
+        contents=[f"+ {path if path.startswith('$') else '/' + path}" for path in contents],
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend("RightTop", visible=legend),
+    )
+
+
+def plot_view(pane: Pane, name: str) -> Any:
+    """The view of a drawn plot, in the shape of its pane."""
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial2DView(
+        origin=pane.path,
+        name=name,
+        background=rrb.Background(BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, pane.width), y_range=(0.0, pane.height)),
+    )
+
+
+def document_view(path: str, name: str) -> Any:
+    """The view of words."""
+    import rerun.blueprint as rrb
+
+    return rrb.TextDocumentView(origin=path, name=name)

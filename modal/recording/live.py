@@ -2,35 +2,216 @@
 
 The viewer is company, not part of the work: where there is none, where it cannot be opened or where it is closed on the
 way, one sentence says so and the work goes on. Nothing here waits longer than a second or two, and nothing raises.
+
+Where a Rerun viewer is, whether it answers, and opening one.
+
+How a live view opens, before there is a result; called by `modal.recording.live`.
+
+A wire to a viewer that can be cut.
+
+Rerun waits without end for a viewer that has stopped answering (a machine asleep, a network gone), when a stream is
+closed and again when the program ends. Bytes that pass through a socket of our own can be stopped there: Rerun then
+sees a broken connection, and gives up at once.
 """
 
+import contextlib
+import importlib.util
+import os
 import secrets
+import socket
+import subprocess
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
 
 from modal.identification.result import Identification
 from modal.quality.check import check_quality
-from modal.recording.identification.record import log_record_page
-from modal.recording.live_blueprint import live_blueprint
-from modal.recording.names import cell, label
-from modal.recording.plan import planned_data
-from modal.recording.relay import Relay
-from modal.recording.stream import APPLICATION, log_identification, strict_errors
-from modal.recording.viewer import HOST, PATIENCE, host_and_port, listens, open_viewer, speaks
-from okid.errors import IdentificationWarning
+from modal.quality.findings import DataQuality
+from modal.recording.figure import document_view
+from modal.recording.identification.record import log_record_page, record_page
+from modal.recording.plan import DataPlan, cell, label, planned_data
+from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
+from okid.errors import IdentificationWarning, InvalidDataError
 from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
+    import rerun.blueprint
 
     from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
-__all__ = ["LiveRecording", "live_recording", "log_progress", "log_records", "log_result"]
+__all__ = [
+    "HOST",
+    "LiveRecording",
+    "PATIENCE",
+    "Relay",
+    "host_and_port",
+    "listens",
+    "live_blueprint",
+    "live_recording",
+    "log_progress",
+    "log_records",
+    "log_result",
+    "open_viewer",
+    "speaks",
+]
+
+
+def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> "rerun.blueprint.Blueprint":
+    """The records, and what the work is at."""
+    import rerun.blueprint as rrb
+
+    record = record_page(records, plan, quality)
+    show_whole_record(record, plan)
+    progress = rrb.Horizontal(
+        document_view("progress/text", "What is being done"),
+        rrb.TextLogView(origin="progress/log", name="Log"),
+        column_shares=[1.0, 1.0],
+        name="Progress",
+    )
+    return whole_blueprint([record, progress], plan)
+
+
+PIECE = 1 << 18
+
+
+class Relay:
+    """Passes bytes between a port of this machine and one elsewhere until it is cut.
+
+    Attributes:
+        port: of this machine, on which it listens.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Listen; the other side is called when somebody calls here.
+
+        Args:
+            host: of the other side.
+            port: of the other side.
+        """
+        self._other = (host, port)
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._sockets = [self._listening]
+        self.port: int = self._listening.getsockname()[1]
+        threading.Thread(target=self._answer, daemon=True).start()
+
+    def cut(self) -> None:
+        """Close both sides of every connection, whatever is on its way."""
+        for one in self._sockets:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+
+    def _answer(self) -> None:
+        with contextlib.suppress(OSError):  # cut, or the other side is gone
+            while True:
+                here, _ = self._listening.accept()
+                self._sockets.append(here)
+                there = socket.create_connection(self._other)
+                self._sockets.append(there)
+                for pair in ((here, there), (there, here)):
+                    threading.Thread(target=_pass_on, args=pair, daemon=True).start()
+
+
+def _pass_on(giver: socket.socket, taker: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        while piece := giver.recv(PIECE):
+            taker.sendall(piece)
+    for one in (giver, taker):  # what is broken on one side is broken on the other
+        with contextlib.suppress(OSError):
+            one.shutdown(socket.SHUT_RDWR)
+
+
+HOST: Final = "127.0.0.1"
+PORT: Final = 9876
+"""Where a Rerun viewer listens unless it is told otherwise."""
+
+SETTINGS: Final = b"\x00\x00\x00\x04\x00\x00\x00\x00\x00"
+"""A frame of HTTP/2 without content: its length, its type, flags, stream 0."""
+
+PATIENCE: Final = 1.0
+"""Seconds to wait for an answer when the viewer is sought."""
+
+OPENING: Final = 2.0
+"""Seconds to wait for a viewer that was opened."""
+
+
+def host_and_port(address: str | None) -> tuple[str, int]:
+    """Of an address host:port or rerun+http://host:port/proxy; the usual one of this machine for None.
+
+    Raises:
+        InvalidDataError: it is none.
+    """
+    if address is None:
+        return HOST, PORT
+    parts = urlsplit(address if "://" in address else f"//{address}")
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not host or (parts.scheme and not parts.scheme.startswith("rerun")):
+        raise InvalidDataError(
+            f"the address of a viewer is host:port or rerun+http://host:port/proxy, but is {label(address, 80)!r}."
+        )
+    return host, port or PORT
+
+
+def listens(host: str, port: int) -> bool:
+    """Whether anybody takes a connection there."""
+    try:
+        socket.create_connection((host, port), timeout=PATIENCE).close()
+    except OSError:
+        return False
+    return True
+
+
+def speaks(host: str, port: int) -> bool:
+    """Whether the protocol of a viewer is spoken there: Rerun itself would wait for an answer without end.
+
+    References:
+        RFC 9113, HTTP/2, section 3.4: both sides begin with a SETTINGS frame. doi 10.17487/RFC9113
+    """
+    try:
+        with socket.create_connection((host, port), timeout=PATIENCE) as one:
+            one.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + SETTINGS)
+            answer = one.recv(len(SETTINGS))
+    except OSError:
+        return False
+    return len(answer) == len(SETTINGS) and answer[3] == SETTINGS[3]
+
+
+def open_viewer(port: int) -> str:
+    """Open a viewer on this machine and wait a moment for it; in words why there is none, "" where there is."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return f"No Rerun viewer listens at port {port}, and this machine has no display to open one on."
+    package = importlib.util.find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        return "The Rerun viewer is not installed beside rerun-sdk."
+    program = Path(package.origin).parent / ("rerun.exe" if os.name == "nt" else "rerun")
+    try:
+        subprocess.Popen(  # noqa: S603 - the viewer that came with rerun-sdk, and a number
+            [program, "--port", str(port), "--hide-welcome-screen"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:
+        return f"A Rerun viewer could not be opened ({label(str(error), 80)})."
+    end = time.perf_counter() + OPENING
+    while time.perf_counter() < end:
+        if listens(HOST, port):
+            return ""
+        time.sleep(0.05)
+    return f"The Rerun viewer that was opened did not answer at port {port} within {OPENING:g} s."
+
 
 READ: Final = "read"
 """Above the channels as they were read; those of the result lie elsewhere."""

@@ -4,20 +4,32 @@ The pages and the blueprint must agree on paths, on what is shown and on the tim
 
 Measured series lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their
 paths, and the measured line belongs below the others.
+
+What the records show without any model, looked at once for all pages: their quality and their response.
+
+Names from files are not to be trusted: as parts of entity paths, as titles of views, as cells of a table.
+
+A channel may be called `<script>`, nothing at all, a thousand letters, or text that runs from right to left and
+carries what follows along. What is shown goes through `modal.wording.names`; here are the paths, and the short forms.
 """
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from era.realisation import Realisation
 from modal.identification.result import Identification
-from modal.modes.mode import Mode
-from modal.modes.numbering import numbered
-from modal.recording.levels import StoredStretch, row_budget
-from modal.recording.names import path_parts
-from modal.recording.tracks import laid_out, stored_levels
+from modal.modes.mode import Mode, numbered
+from modal.modes.response_synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
+from modal.quality.check import check_quality
+from modal.quality.findings import DataQuality
+from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
+from modal.wording.names import escape_markdown, shorten, visible
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InsufficientDataError
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -25,13 +37,111 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DATA",
+    "DataPlan",
+    "Gathered",
+    "Plan",
     "SHOWN_INPUTS",
     "SHOWN_OUTPUTS",
-    "DataPlan",
-    "Plan",
+    "cell",
+    "drawable",
+    "gather",
+    "label",
+    "name_with_unit",
+    "path_parts",
     "planned",
     "planned_data",
+    "response_of",
 ]
+
+LONGEST_PART: Final = 64
+"""Letters of a channel name that are kept in an entity path."""
+
+DRAWN: Final = (
+    *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
+    *((0x384, 0x38A), (0x38E, 0x3A1), (0x3A3, 0x3CF)),  # Greek
+    *((0x401, 0x40C), (0x40E, 0x44F), (0x451, 0x45C), (0x490, 0x493)),  # Cyrillic
+    *((0x1E80, 0x1E85), (0x1EA0, 0x1EF9)),  # more Latin
+    *((0x2010, 0x2011), (0x2013, 0x2014), (0x2018, 0x2022), (0x2026, 0x2026), (0x2074, 0x207A), (0x2080, 0x2089)),
+    *((0x2190, 0x2199), (0x2212, 0x2212), (0x221E, 0x221E), (0x2248, 0x2248), (0x2260, 0x2260), (0x2264, 0x2265)),
+    (0x25A0, 0x25A1),
+)
+"""Code points that both fonts inside Rerun 0.41 (Inter, JetBrains Mono) can draw. The viewer looks for others among the
+fonts of the machine, and where there are none it does not draw a box but stops: seen with Arabic, Han, U+FFFD."""
+
+BOX: Final = "\N{WHITE SQUARE}"
+
+
+def drawable(text: str) -> str:
+    """The text with a box for each character that not every Rerun viewer can draw, or its plain form where it has one.
+
+    Example:
+        >>> drawable("h\N{LATIN SMALL LETTER E WITH ACUTE}t\N{DOUBLE-STRUCK CAPITAL R}")
+        'hétR'
+    """
+    return "".join(letter if _is_drawn(letter) else _plain(letter) for letter in text)
+
+
+def _is_drawn(letter: str) -> bool:
+    return any(first <= ord(letter) <= last for first, last in DRAWN)
+
+
+def _plain(letter: str) -> str:
+    plain = unicodedata.normalize("NFKC", letter)
+    return plain if all(map(_is_drawn, plain)) else BOX
+
+
+def label(text: str, longest: int = 28) -> str:
+    r"""One line of visible text, at most `longest` characters; "unnamed" where nothing would be seen.
+
+    Example:
+        >>> label("tip\nmass"), label("  ")
+        ('tip mass', 'unnamed')
+    """
+    return shorten(" ".join(drawable(visible(text)).split()), longest) or "unnamed"
+
+
+def name_with_unit(name: str, unit: str, longest: int = 28) -> str:
+    """A name and its unit in brackets, where there is one.
+
+    Example:
+        >>> name_with_unit("tip", "m/s^2")
+        'tip [m/s^2]'
+    """
+    return f"{label(name, longest)} [{label(unit, 12)}]" if unit else label(name, longest)
+
+
+def cell(text: str, longest: int = 400) -> str:
+    r"""The same for a Markdown table or sentence: nothing in it acts as Markdown or HTML.
+
+    Example:
+        >>> cell("<b>|x|")
+        '&lt;b&gt;\\|x\\|'
+    """
+    return escape_markdown(label(text, longest))
+
+
+def path_parts(names: Sequence[str]) -> tuple[str, ...]:
+    r"""One part of an entity path a name, escaped as Rerun asks and all different.
+
+    Names that would fall together, because of what was left out or cut off, get their position as a suffix.
+
+    Example:
+        >>> path_parts(["tip", "", " ", "a/b", "__secret"])
+        ('tip', 'unnamed', 'unnamed_2', 'a\\/b', 'name__secret')
+    """
+    import rerun
+
+    parts: list[str] = []
+    for index, name in enumerate(names):
+        part = label(name, longest=len(name) + len("unnamed"))[:LONGEST_PART]
+        if part.startswith("__"):  # reserved by Rerun for its own entities
+            part = "name" + part
+        escaped = rerun.escape_entity_path_part(part)
+        while escaped in parts:
+            escaped = f"{escaped}_{index}"
+        parts.append(escaped)
+    return tuple(parts)
+
 
 DATA: Final = "data"
 """Above the measured series of an identification."""
@@ -87,7 +197,7 @@ class Plan:
     Attributes:
         data: of the measured channels.
         fit_paths: entity above what the model makes of each output.
-        modes: every mode in the order of its number (`modal.modes.numbering`); their position from 1 is the number used on
+        modes: every mode in the order of its number (`modal.modes.mode`); their position from 1 is the number used on
             every page, in the report and on the timeline "mode".
         shapes: numbers (from 1) of the modes whose shapes are drawn.
         window: length of the window which follows the cursor [s].
@@ -198,3 +308,107 @@ def _window(modes: tuple[Mode, ...], dt: float, duration: float) -> float:
     system = [mode.frequency for mode in modes if mode.verdict == "system" and mode.frequency > 0]
     wanted = 8.0 / min(system) if system else 300 * dt
     return float(min(np.clip(wanted, 60 * dt, 600 * dt), max(duration / 10, 20 * dt)))
+
+
+LONGEST_SEGMENT: Final = 8192
+"""Samples a segment: 4096 lines are more than a screen shows, and long segments cost time without end."""
+
+FINE_LINES: Final = 800
+"""Frequencies at which the response of a model is drawn, at least, as far as memory allows."""
+
+MOST_NUMBERS: Final = 300_000
+"""Lines of the response times its pairs of channels, at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Gathered:
+    """What speaks for or against a model, beside the model.
+
+    Attributes:
+        quality: of the data.
+        measured: frequency response of the records as used; None without inputs, or where they are too short.
+        synthesised: (n_frequencies, n_outputs, n_inputs) response of the model at the frequencies of `measured`, empty
+            where that is None; nan at a pole on the unit circle.
+        fine_frequencies: (n_fine,) [Hz] those of `measured` with others between where they are few: a short record has
+            coarse lines, and resonances of the model may lie between them.
+        fine: (n_fine, n_outputs, n_inputs) response of the model there.
+        density_frequencies: (n_lines,) [Hz] of `model_density`: those of the densities in `quality`, up to the model's
+            highest.
+        model_density: (n_lines, n_outputs) power spectral density of the outputs that the model's one-step errors
+            drive; empty with inputs, or where the model has no gain.
+    """
+
+    quality: DataQuality
+    measured: MeasuredFrf | None
+    synthesised: ComplexArray
+    fine_frequencies: FloatArray
+    fine: ComplexArray
+    density_frequencies: FloatArray
+    model_density: FloatArray
+
+
+def gather(identification: Identification, quality: DataQuality | None = None) -> Gathered:
+    """Look at the records of an identification.
+
+    Args:
+        identification: whose records.
+        quality: of the records as they were read; unless given, that of the records as used is found.
+    """
+    fine_frequencies, step = np.zeros(0), 1
+    fine: ComplexArray = np.zeros((0, 0, 0), dtype=np.complex128)
+    # a pole on the unit circle and squares of 1e200 give what is no number, and is left out of every picture
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        measured = response_of(identification.records)
+        if measured is not None:
+            n_lines, n_pairs = measured.frequencies.size, measured.frf[0].size
+            step = max(1, min(-(-FINE_LINES // n_lines), MOST_NUMBERS // (n_lines * n_pairs)))
+            fine_frequencies = np.linspace(0.0, measured.frequencies[-1], step * (n_lines - 1) + 1)
+            fine = frf(identification.realisation, fine_frequencies)
+            fine = np.where(np.isfinite(fine), fine, np.nan)
+        quality = quality or check_quality(identification.records)
+    frequencies = quality.frequencies[quality.frequencies <= 0.5 / identification.realisation.dt * (1 + 1e-9)]
+    return Gathered(
+        quality=quality,
+        measured=measured,
+        synthesised=fine[::step],
+        fine_frequencies=fine_frequencies,
+        fine=fine,
+        density_frequencies=frequencies,
+        model_density=_model_density(identification, frequencies),
+    )
+
+
+def _model_density(identification: Identification, frequencies: FloatArray) -> FloatArray:
+    """One-sided spectrum 2 dt H R H* of the outputs, H from the one-step errors with covariance R to the outputs.
+
+    References:
+        Ljung, System Identification, 2nd edition, 1999, section 2.3 (spectra of innovations models).
+    """
+    model = identification.realisation
+    if identification.records[0].n_inputs or model.K is None or not frequencies.size:
+        return np.zeros((0, 0))
+    covariance = identification.innovation_covariance
+    if covariance is None:
+        covariance = identification.observer.residual_covariance
+    noise = Realisation(model.A, model.K, model.C, np.eye(model.C.shape[0]), model.dt)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        response = frf(noise, frequencies)
+        power = np.einsum("fij,jk,fik->fi", response, covariance, response.conj()).real
+    density: FloatArray = 2.0 * model.dt * np.where(np.isfinite(power), power, np.nan)
+    return density
+
+
+def response_of(records: Sequence[Record]) -> MeasuredFrf | None:
+    """Frequency response of the records with segments that suit a picture; None where there can be none."""
+    first = records[0]
+    if not first.n_inputs:
+        return None
+    n_rows = sum(record.n_samples for record in records)
+    longest = min(LONGEST_SEGMENT, 2 * MOST_NUMBERS // (first.n_inputs * first.n_outputs), n_rows // FEWEST_AVERAGES)
+    length = 2 ** int(np.log2(max(16, longest)))
+    while length >= 16:
+        try:
+            return measured_frf(records, n_per_segment=length)
+        except InsufficientDataError:  # too few stretches without a gap
+            length //= 2
+    return None

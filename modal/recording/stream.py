@@ -1,39 +1,287 @@
-"""One result into one stream, and one stream into one file."""
+"""One result into one stream, and one stream into one file.
+
+How a recording opens: pages, views and panels.
+
+All blueprint code is here and in the modules named for their page (`..._blueprint`), and nowhere else: Rerun calls its
+blueprint types unstable. A page is a container with a name; a further page is one function more in `_pages`.
+
+How the recording of a diagnosis opens; beside `modal.recording.stream`, from which its views come.
+"""
 
 import hashlib
 import os
 import secrets
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification
-from modal.recording.blueprint import blueprint
-from modal.recording.discrepancy.discrepancy_plan import planned_diagnosis
-from modal.recording.discrepancy.discrepancy_steps import log_steps_page
-from modal.recording.discrepancy.page import log_discrepancy_page
-from modal.recording.discrepancy_blueprint import diagnosis_blueprint
-from modal.recording.evidence import gather
-from modal.recording.identification.fit import log_fit_page
-from modal.recording.identification.modes import log_modes_page
-from modal.recording.identification.order import log_order_page
-from modal.recording.identification.record import log_record_page
-from modal.recording.identification.validation import log_validation_page
-from modal.recording.names import label
-from modal.recording.plan import planned
-from okid.arguments import require
+from modal.recording.discrepancy.page import (
+    GAP_TEXT,
+    HYPOTHESES,
+    LAW_TEXT,
+    LEVEL_DAMPING,
+    LEVEL_FREQUENCY,
+    STEP_GAP,
+    STEP_PARTS,
+    STEP_SPECTRUM,
+    STEP_TEXT,
+    VERDICT_TEXT,
+    law_panes,
+    law_title,
+    level_panes,
+    log_discrepancy_page,
+    log_steps_page,
+    spectrum_pane,
+)
+from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
+from modal.recording.figure import document_view, plot_view, series_view
+from modal.recording.identification.fit import fit_page, log_fit_page
+from modal.recording.identification.modes import log_modes_page, modes_page
+from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
+from modal.recording.identification.record import log_record_page, record_page
+from modal.recording.identification.shapes import PERIODS
+from modal.recording.identification.validation import log_validation_page, validation_page
+from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
+from modal.recording.series import TIMELINE, Span
+from okid.arrays import require
 from okid.errors import InvalidDataError
 from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
+    import rerun.blueprint
 
     from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
-__all__ = ["APPLICATION", "log_diagnosis", "log_identification", "save_recording", "strict_errors"]
+__all__ = [
+    "APPLICATION",
+    "blueprint",
+    "diagnosis_blueprint",
+    "log_diagnosis",
+    "log_identification",
+    "save_recording",
+    "show_whole_record",
+    "strict_errors",
+    "whole_blueprint",
+]
+
+GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
+"""The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
+
+SECONDS_A_PERIOD: Final = 2.0
+ORDERS_A_SECOND: Final = 4.0
+"""Play the oscillating shapes and the growing order so fast."""
+
+
+def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
+    """The whole layout for one identification."""
+    return whole_blueprint(_pages(identification, plan, evidence), plan)
+
+
+def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Blueprint":
+    """The pages as tabs on the timeline "time", paused at its start, everything else out of the way."""
+    import rerun.blueprint as rrb
+
+    speed = max(plan.stop - plan.start, 1e-6) / (PERIODS * SECONDS_A_PERIOD)
+    return rrb.Blueprint(
+        rrb.Tabs(*pages, active_tab=0),
+        rrb.TimePanel(
+            timeline=TIMELINE,
+            state="collapsed",
+            play_state="paused",
+            loop_mode="all",
+            playback_speed=speed,
+            fps=ORDERS_A_SECOND / speed,  # of the timeline "model_order", to which the speed applies as well
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> list[Any]:
+    pages = [
+        record_page(identification.records, plan.data, evidence.quality),
+        fit_page(identification, plan),
+        _order_page(identification),
+        modes_page(identification, plan),
+        validation_page(identification, plan, evidence),
+    ]
+    show_whole_record(pages[0], plan)
+    return pages
+
+
+def show_whole_record(page: Any, plan: Span) -> None:
+    """Let all linked views open on the whole timeline: their common range is kept with one view of a fixed identity."""
+    import rerun.blueprint as rrb
+
+    views = [page]
+    while not isinstance(views[0], rrb.TimeSeriesView):
+        views = [*views[0].contents, *views[1:]] if isinstance(views[0], rrb.api.Container) else views[1:]
+    margin = 0.004 * (plan.stop - plan.start)
+    at = rrb.TimeRangeBoundary
+    span = rrb.TimeRange(start=at.absolute(seconds=plan.start - margin), end=at.absolute(seconds=plan.stop + margin))
+    views[0].id = GLOBAL_AXIS
+    views[0].properties["TimeAxis"] = rrb.TimeAxis(link="LinkToGlobal", view_range=span)
+
+
+def _order_page(identification: Identification) -> Any:
+    import rerun.blueprint as rrb
+
+    left: list[Any] = [plot_view(SINGULAR_VALUES, "Hankel singular values")]
+    if identification.order_evidence.candidate_orders.size:
+        left.append(plot_view(ORDER_FIT, "Fit against order"))
+    shares = [1.15, 1.0][: len(left)]
+    column = rrb.Vertical(*left, row_shares=shares, name="How many states")
+    return rrb.Horizontal(
+        column,
+        plot_view(STABILISATION, "Stabilisation"),
+        document_view(ORDER_TEXT, "This order"),
+        column_shares=[1.0, 1.75, 0.75],
+        name="Order",
+    )
+
+
+SECONDS_A_STEP = 1.5
+"""How long a step stands while the page plays."""
+
+
+def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":
+    """The whole layout for one diagnosis."""
+    import rerun.blueprint as rrb
+
+    pages = [_discrepancy_page(diagnosis, plan)]
+    if plan.step_gaps:
+        pages.append(_steps_page(diagnosis, plan))
+    pages += [
+        _law_page(diagnosis),
+        *_levels_page(diagnosis),
+        _outputs_page(diagnosis, plan),
+        _numbers_page(diagnosis, plan),
+    ]
+    speed = max(plan.stop - plan.start, 1e-6) / (SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1))
+    return rrb.Blueprint(
+        rrb.Tabs(*pages, active_tab=0),
+        rrb.TimePanel(
+            timeline=TIMELINE,
+            state="collapsed",
+            play_state="paused",
+            loop_mode="all",
+            playback_speed=speed,
+            fps=1.0 / (SECONDS_A_STEP * speed),  # of the timeline "step", to which the speed applies as well
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
+    """Gap over time on the whole width; below it spectrum, hypotheses, verdict."""
+    import rerun.blueprint as rrb
+
+    outputs = _in_front(plan)
+    above = [_gap_view(diagnosis, plan, output) for output in outputs]
+    verdict = document_view(VERDICT_TEXT, "Verdict")
+    below: list[Any] = []
+    if plan.stages:
+        below.append(_tabs([plot_view(spectrum_pane(i), _spectrum_name(diagnosis, i)) for i in outputs], "Spectra"))
+    if diagnosis.hypotheses:
+        below.append(plot_view(HYPOTHESES, "What was tried"))
+    lower = rrb.Horizontal(*below, verdict, column_shares=[1.0] * len(below) + [1.15], name="What is missing")
+    page = rrb.Vertical(_tabs(above, "Outputs"), lower, row_shares=[1.0, 1.25], name="Discrepancy")
+    show_whole_record(page, plan)
+    return page
+
+
+def _steps_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
+    import rerun.blueprint as rrb
+
+    name = label(diagnosis.held_out[0].output_names[plan.output])
+    below = rrb.Horizontal(
+        plot_view(STEP_SPECTRUM, f"Spectrum of the gap of {name}"),
+        plot_view(STEP_PARTS, "Gap by part"),
+        document_view(STEP_TEXT, "This step"),
+        column_shares=[1.0, 1.0, 0.9],
+        name="By part",
+    )
+    above = plot_view(STEP_GAP, f"Gap of {name}: press play")
+    return rrb.Vertical(above, below, row_shares=[1.0, 1.25], name="Step by step")
+
+
+def _law_page(diagnosis: Diagnosis) -> Any:
+    import rerun.blueprint as rrb
+
+    words = document_view(LAW_TEXT, "Findings")
+    views = [plot_view(pane, law_title(law)) for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False)]
+    if not views:
+        return rrb.Vertical(words, name="Laws")
+    grid = rrb.Grid(*views, grid_columns=1 if len(views) < 3 else 2, name="Laws over the data")
+    return rrb.Horizontal(grid, words, column_shares=[1.9, 1.0], name="Laws")
+
+
+def _levels_page(diagnosis: Diagnosis) -> list[Any]:
+    """Modes against level, where they tell something; else no page."""
+    import rerun.blueprint as rrb
+
+    titles = {LEVEL_FREQUENCY: "Frequency of each mode against level", LEVEL_DAMPING: "Damping against level"}
+    views = [plot_view(pane, titles[pane]) for pane in level_panes(diagnosis)]
+    return [rrb.Horizontal(*views, name="Levels")] if views else []
+
+
+def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
+    import rerun.blueprint as rrb
+
+    first = diagnosis.held_out[0]
+    views = [
+        series_view(
+            f"{plan.output_paths[i]}/run", name_with_unit(first.output_names[i], first.output_units[i]), ["$origin/**"]
+        )
+        for i in plan.shown_outputs
+    ]
+    grid = rrb.Grid(*views, grid_columns=1 if len(views) < 4 else 2, name="Measured and simulated")
+    words = document_view(GAP_TEXT, "Gap in numbers")
+    return rrb.Horizontal(grid, words, column_shares=[1.9, 1.0], name="Outputs")
+
+
+def _numbers_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
+    import rerun.blueprint as rrb
+
+    views = []
+    for table in diagnosis_tables(diagnosis, plan):
+        columns = [table.timeline, *(f"/{table.path}:{name}" for name in table.columns)]
+        query = rrb.archetypes.DataframeQuery(timeline=table.timeline, select=columns)
+        views.append(rrb.DataframeView(origin=table.path, name=table.title, query=query))
+    return rrb.Tabs(*views, active_tab=0, name="Numbers")
+
+
+def _in_front(plan: DiscrepancyPlan) -> list[int]:
+    """The shown outputs, the one with the largest gap first."""
+    return [plan.output, *(i for i in plan.shown_outputs if i != plan.output)]
+
+
+def _gap_view(diagnosis: Diagnosis, plan: DiscrepancyPlan, output: int) -> Any:
+    first = diagnosis.held_out[0]
+    name = name_with_unit(first.output_names[output], first.output_units[output])
+    return series_view(f"{plan.output_paths[output]}/gap", f"Measured minus simulated: {name}", ["$origin/**"])
+
+
+def _spectrum_name(diagnosis: Diagnosis, output: int) -> str:
+    return f"Gap over frequency: {label(diagnosis.held_out[0].output_names[output], 18)}"
+
+
+def _tabs(views: list[Any], name: str) -> Any:
+    import rerun.blueprint as rrb
+
+    return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
+
 
 APPLICATION: Final = "modal-report"
 
@@ -51,7 +299,7 @@ def log_identification(
     Everything drawn is also stored as numbers: series on the timeline "time", tables on "mode", "model_order", "lag",
     "output", "record", "channel", "finding" and "frequency_line". Series of more than 200 000 samples (less with many
     channels) are stored as the smallest and the largest of each bucket of samples, but for their start and what lies
-    around the largest residual (`modal.recording.levels` has the budget). Views are bounded in number, what is stored
+    around the largest residual (`modal.recording.series` has the budget). Views are bounded in number, what is stored
     is not.
 
     Args:

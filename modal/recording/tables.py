@@ -2,18 +2,24 @@
 
 A value that is not known is left out of its row rather than stored as nan: it shows as empty, and two recordings of
 one result compare equal (nan never equals nan).
+
+The pages in words and tables, as Markdown: the fit and the choices; what every page makes its tables of.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from modal.identification.result import Identification
+from modal.recording.plan import SHOWN_OUTPUTS, Plan, cell
+from modal.sections.words import data_sentences, modes_headline
+
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["log_table"]
+__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_page_text", "log_table", "table"]
 
 MATRIX: Final = 2
 
@@ -73,3 +79,115 @@ def _known(value: object) -> list[object]:
     if isinstance(value, float | np.floating) and np.isnan(value):
         return []
     return [value.item() if isinstance(value, np.generic) else value]
+
+
+LISTED_OUTPUTS: Final = 40
+UNKNOWN: Final = "–"
+LONGEST_SENTENCE: Final = 2000
+"""Letters: a sentence of ours is shown whole, and one with hostile names in it still ends somewhere."""
+LISTED_STRETCHES: Final = 6
+
+
+def fit_page_text(identification: Identification, plan: Plan) -> str:
+    """What was found in one line, what must be read first, how well the outputs are repeated, and what is left over."""
+    fit = identification.fit
+    first = identification.records[0]
+    parts = [f"### {modes_headline(identification)}"]
+    parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
+    seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
+    parts.append(
+        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
+        "fitted to."
+    )
+    listed = range(min(first.n_outputs, LISTED_OUTPUTS))
+    rows = [
+        [
+            cell(first.output_names[i], 24),
+            cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
+            f"**{_share(fit.cross_validated[i])}**",
+            _share(fit.whole[i]),
+            _share(fit.one_step[i]),
+        ]
+        for i in listed
+    ]
+    parts.append(table(["output", "unit", "cross-validated", "all rows", "one step"], rows))
+    if first.n_outputs > SHOWN_OUTPUTS:
+        parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
+    parts.append(_observer_line(identification))
+    parts += bullets(data_sentences(identification), identification.residuals.messages)
+    if len(identification.records) > 1:
+        parts.append(_records_table(identification, plan))
+    parts += _levels_lines(identification, plan)
+    return "\n\n".join(parts)
+
+
+def choices_text(identification: Identification) -> str:
+    """Every automatic choice with its reason, and the warnings."""
+    rows = [[cell(c.what), f"**{cell(c.value, 80)}**", cell(c.reason)] for c in identification.choices]
+    parts = ["### Choices", table(["what", "chosen", "why"], rows) if rows else "No choice was left open."]
+    parts += ["### Warnings", *bullets(identification.warnings or ("None.",))]
+    return "\n\n".join(parts)
+
+
+def _observer_line(identification: Identification) -> str:
+    observer, residuals = identification.observer, identification.residuals
+    first = identification.records[0]
+    n_samples = sum(record.n_samples for record in identification.records)
+    correlation = f"; correlation with the input: {_number(residuals.input_correlation_ratio, 2)}" * bool(
+        first.n_inputs
+    )
+    return (
+        f"Observer order **{observer.order}**, model order **{identification.realisation.order}**; {first.n_inputs} "
+        f"input{'s' * (first.n_inputs != 1)}, {first.n_outputs} output{'s' * (first.n_outputs != 1)}, {n_samples} "
+        f"samples at {first.sampling_frequency:.6g} Hz, {observer.n_rows} complete rows fitted. Whiteness of the "
+        f"one-step residual: {_number(residuals.whiteness_ratio, 2)} (1 is white, above 2 is not){correlation}."
+    )
+
+
+def _levels_lines(identification: Identification, plan: Plan) -> list[str]:
+    """Where a long record is stored with every sample, and how coarsely elsewhere; nothing where all of it is."""
+    data = plan.data
+    coarsest = max(part.bucket for kept in data.levels for part in kept)
+    if coarsest == 1:
+        return []
+    exact = [
+        f"{start + part.start * record.dt:.6g} to {start + (part.stop - 1) * record.dt:.6g} s"
+        for record, start, kept in zip(identification.records, data.starts, data.levels, strict=True)
+        for part in kept
+        if part.bucket == 1
+    ]
+    shown = ", ".join(exact[:LISTED_STRETCHES]) + (" and so on" if len(exact) > LISTED_STRETCHES else "")
+    sentence = (
+        f"Long series are stored as the smallest and the largest of every {coarsest} samples; the results come from "
+        f"all samples. Every sample is stored at the start and around the largest residual: {shown}."
+    )
+    return [sentence]
+
+
+def _records_table(identification: Identification, plan: Plan) -> str:
+    data = plan.data
+    rows = [
+        [cell(record.name, 40), f"{start:.6g} s", f"{stop:.6g} s", f"{shift:.6g} s" if shift else UNKNOWN]
+        for record, start, stop, shift in zip(identification.records, data.starts, data.stops, data.shifts, strict=True)
+    ]
+    return table(["record", "shown from", "to", "moved by"], rows)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of cells that are harmless already."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def bullets(*groups: Sequence[str]) -> list[str]:
+    """The sentences as one Markdown list, made harmless; nothing where there is no sentence."""
+    lines = [f"- {cell(message, LONGEST_SENTENCE)}" for group in groups for message in group]
+    return ["\n".join(lines)] if lines else []
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN

@@ -1,19 +1,88 @@
-"""All files of a report or none: they are made in a folder of their own beside the target and moved when complete."""
+"""All files of a report or none: they are made in a folder of their own beside the target and moved when complete.
+
+Stopping on request: Ctrl-C, a polite kill and a closed terminal all stop the work, and none leaves it half done.
+"""
 
 import contextlib
 import errno
 import os
 import shutil
+import signal
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Literal
 
-from modal.report.interruption import uninterrupted
 from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 
-__all__ = ["Existing", "recording_written", "refuse_names", "write_folder"]
+__all__ = [
+    "Existing",
+    "recording_written",
+    "refuse_names",
+    "stop_no_more",
+    "stop_politely",
+    "uninterrupted",
+    "write_folder",
+]
+
+_STOPS = tuple(
+    number
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    if (number := getattr(signal, name, None)) is not None
+)
+_AGAIN_AFTER = 3.0
+"""Seconds within which a second request is taken for the same one: it must not stop the clearing up."""
+
+
+def stop_politely() -> None:
+    """Let every request to stop raise KeyboardInterrupt, so that what is half done is cleared away."""
+    last = [-_AGAIN_AFTER]
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if now - last[0] >= _AGAIN_AFTER:
+            last[0] = now
+            raise KeyboardInterrupt
+
+    for number in _STOPS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, stop)
+
+
+def stop_no_more() -> None:
+    """Ignore requests to stop from here on: the work has stopped and is cleared away, only the exit status is left."""
+    for number in _STOPS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put requests to stop off until the block is done: for the few steps of which all or none must happen.
+
+    Example:
+        >>> with uninterrupted():
+        ...     done = ["both files", "moved"]
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python hands signals to the main thread alone
+        return
+    asked: list[tuple[int, FrameType | None]] = []
+    before = {number: signal.getsignal(number) for number in _STOPS}
+    handled = {number: handler for number, handler in before.items() if handler is not None}
+    for number in handled:
+        signal.signal(number, lambda number, frame: asked.append((number, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in handled.items():
+            signal.signal(number, handler)
+        if asked:
+            signal.raise_signal(asked[0][0])
+
 
 LEAST_FREE = 1 << 20
 """Bytes: with less than 1 MiB free once the recording is written, the disk is taken to be full."""

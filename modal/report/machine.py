@@ -1,27 +1,268 @@
-"""The result for programs: JSON with every number, CSV with one row a mode."""
+"""The result for programs: JSON with every number, CSV with one row a mode.
+
+The whole schema of a report's JSON: the keys of the document, and the types behind them.
+
+The JSON Schema (draft 2020-12) of a report's JSON, made from the types that it is written from.
+
+Each number's meaning and unit stand in the docstring of its type, under "Attributes:", and nowhere else; they become
+the descriptions of the schema. The file `schema.json` beside this one is what `modal.report.machine` makes; a
+test compares the two.
+"""
 
 import csv
 import datetime as dt
+import inspect
 import io
 import json
 import math
+import re
+import types
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from era.realisation import Realisation
 from modal.acceptance.check import check_limits
 from modal.acceptance.test_file import Specification
-from modal.identification.result import Identification
-from modal.identification.trust import trust_of
-from modal.modes.mode import Mode
-from modal.modes.numbering import numbered
-from modal.report.document_schema import SCHEMA, schema_text
-from modal.sections.provenance import Provenance, installed_version
+from modal.identification.result import Choice, Fit, Identification, OrderEvidence
+from modal.identification.words import trust_of
+from modal.modes.mode import Mode, numbered
+from modal.sections.provenance import Provenance, SourceFile, installed_version
 from modal.wording.names import csv_cell
+from okid.excitation import Excitation
+from okid.markov import MarkovParameters
+from okid.observer import ObserverFit
 from okid.record import Record
+from okid.residuals import ResidualCheck
 
-__all__ = ["SCHEMA", "as_json", "csv_text", "json_text", "number_cell", "record_document", "schema_text"]
+__all__ = [
+    "SCHEMA",
+    "as_json",
+    "csv_text",
+    "described",
+    "document_schema",
+    "json_text",
+    "number_cell",
+    "record_document",
+    "record_schema",
+    "schema_file",
+    "schema_text",
+    "type_schema",
+]
+
+NUMBER = {"type": ["number", "null"]}
+"""A float: null where it is not finite."""
+
+COMPLEX = {"type": "array", "prefixItems": [NUMBER, NUMBER], "items": False, "minItems": 2}
+"""Real and imaginary part."""
+
+NUMBERS = {
+    "description": "numbers, nested as deep as the array has dimensions; a complex one is [real, imaginary]",
+    "type": "array",
+    "items": {"anyOf": [NUMBER, {"$ref": "#/$defs/numbers"}]},
+}
+
+_SIMPLE: dict[Any, dict[str, Any]] = {
+    float: NUMBER,
+    complex: COMPLEX,
+    int: {"type": "integer"},
+    bool: {"type": "boolean"},
+    str: {"type": "string"},
+    types.NoneType: {"type": "null"},
+    dt.date: {"type": "string", "format": "date"},
+}
+
+
+def schema_file() -> Path:
+    """Where the schema lies in the installed package."""
+    return Path(__file__).with_name("schema.json")
+
+
+def type_schema(hint: Any) -> dict[str, Any]:
+    """The schema of what JSON holds for a value of a type.
+
+    Args:
+        hint: a type as it stands in a field of a frozen dataclass.
+
+    Raises:
+        TypeError: a type that no result has.
+
+    Example:
+        >>> type_schema(float), type_schema(Literal["a", "b"]), type_schema(int | None)
+        ({'type': ['number', 'null']}, {'enum': ['a', 'b']}, {'anyOf': [{'type': 'integer'}, {'type': 'null'}]})
+    """
+    if hint in _SIMPLE:
+        return _SIMPLE[hint]
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (np.ndarray, Literal):
+        return {"$ref": "#/$defs/numbers"} if origin is np.ndarray else {"enum": list(parts)}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [type_schema(part) for part in parts]}
+    if origin is tuple and parts[-1] is Ellipsis:
+        return {"type": "array", "items": type_schema(parts[0])}
+    if origin is tuple:
+        items = [type_schema(part) for part in parts]
+        return {"type": "array", "prefixItems": items, "items": False, "minItems": len(items)}
+    if is_dataclass(hint):
+        return described(hint)
+    raise TypeError(f"no schema for {hint}")
+
+
+def described(kind: Any, *, leave_out: tuple[str, ...] = (), more: dict[str, Any] | None = None) -> dict[str, Any]:
+    """An object with the fields of a dataclass, each with the words of its docstring; other keys are not allowed.
+
+    Args:
+        kind: the dataclass.
+        leave_out: fields that the JSON does not have.
+        more: keys that it has beside the fields, with their schemas; they come first.
+    """
+    hints, words = get_type_hints(kind), _attributes(kind)
+    properties = dict(more or {})
+    for field in fields(kind):
+        if field.name not in leave_out and not field.name.startswith("_"):
+            description = {"description": words[field.name]} if field.name in words else {}
+            properties[field.name] = {**description, **type_schema(hints[field.name])}
+    return {
+        "description": (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " "),
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def record_schema() -> dict[str, Any]:
+    """A record without its samples."""
+    channel = _closed({"name": {"type": "string"}, "unit": {"type": "string"}})
+    return _closed(
+        {
+            "name": {"type": "string"},
+            "n_samples": {"type": "integer"},
+            "dt": {"description": "time step [s]", **NUMBER},
+            "start_time": {"description": "[s]", **NUMBER},
+            "input_hold": {"enum": ["zero_order", "linear", "band_limited"]},
+            "inputs": {"type": "array", "items": channel},
+            "outputs": {"type": "array", "items": channel},
+            "n_missing": {"description": "rows with a missing value", "type": "integer"},
+        }
+    )
+
+
+def _closed(properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+def _attributes(kind: Any) -> dict[str, str]:
+    """Name and words of each entry under "Attributes:" or "Args:" in a docstring."""
+    text = inspect.getdoc(kind) or ""
+    found = re.search(r"^(?:Attributes|Args):\n((?:[ ]{4}.*\n?|\n)*)", text, re.MULTILINE)
+    if found is None:
+        return {}
+    entries = re.findall(r"^ {4}([\w, ]+?)(?: \([^)]*\))?: (.*(?:\n {8,}.*)*)", found[1], re.MULTILINE)
+    return {name.strip(): " ".join(words.split()) for names, words in entries for name in names.split(",")}
+
+
+SCHEMA = "modal-report/1"
+"""Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
+
+
+def schema_text() -> str:
+    """The schema as it stands in `schema.json`."""
+    return json.dumps(document_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def document_schema() -> dict[str, Any]:
+    """The JSON Schema of what `modal.report.machine.json_text` writes."""
+    texts = {"type": "array", "items": {"type": "string"}}
+    several = type_schema(tuple[SourceFile, ...])
+    properties: dict[str, Any] = {
+        "schema": {"description": "name and version of this layout", "const": SCHEMA},
+        "version": {"description": "of the program", "type": "string"},
+        "command": {"description": "that made the result, empty where there was none", "type": "string"},
+        "sources": {"description": "files as they were given", **texts},
+        "files": {"description": "size and hash of each file that was read", **several},
+        "remarks": {"description": "what the reader did to the data", **texts},
+        "test": {"description": "what the test file says; null where there was none", **_nullable(_test())},
+        "limits": {"description": "what became of each limit of the test file", "type": "array", "items": _limit()},
+        "trust": {"enum": ["carried", "with care", "not carried"]},
+        "words": {"description": "why, in sentences", **texts},
+        "warnings": {"description": "sentences that the user must read", **texts},
+        "records": {"description": "as used, without their samples", "type": "array", "items": record_schema()},
+        "choices": type_schema(tuple[Choice, ...]),
+        "excitation": described(Excitation),
+        "fit": described(Fit, more={"mean": {"description": "cross-validated fit, mean over outputs", **NUMBER}}),
+        "modes": _modes(),
+        "uncertainty": {"description": "null where it is not known", **_nullable(_uncertainty())},
+        "order_evidence": described(OrderEvidence),
+        "residuals": described(ResidualCheck),
+        "observer": described(ObserverFit, leave_out=("dt",), more={"order": {"type": "integer"}}),
+        "markov": described(MarkovParameters),
+        "realisation": described(Realisation, leave_out=("factors",)),
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:okid-modal:{SCHEMA.replace('/', ':')}",
+        "title": "Report of a modal identification",
+        "description": "Every number of the result but its time histories. A number that is not finite is null.",
+        **_object(properties),
+        "$defs": {"numbers": NUMBERS},
+    }
+
+
+def _modes() -> dict[str, Any]:
+    number = {"description": "of the mode on every page: modes of the system first", "type": "integer", "minimum": 1}
+    return _object(
+        {
+            "indicator_caution": {"description": "n / (p q): model order over observer order times outputs", **NUMBER},
+            "indicators_missing": {"description": "why the indicators are null", "type": "string"},
+            "table": {"type": "array", "items": described(Mode, more={"number": number})},
+        }
+    )
+
+
+def _uncertainty() -> dict[str, Any]:
+    return _object(
+        {
+            "method": {"enum": ["output error", "propagation"]},
+            "degrees_of_freedom": {"description": "of the residuals; null where infinite", **NUMBER},
+        }
+    )
+
+
+def _test() -> dict[str, Any]:
+    text = {"type": "string"}
+    day = _nullable({"type": "string", "format": "date"})
+    words = ("channel", "kind", "maker", "model", "serial", "sensitivity", "dof", "note")
+    sensor = _object({**dict.fromkeys(words, text), "calibrated": day})
+    return _object(
+        {
+            **dict.fromkeys(("article", "operator", "place", "notes"), text),
+            "date": day,
+            "sensors": {"type": "array", "items": sensor},
+        }
+    )
+
+
+def _limit() -> dict[str, Any]:
+    text = {"type": "string"}
+    return _object(
+        {
+            **dict.fromkeys(("what", "required", "found", "sentence", "reason"), text),
+            "state": {"enum": ["met", "not met", "cannot be told"]},
+        }
+    )
+
+
+def _nullable(schema: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [schema, {"type": "null"}]}
+
+
+def _object(properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
 
 _MODE_NUMBERS = tuple(
     field.name

@@ -1,28 +1,212 @@
-"""The pages for people: the same sections in HTML (with pictures) and in Markdown (without)."""
+"""The pages for people: the same sections in HTML (with pictures) and in Markdown (without).
 
+Where templates are found, and how text that came from a file is made harmless in HTML or in Markdown.
+
+The shapes of the modes as numbers for the page's script, which turns and moves them.
+"""
+
+import base64
+import hashlib
+import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modal.geometry.placement import Placement, placed
 from modal.identification.result import Identification
-from modal.identification.trust import caution_sentence, trust_of
-from modal.modes.numbering import numbered
-from modal.report.moving_shapes import moving_shapes, placement_of
-from modal.report.page_environment import environment, inline, page_script
-from modal.report.picture import Picture
-from modal.report.pictures import MOST_ASSURED, shape_assurance
-from modal.report.setting import NOTHING_BESIDES, Setting
+from modal.identification.words import caution_sentence, damping_shown, damping_text, frequency_text, trust_of
+from modal.modes.mode import numbered
+from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting, shape_assurance
 from modal.sections import words
-from modal.sections.columns import INDICATORS
-from modal.sections.limit_words import limits_sentence, limits_short
+from modal.sections.columns import INDICATORS, shown
 from modal.sections.provenance import Provenance, installed_version
-from modal.sections.setup_values import about_lines, channel_rows, sensor_columns
-from modal.sections.uncertainty_words import has_intervals, uncertainty_sentences
-from modal.sections.validation import coherence_sentence, gap_command, gap_sentence, validation_sentences
+from modal.sections.validation import (
+    about_lines,
+    channel_rows,
+    coherence_sentence,
+    gap_command,
+    gap_sentence,
+    has_intervals,
+    sensor_columns,
+    uncertainty_sentences,
+    validation_sentences,
+)
+from modal.sections.words import limits_class, limits_sentence, limits_short
+from modal.wording.names import escape_markdown, visible
+from modal.wording.numbers import fit_text, hertz, ratio_text, whole_percent
+from okid.arrays import ComplexArray, FloatArray
 from okid.record import InputHold
 
-__all__ = ["environment", "hold_text", "html_text", "inline", "markdown_text"]
+if TYPE_CHECKING:
+    import jinja2
+    from markupsafe import Markup
+
+__all__ = [
+    "environment",
+    "hold_text",
+    "html_text",
+    "inline",
+    "markdown_text",
+    "moving_shapes",
+    "page_script",
+    "placement_of",
+]
+
+MOST_MOVING = 24
+"""Modes that can be chosen."""
+
+MOST_NODES = 1500
+"""Nodes of a structure that a page turns smoothly; a larger one is left to the recording."""
+
+OBLIQUE = (-0.62, 0.36)
+"""Turn and tilt from which all three directions are seen."""
+
+MOST_DEFLECTIONS = 12_000
+"""Nodes times modes: about half a megabyte of the page. Of a large structure fewer modes can be chosen."""
+
+SWING = 0.22
+"""Greatest deflection over the largest extent of the structure."""
+
+
+def placement_of(result: Identification, setting: Setting) -> Placement:
+    """The outputs on the geometry, or in a row without one."""
+    record = result.records[0]
+    return placed(setting.geometry, record.output_names, record.output_units)
+
+
+def moving_shapes(result: Identification, setting: Setting) -> "Markup | str":
+    """Nodes, lines and deflections as JSON without any letter that could end a tag; "" where there is nothing to move.
+
+    Args:
+        result: of `modal.identify`.
+        setting: with the geometry, if there is one.
+    """
+    from markupsafe import Markup
+
+    placement = placement_of(result, setting)
+    geometry = placement.geometry
+    modes = result.modes.system[: min(MOST_MOVING, MOST_DEFLECTIONS // max(1, geometry.n_nodes))]
+    if not modes or geometry.n_nodes > MOST_NODES:
+        return ""
+    deflections = [placement.deflection(mode) for mode in modes]
+    centre = (geometry.positions.max(axis=0) + geometry.positions.min(axis=0)) / 2
+    document = {
+        "nodes": _rows((geometry.positions - centre) / geometry.size),
+        "lines": [list(line) for line in geometry.lines],
+        "surfaces": [list(surface) for surface in geometry.surfaces],
+        "home": _side_seen(placement, deflections),
+        "modes": [
+            {
+                "name": f"{hertz(mode.frequency)} Hz",
+                "real": _rows(SWING * deflection.real),
+                "imaginary": _rows(SWING * deflection.imag),
+            }
+            for mode, deflection in zip(modes, deflections, strict=True)
+        ],
+    }
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - see there
+
+
+def _side_seen(placement: Placement, deflections: Sequence[ComplexArray]) -> tuple[float, float]:
+    """Turn about the vertical and tilt [rad] at first: from the side where sticks move in one plane, else oblique."""
+    sideways = max(float(np.abs(deflection[:, 1]).max()) for deflection in deflections)
+    if placement.is_given or sideways > 0.0:
+        return OBLIQUE
+    return (0.0, 0.35) if np.ptp(placement.geometry.positions[:, 1]) > 0 else (0.0, 0.0)
+
+
+def _rows(values: FloatArray) -> list[list[float]]:
+    """To four decimals of the size of the structure: finer than a pixel."""
+    return [[round(float(value), 4) + 0.0 for value in row] for row in np.nan_to_num(values)]
+
+
+_LEVEL_CLASSES = {"bad": "fault", "doubtful": "doubtful", "good": "good"}
+
+
+def environment(*, html: bool) -> "jinja2.Environment":
+    """The templates of a report, with their filters.
+
+    Args:
+        html: escape for HTML, else for Markdown.
+    """
+    import jinja2
+
+    made = jinja2.Environment(
+        loader=jinja2.PackageLoader("modal.report", "templates"),
+        autoescape=html,  # noqa: S701 - Markdown has its own escape, _finalize_markdown
+        finalize=_finalize_html if html else _finalize_markdown,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["num"] = shown
+    made.filters["literal"] = _literal
+    made.filters["lines"] = _lines
+    made.filters["frequency"] = frequency_text
+    made.filters["damping"] = damping_text
+    made.filters["damping_shown"] = damping_shown
+    made.filters["hertz"] = hertz
+    made.filters["percent"] = ratio_text
+    made.filters["fit"] = fit_text
+    made.filters["share"] = whole_percent
+    made.filters["limit_class"] = limits_class
+    made.filters["level_class"] = lambda level: _LEVEL_CLASSES.get(level, "noise")
+    return made
+
+
+def inline(picture: Picture) -> dict[str, str]:
+    """A picture for a template."""
+    from markupsafe import Markup
+
+    return {
+        "svg": Markup(picture.svg),  # noqa: S704 - svg_text escapes its text
+        "caption": picture.caption,
+        "chart": Markup(picture.chart),  # noqa: S704 - chart_text leaves no letter that ends a tag
+    }
+
+
+@cache
+def page_script() -> tuple[str, str]:
+    """The script of the page, and the hash by which its Content-Security-Policy lets it run, and no other.
+
+    Returns:
+        Its text as it stands between the tags, and base64 of its SHA-256.
+    """
+    from markupsafe import Markup
+
+    templates = resources.files("modal.report").joinpath("templates")
+    text = "".join(templates.joinpath(name).read_text(encoding="utf-8") for name in ("page.js", "shapes.js"))
+    digest = base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+    return Markup(text), digest  # noqa: S704 - our own file
+
+
+def _finalize_html(value: object) -> object:
+    """Names made harmless, and no line that begins with a percent sign."""
+    return visible(value).replace(" %", "\N{NO-BREAK SPACE}%") if type(value) is str else value
+
+
+def _finalize_markdown(value: object) -> object:
+    return escape_markdown(value) if type(value) is str else value
+
+
+def _literal(text: str) -> object:
+    """Lines of an indented code block, in which Markdown takes every letter as it is."""
+    from markupsafe import Markup
+
+    return Markup("\n    ").join(Markup(visible(line)) for line in text.split("\n"))  # noqa: S704 - Markdown, not HTML
+
+
+def _lines(text: str) -> object:
+    """Lines of a block that keeps them, each made harmless: a page would run them together otherwise."""
+    from markupsafe import Markup, escape
+
+    return Markup("\n").join(escape(visible(line)) for line in text.split("\n"))
+
 
 MOST_SUMMED_UP = 10
 """Modes of the system on the page of the verdict; the table of all poles has all of them."""

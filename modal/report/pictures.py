@@ -1,22 +1,180 @@
-"""The pictures of a report as SVG text, each with the words that stand under it."""
+"""The pictures of a report as SVG text, each with the words that stand under it.
 
-from collections.abc import Sequence
+A figure as a page takes it: the SVG, the words below it, and the numbers that a script reads off it.
+
+Frequency responses as a page shows them: measured, synthesised, and what the modes of the system make alone.
+
+What a report knows besides the result: the test file, the geometry, the quality of the data, the limits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal import plots
-from modal.geometry.comparable import comparable_shapes, comparison_words
+from modal.acceptance.check import check_limits
+from modal.geometry.scene import comparable_shapes, comparison_words
 from modal.identification.result import Identification, OrderEvidence
+from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf
 from modal.modes.shape_comparison import assurance
-from modal.plots.charts import Notes
+from modal.plots.layout import Chart
 from modal.plots.order import colour_measure, pole_classes
-from modal.report.picture import Picture, drawn, readable
-from modal.report.response_picture import response_pictures
-from modal.report.setting import NOTHING_BESIDES, Setting
-from okid.arrays import FloatArray
+from modal.plots.responses import frequency_responses, model_grid
+from modal.plots.vector import Notes, chart_text, svg_text
+from modal.quality import check_quality
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InsufficientDataError
 
-__all__ = ["Picture", "draw_pictures", "shape_assurance"]
+if TYPE_CHECKING:
+    from modal.acceptance.check import LimitOutcome
+    from modal.acceptance.test_file import Specification
+    from modal.geometry.sensors import Geometry
+    from modal.quality import DataQuality
+
+__all__ = [
+    "NOTHING_BESIDES",
+    "Picture",
+    "Setting",
+    "draw_pictures",
+    "drawn",
+    "readable",
+    "response_pictures",
+    "setting_of",
+    "shape_assurance",
+    "synthesised_alone",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Picture:
+    """One picture for a page.
+
+    Attributes:
+        svg: the `<svg>` element.
+        caption: what there is to see.
+        chart: numbers behind the picture as JSON, "" where there is nothing to read off.
+    """
+
+    svg: str
+    caption: str
+    chart: str = ""
+
+
+def drawn(figure: Chart, name: str, caption: str) -> Picture:
+    """A picture that is looked at and no more."""
+    return Picture(svg=svg_text(figure, name=name, description=caption), caption=caption)
+
+
+def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
+    """A picture that a script can read values off and whose lines it can hide.
+
+    Args:
+        figure: of `modal.plots`.
+        name: of the picture in its page.
+        caption: what there is to see.
+        notes: more on the points of the lines with these labels.
+    """
+    svg = svg_text(figure, name=name, description=caption)
+    return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))
+
+
+MOST_PAIRS = 6
+
+
+def response_pictures(result: Identification) -> dict[str, Picture]:
+    """The picture "responses", or none where the records are too short for a measured response."""
+    record = result.records[0]
+    try:
+        measured = measured_frf(result.records)
+    except InsufficientDataError:
+        return {}
+    n_pairs = record.n_inputs * record.n_outputs
+    which = "" if n_pairs <= MOST_PAIRS else f" The {MOST_PAIRS} strongest of {n_pairs} are shown."
+    alone = synthesised_alone(result, measured)
+    dashed = "" if alone is None else " Dashed: the modes of the system alone, without the poles that are not believed."
+    figure = frequency_responses(
+        measured,
+        result.realisation,
+        modes=alone,
+        output_names=record.output_names,
+        input_names=record.input_names,
+        n_pairs=MOST_PAIRS,
+    )
+    return {
+        "responses": readable(
+            figure,
+            "responses",
+            "Frequency responses: quotient of measured spectra (mean of "
+            f"{measured.n_averages} segments, so sharp peaks are smeared) and synthesised from the model.{dashed} "
+            "Below each, the coherence of the output with all inputs; where it is below 0.5 the measured response is "
+            "pale."
+            f"{which}",
+        )
+    }
+
+
+def synthesised_alone(result: Identification, measured: MeasuredFrf) -> ComplexArray | None:
+    """(N_GRID, n_outputs, n_inputs) response of the modes of the system and the feedthrough, without any other pole.
+
+    None without such modes, and where states for delays or integrators stand between the modes and the outputs.
+    """
+    model = result.fitted_model or result.realisation
+    modes = result.modes.system
+    if not modes or model.order != result.realisation.order:
+        return None
+    return np.asarray(modal_frf(modes, model_grid(measured), dt=model.dt).sum(axis=0) + model.D)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Setting:
+    """What stands in a report besides the result itself.
+
+    Attributes:
+        specification: article, operator, sensors and limits, None without a test file.
+        geometry: nodes and sensors, None where shapes are drawn as sticks.
+        quality: of the data; None where it was not looked at.
+        quality_of: "as read" or "as used" (means removed, decimated to the band), as the quality was found.
+        outcomes: of each acceptance limit.
+    """
+
+    specification: "Specification | None" = None
+    geometry: "Geometry | None" = None
+    quality: "DataQuality | None" = None
+    quality_of: str = "as used"
+    outcomes: "tuple[LimitOutcome, ...]" = ()
+
+
+NOTHING_BESIDES = Setting()
+"""For a report on the result alone."""
+
+
+def setting_of(
+    result: Identification,
+    *,
+    geometry: "Geometry | None" = None,
+    specification: "Specification | None" = None,
+    quality: "DataQuality | None" = None,
+) -> Setting:
+    """Look at the data, and hold the result against the limits.
+
+    Args:
+        result: of `modal.identify`.
+        geometry: of the structure; that of the specification unless given.
+        specification: what the test file says.
+        quality: of the records as they were read; the records as used are looked at unless given.
+    """
+    known = specification.geometry if specification is not None and geometry is None else geometry
+    return Setting(
+        specification=specification,
+        geometry=known,
+        quality=quality if quality is not None else check_quality(result.records),
+        quality_of="as used" if quality is None else "as read",
+        outcomes=() if specification is None else check_limits(result, specification),
+    )
+
 
 MOST_OUTPUTS = 6
 MOST_SHAPES = 12

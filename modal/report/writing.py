@@ -1,24 +1,27 @@
-"""The files of a report: where they are, and writing all of them or none."""
+"""The files of a report: where they are, and writing all of them or none.
+
+The result itself beside its report, so that it can be loaded, compared and drawn again.
+"""
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
+
+import numpy as np
 
 from modal import recording
 from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder
-from modal.report.kept_result import keep_result
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
-from modal.report.pictures import draw_pictures
-from modal.report.setting import Setting, setting_of
+from modal.report.pictures import Setting, draw_pictures, setting_of
 from modal.report.uff55 import uff55_text
 from modal.sections.provenance import Provenance
-from okid.arguments import require
+from okid.arrays import require
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
@@ -26,7 +29,53 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
 
-__all__ = ["DiagnosisFiles", "ReportFiles", "refuse_existing", "write_report"]
+__all__ = [
+    "DiagnosisFiles",
+    "LARGEST_KEPT",
+    "ReportFiles",
+    "keep_result",
+    "kept_size",
+    "refuse_existing",
+    "write_report",
+]
+
+LARGEST_KEPT = 1 << 27
+"""Bytes: 128 MiB, a record of 8 channels and 700 000 samples with its two simulations. Above, the report's JSON keeps
+every number but the time histories, which can be made again from the measured files."""
+
+
+def kept_size(result: Identification) -> int:
+    """Bytes of the arrays of a result, each counted once."""
+    sizes: dict[int, int] = {}
+    _add_sizes(result, sizes)
+    return sum(sizes.values())
+
+
+def keep_result(result: Identification, path: Path) -> Path | None:
+    """Write the result with `Identification.save`; nothing where it would be larger than `LARGEST_KEPT`.
+
+    Args:
+        result: of `modal.identify`.
+        path: of a file that is not there.
+
+    Returns:
+        The path, or None where nothing was written.
+
+    Raises:
+        InvalidDataError: the file exists or cannot be written.
+    """
+    return result.save(path) if kept_size(result) <= LARGEST_KEPT else None
+
+
+def _add_sizes(value: object, sizes: dict[int, int]) -> None:
+    if isinstance(value, np.ndarray):
+        sizes[id(value)] = value.nbytes
+    elif isinstance(value, tuple):
+        for item in value:
+            _add_sizes(item, sizes)
+    elif is_dataclass(value):
+        for field in fields(value):
+            _add_sizes(getattr(value, field.name), sizes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

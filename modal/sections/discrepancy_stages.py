@@ -1,4 +1,11 @@
-"""The gap before, in between and after: what every page of a diagnosis shows, cut once by output, band and level."""
+"""The gap before, in between and after: what every page of a diagnosis shows, cut once by output, band and level.
+
+Spectra of the gap, of the measured output and of the noise: the numbers of the picture in report and recording.
+
+Modes against level as drawn: the change of each frequency and the damping ratio, where they tell something.
+
+Power spectra of outputs, for pictures: Hann windows of half overlap over every uninterrupted stretch.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,10 +15,25 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Step
 from modal.localisation.gap import Gap, measure_gap
+from modal.localisation.levels import LevelMode, LevelModes
+from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["Row", "Stage", "held_out_floor", "rows_of", "stages_of", "worst_outputs"]
+__all__ = [
+    "GapDensity",
+    "LevelLine",
+    "Row",
+    "Stage",
+    "gap_density",
+    "held_out_floor",
+    "level_lines",
+    "power_spectra",
+    "rows_of",
+    "stages_of",
+    "telling",
+    "worst_outputs",
+]
 
 Part = Literal["output", "record", "band"]
 
@@ -128,3 +150,137 @@ def _band_size(gap: Gap, band: int) -> float:
 
 def _root(value: float) -> float:
     return float(np.sqrt(value)) if value >= 0.0 else float("nan")
+
+
+def power_spectra(records: Sequence[Record], *, n_segment: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """One-sided power spectral density of each output, averaged over records (Welch, doi 10.1109/TAU.1967.1161901).
+
+    Args:
+        records: of one system, one time step; a missing sample counts as the mean of its channel.
+        n_segment: samples in a window; an eighth of the longest record, 64 to 2048, unless given.
+
+    Returns:
+        (n_frequencies,) [Hz] and (n_frequencies, n_outputs) [unit^2/Hz].
+    """
+    dt = records[0].dt
+    longest = max(record.n_samples for record in records)
+    size = n_segment or int(np.clip(longest // 8, 64, 2048))
+    size = min(size, *(record.n_samples for record in records))
+    window = np.hanning(size + 2)[1:-1]
+    power = np.zeros((size // 2 + 1, records[0].n_outputs))
+    n_windows = 0
+    for record in records:
+        mean = np.nan_to_num(np.nanmean(record.outputs, axis=0))
+        for start in range(0, record.n_samples - size + 1, max(1, size // 2)):
+            segment = np.nan_to_num(record.outputs[start : start + size] - mean)
+            power += np.abs(np.fft.rfft(segment * window[:, None], axis=0)) ** 2
+            n_windows += 1
+    power *= 2.0 * dt / (n_windows * np.sum(window**2))
+    return np.asarray(np.fft.rfftfreq(size, dt), dtype=np.float64), power
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GapDensity:
+    """One-sided power spectral densities, mean over the held-out records, without the line at zero frequency.
+
+    Attributes:
+        frequency: (n_frequencies,) [Hz].
+        measured: (n_frequencies, n_outputs) of the measured outputs [unit^2/Hz].
+        gaps: one (n_frequencies, n_outputs) a state of the model.
+        noise: (n_outputs,) of white noise of the floor's variance.
+    """
+
+    frequency: FloatArray
+    measured: FloatArray
+    gaps: tuple[FloatArray, ...]
+    noise: FloatArray
+
+    def span(self, output: int) -> tuple[float, float]:
+        """What the axis of an output's density should reach: from below the noise to above all there is."""
+        parts = [self.measured[:, output], *(gap[:, output] for gap in self.gaps)]
+        top = max([float(self.noise[output]), *(float(part.max(initial=0.0)) for part in parts)])
+        return float(self.noise[output]) / 12.0, 4.0 * top
+
+
+def gap_density(gaps: Sequence[Gap]) -> GapDensity:
+    """Densities by Welch's method with windows of a quarter of the longest record.
+
+    Args:
+        gaps: of the states of the model, on the same records; at least one.
+    """
+    records = gaps[0].measured
+    n_segment = int(np.clip(max(record.n_samples for record in records) // 4, 64, 4096))
+    frequency, measured = power_spectra(records, n_segment=n_segment)
+    densities = tuple(power_spectra(_as_records(gap), n_segment=n_segment)[1][1:] for gap in gaps)
+    rows = np.array([record.n_samples for record in records], dtype=np.float64)
+    return GapDensity(
+        frequency=frequency[1:],
+        measured=measured[1:],
+        gaps=densities,
+        noise=2.0 * records[0].dt * (rows @ gaps[0].floor) / rows.sum(),
+    )
+
+
+def _as_records(gap: Gap) -> list[Record]:
+    return [Record(np.empty((len(values), 0)), values, gap.measured[0].dt) for values in gap.residuals]
+
+
+MOST_MODES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LevelLine:
+    """One mode over the levels at which it was found.
+
+    Attributes:
+        name: "mode 1, 3.18 Hz", or "pole 1, 2.64 Hz" for one of first order.
+        levels: (n,) of the excitation, relative to the loudest record.
+        change: (n,) of the frequency from the lowest of these levels [%].
+        change_std: (n,) standard deviation of each frequency [%].
+        damping: (n,) damping ratio [%]; nan for a pole of first order.
+        damping_std: (n,) its standard deviation [%].
+    """
+
+    name: str
+    levels: FloatArray
+    change: FloatArray
+    change_std: FloatArray
+    damping: FloatArray
+    damping_std: FloatArray
+
+
+def level_lines(diagnosis: Diagnosis) -> tuple[LevelLine, ...]:
+    """The modes of the records to fit that are known to move with level, or known to stay.
+
+    Args:
+        diagnosis: whose location has modes against level.
+
+    Returns:
+        None where measurement and simulation agree anyway, or no mode is known well enough.
+    """
+    location = diagnosis.location
+    modes: LevelModes | None = getattr(location, "modes", None)
+    if modes is None or location.agrees:
+        return ()
+    chosen = [mode for mode in modes.modes if telling(mode)]
+    return tuple(_line(mode, modes.levels) for mode in chosen[:MOST_MODES])
+
+
+def telling(mode: LevelMode) -> bool:
+    """Whether something is known of how a mode moves with level."""
+    return mode.frequency_tendency != "unknown" or mode.damping_tendency != "unknown"
+
+
+def _line(mode: LevelMode, levels: FloatArray) -> LevelLine:
+    found = np.isfinite(mode.frequencies)
+    frequency, deviation = mode.frequencies[found], mode.frequency_stds[found]
+    damping, spread = mode.damping_ratios[found], mode.damping_ratio_stds[found]
+    real = mode.kind == "real"
+    return LevelLine(
+        name=f"{'pole' if real else 'mode'} {mode.number}, {number(float(frequency[0]))} Hz",
+        levels=levels[found],
+        change=100.0 * (frequency / frequency[0] - 1.0),
+        change_std=100.0 * deviation / frequency[0],
+        damping=np.full(damping.shape, np.nan) if real else 100.0 * damping,
+        damping_std=np.full(damping.shape, np.nan) if real else 100.0 * spread,
+    )

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from modal.discrepancy.results import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
-from modal.effects.effect_names import effect_name
-from modal.wording.numbers import listed
-from modal.wording.statements import number
+from modal.effects.catalogue import effect_name
+from modal.wording.numbers import listed, number
 
 __all__ = [
     "CLOSE_COMPANY",

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.explained import unexplained_outputs
-from modal.discrepancy.results import Diagnosis, Finding, Step
+from modal.discrepancy.results import Diagnosis, Finding, Step, unexplained_outputs
 from modal.effects.ambiguity import AMBIGUOUS
-from modal.effects.effect_names import one_of
-from modal.identification.trust import Judgement
+from modal.effects.catalogue import one_of
+from modal.identification.words import Judgement
 from modal.sections.discrepancy_values import (
     CLOSE_COMPANY,
     NAMED_WITHIN,
@@ -25,8 +24,7 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
-from modal.wording.numbers import exact_percent, listed, percent
-from modal.wording.statements import number
+from modal.wording.numbers import exact_percent, listed, number, percent
 
 __all__ = [
     "COULD_HIDE",

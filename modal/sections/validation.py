@@ -1,18 +1,37 @@
-"""What the model was tested against, and what a comparison with a simulation would add, in words."""
+"""What the model was tested against, and what a comparison with a simulation would add, in words.
 
+What the intervals of a result mean and what they rest on, in words that its numbers carry.
+
+The set-up as a page shows it: what the test file says of the article and of each sensor, beside each channel.
+"""
+
+import math
 import shlex
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modal.identification.result import Identification
 from modal.sections.provenance import Provenance
-from modal.wording.numbers import LEAST_FIT, whole_percent
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, fit_text, whole_percent
 
 if TYPE_CHECKING:
+    from modal.acceptance.test_file import SensorNote, Specification
     from modal.quality import DataQuality
 
-__all__ = ["coherence_sentence", "gap_command", "gap_sentence", "validation_sentences"]
+__all__ = [
+    "ChannelRow",
+    "about_lines",
+    "channel_rows",
+    "coherence_sentence",
+    "gap_command",
+    "gap_sentence",
+    "has_intervals",
+    "sensor_columns",
+    "uncertainty_sentences",
+    "validation_sentences",
+]
 
 COHERENT = 0.8
 """Multiple coherence from which the inputs explain most of an output at a frequency."""
@@ -102,3 +121,166 @@ def gap_command(result: Identification, provenance: Provenance) -> str:
 
 def _folds(n_folds: int) -> str:
     return "the only fold" if n_folds == 1 else f"each of {n_folds} folds"
+
+
+NORMAL_FACTOR = 1.96
+"""Standard deviations on either side of a value that make its 95 % interval, as the reports show it."""
+
+FEW_FACTOR = 2.1
+"""Student's factor of 95 % above which the degrees of freedom are called few (17 or fewer)."""
+
+WHITE_RATIO = 2.0
+"""Whiteness statistic over its degrees of freedom above which residuals are not white."""
+
+_RESTS_ON = {
+    "output error": (
+        "They rest on how sharply the free-run error of the refined model rises when a parameter is moved, and on the "
+        "noise that this model leaves."
+    ),
+    "propagation": (
+        "They rest on the noise that the observer leaves, carried to first order through the observer, the Markov "
+        "parameters and the realisation to the modes."
+    ),
+}
+
+
+def has_intervals(result: Identification) -> bool:
+    """True when the standard deviation of at least one mode's frequency is known."""
+    return bool(np.isfinite([mode.frequency_std for mode in result.modes]).any())
+
+
+def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
+    """What the intervals are, what they rest on, and what they leave out; one sentence where there are none."""
+    known = result.uncertainty
+    if known is None or not has_intervals(result):
+        return ("No standard deviations are known for this result, so no interval is given.",)
+    meaning = (
+        f"± is half of a 95 % interval, {NORMAL_FACTOR} standard deviations: if the test were repeated with other "
+        "noise, about 95 of 100 such intervals would hold the true value, as long as the model has the form of the "
+        "system."
+    )
+    sentences = [meaning, _RESTS_ON[known.method]]
+    factor = known.interval_factor(0.95)
+    if factor > FEW_FACTOR:
+        sentences.append(
+            f"The noise is known from {known.degrees_of_freedom:.0f} degrees of freedom only: widen each interval by "
+            f"{100 * (factor / NORMAL_FACTOR - 1):.0f} %."
+        )
+    elif math.isfinite(known.degrees_of_freedom):
+        sentences.append(f"The noise is known from {known.degrees_of_freedom:,.0f} degrees of freedom.")
+    sentences.append(_left_out(result))
+    ratio = math.nan if result.innovations is None else result.innovations.whiteness_ratio
+    if ratio > WHITE_RATIO:
+        sentences.append(
+            f"The one-step errors of the model are not white (statistic {ratio:.2g} times its degrees of freedom, "
+            "where 1 is white): the noise has a memory, or the model lacks something."
+        )
+    return tuple(sentences)
+
+
+def _left_out(result: Identification) -> str:
+    fit = result.fit.mean
+    calibration = "the calibration of the sensors, the clock, and what the article does on another day"
+    if not math.isfinite(fit):
+        return (
+            "They leave out the error of the model itself, and no fit on held-out data tells how large that is. They "
+            f"leave out {calibration} as well."
+        )
+    if fit < GOOD_FIT:
+        return (
+            f"They leave out the error of the model itself: its fit on held-out rows is {fit_text(fit)}, below "
+            f"{GOOD_FIT}. As far as the rest is noise, they hold; as far as the model lacks something, they are too "
+            f"narrow. They leave out {calibration} as well."
+        )
+    return f"They leave out {calibration}."
+
+
+MOST_BANDS = 6
+"""Bands of an input that are written out."""
+
+_COLUMNS = (
+    ("dof", "place"),
+    ("kind", "sensor"),
+    ("maker", "maker"),
+    ("model", "type"),
+    ("serial", "serial"),
+    ("sensitivity", "sensitivity"),
+    ("calibrated", "calibrated"),
+    ("note", "note"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ChannelRow:
+    """One row of the table of channels.
+
+    Attributes:
+        name: of the channel.
+        role: "input" or "output".
+        unit: "" where unknown.
+        notes: one an entry of `sensor_columns`.
+        bands: where an input moves, in words; "" for an output.
+    """
+
+    name: str
+    role: str
+    unit: str
+    notes: tuple[str, ...]
+    bands: str
+
+
+def about_lines(specification: "Specification | None") -> tuple[tuple[str, str], ...]:
+    """(heading, text) of what the test file says of the test as a whole; nothing for what it leaves out."""
+    if specification is None:
+        return ()
+    said = (
+        ("Article", specification.article),
+        ("Operator", specification.operator),
+        ("Place", specification.place),
+        ("Date", "" if specification.date is None else specification.date.isoformat()),
+        ("Notes", specification.notes),
+    )
+    return tuple((what, text) for what, text in said if text)
+
+
+def sensor_columns(specification: "Specification | None") -> tuple[str, ...]:
+    """Headings of what is known of at least one sensor."""
+    return tuple(heading for _, heading in _used(specification))
+
+
+def channel_rows(result: Identification, specification: "Specification | None") -> tuple[ChannelRow, ...]:
+    """Inputs, then outputs, each with what is known of its sensor."""
+    record, used = result.records[0], _used(specification)
+    notes = {} if specification is None else {note.channel: note for note in specification.sensors}
+    bands = [_bands_text(bands) for bands in result.excitation.excited_bands] or [""] * record.n_inputs
+    return tuple(
+        ChannelRow(
+            name=name,
+            role=role,
+            unit=unit,
+            notes=tuple(_said(notes.get(name), key) for key, _ in used),
+            bands=bands[number] if role == "input" else "",
+        )
+        for role, names, units in (
+            ("input", record.input_names, record.input_units),
+            ("output", record.output_names, record.output_units),
+        )
+        for number, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+
+
+def _used(specification: "Specification | None") -> tuple[tuple[str, str], ...]:
+    notes = () if specification is None else specification.sensors
+    return tuple((key, heading) for key, heading in _COLUMNS if any(getattr(note, key) for note in notes))
+
+
+def _said(note: "SensorNote | None", key: str) -> str:
+    said = None if note is None else getattr(note, key)
+    return str(said) if said else "–"
+
+
+def _bands_text(bands: tuple[tuple[float, float], ...]) -> str:
+    if not bands:
+        return "nowhere"
+    more = f" and {len(bands) - MOST_BANDS} more bands" if len(bands) > MOST_BANDS else ""
+    return ", ".join(f"{low:.3g} to {high:.3g}" for low, high in bands[:MOST_BANDS]) + more

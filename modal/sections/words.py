@@ -1,18 +1,22 @@
 """What the numbers mean, in plain words: each sentence comes from a rule, and says no more than the rule carries.
 
 The report, the Markdown page and the terminal all take their words from here, so that they cannot disagree.
+
+Whether the acceptance limits are met, in one sentence and one word.
 """
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
+from modal.wording.names import shorten
 from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
 
-__all__ = [
-    "data_sentences",
-    "fit_word",
-    "modes_headline",
-]
+if TYPE_CHECKING:
+    from modal.acceptance.check import LimitOutcome
+
+__all__ = ["data_sentences", "fit_word", "limits_class", "limits_sentence", "limits_short", "modes_headline"]
 
 
 def modes_headline(result: Identification) -> str:
@@ -44,3 +48,45 @@ def fit_word(fit: float) -> str:
 def data_sentences(result: Identification) -> tuple[str, ...]:
     """What the inputs cannot show, as far as it is not among the warnings already."""
     return tuple(message for message in result.excitation.messages if message not in result.warnings)
+
+
+LONGEST_LIMIT = 60
+"""Letters of the name of a limit in a sentence; the table has the whole of it."""
+
+MOST_NAMED = 3
+"""Limits that a sentence names; the table has all of them."""
+
+
+def limits_sentence(outcomes: "Sequence[LimitOutcome]") -> str:
+    """How many limits are met, and which are not; "" where no limit was set."""
+    if not outcomes:
+        return ""
+    missed = [one for one in outcomes if one.state == "not met"]
+    unknown = [one for one in outcomes if one.state == "cannot be told"]
+    if not missed and not unknown:
+        return (
+            "The acceptance limit is met." if len(outcomes) == 1 else f"All {len(outcomes)} acceptance limits are met."
+        )
+    parts = [f"Of {len(outcomes)} acceptance limit{'s' * (len(outcomes) > 1)}"]
+    if missed:
+        parts.append(f" {len(missed)} {'is' if len(missed) == 1 else 'are'} not met ({_names(missed)})")
+    if unknown:
+        also = " and" if missed else ""
+        parts.append(f"{also} {len(unknown)} cannot be told ({_names(unknown)})")
+    return "".join(parts) + "."
+
+
+def limits_short(outcomes: "Sequence[LimitOutcome]") -> str:
+    """For the row of facts, e.g. "2 of 3"."""
+    return f"{sum(one.state == 'met' for one in outcomes)} of {len(outcomes)}"
+
+
+def limits_class(state: str) -> str:
+    """The colour that a state has in the tables: that of a system mode, a doubtful one, or a fault."""
+    return {"met": "system", "cannot be told": "doubtful"}.get(state, "fault")
+
+
+def _names(outcomes: "Sequence[LimitOutcome]") -> str:
+    names = [shorten(one.what, LONGEST_LIMIT) for one in outcomes[:MOST_NAMED]]
+    rest = f" and {len(outcomes) - MOST_NAMED} more" if len(outcomes) > MOST_NAMED else ""
+    return ", ".join(names) + rest

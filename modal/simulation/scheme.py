@@ -4,8 +4,16 @@
 
 Ad = exp(A dt), and with P1 = int_0^dt exp(A s) ds and P2 = 1/dt int_0^dt exp(A (dt - s)) s ds: B0 = (P1 - P2) B,
 B1 = P2 B, likewise E. All three come from one exponential (Van Loan 1978, https://doi.org/10.1109/TAC.1978.1101743).
+
+Linear recursions dx[k+1] = M[k] dx[k] + b[k+1] over a whole trajectory as one triangular banded solve.
+
+The stacked unknowns obey a unit lower triangular system of bandwidth 2n - 1, which LAPACK's `dtbtrs` solves for all
+right-hand sides at once: no loop over time in Python, whatever the coefficients do.
+
+What a search may cost, in rows of states solved along the records: unlike time, the same on every machine.
 """
 
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +23,7 @@ from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
-__all__ = ["Scheme", "scheme_and_slopes"]
+__all__ = ["Budget", "Scheme", "add_work", "band_of", "scheme_and_slopes", "simulation_work", "solve_band", "work_done"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -102,3 +110,149 @@ def _slope(above: Scheme, below: Scheme, width: float) -> Scheme:
         D=(above.D - below.D) / width,
         G=(above.G - below.G) / width,
     )
+
+
+OVERHEAD = 3000
+"""What a call costs beside its rows, in rows of one state: a march in windows of a few steps is not cheap."""
+
+SHORT = 33_000
+"""Rows of states by which records count as longer: short ones are hardly cheaper, because calls cost most."""
+
+SHARE_OF_A_STAGE = 0.7
+"""Share of what is left for one model that its fits in observer form may cost; of the rest, that its free runs may."""
+
+_done: ContextVar[float] = ContextVar("work done", default=0.0)
+
+
+def add_work(n_times: int, n_states: int) -> None:
+    """Count one solve of a linear recursion.
+
+    Args:
+        n_times: Its length.
+        n_states: Its states; right-hand sides more than one are not counted.
+    """
+    _done.set(_done.get() + n_times * n_states + OVERHEAD)
+
+
+def simulation_work(n_times: int, n_states: int) -> float:
+    """What a simulation along records counts, by and large.
+
+    Args:
+        n_times: Steps of all records.
+        n_states: States of the plant.
+    """
+    return float(n_times * n_states + SHORT)
+
+
+def work_done() -> float:
+    """What this thread has solved so far, in rows of states."""
+    return _done.get()
+
+
+class Budget:
+    """An amount of work from now on, and whether anything was left undone for want of it.
+
+    It remembers, so that who decides at last knows what a search deep below had to leave: one object for all searches
+    of a model along the same records.
+
+    Args:
+        work: In rows of states, as `work_done`; unlimited unless given.
+        whole: What is marked as well where this one is not enough.
+
+    Example:
+        >>> budget = Budget(1000.0)
+        >>> budget.allows(), budget.spent
+        (True, False)
+        >>> add_work(n_times=4000, n_states=2)
+        >>> budget.allows(), budget.spent
+        (False, True)
+    """
+
+    def __init__(self, work: float = np.inf, *, whole: "Budget | None" = None) -> None:
+        self._end = work_done() + work
+        self._whole = whole
+        self._untried, self._spent = np.inf, False
+
+    @property
+    def spent(self) -> bool:
+        """Whether anything was left undone."""
+        return self._spent
+
+    @property
+    def untried(self) -> float:
+        """Effects of the smallest models that were left untried and might matter; infinite where there are none."""
+        return self._untried
+
+    @property
+    def left(self) -> float:
+        """Work left."""
+        return max(self._end - work_done(), 0.0)
+
+    def allows(self) -> bool:
+        """Whether there is work left; who asks and gets False leaves something undone."""
+        if self.left > 0.0:
+            return True
+        self.refuse()
+        return False
+
+    def part(self, share: float) -> "Budget":
+        """A share of what is left now, on its own."""
+        return Budget(share * self.left)
+
+    def stage(self) -> "Budget":
+        """The share of a stage of what is left now; where it is not enough, the whole is marked as well."""
+        return Budget(SHARE_OF_A_STAGE * self.left, whole=self)
+
+    def refuse(self, size: float = 0.0) -> None:
+        """Mark that something is left undone.
+
+        Args:
+            size: Effects of the models that are left untried; infinite where others have made them matter no more.
+        """
+        self._spent = True
+        self._untried = min(self._untried, size)
+        if self._whole is not None:
+            self._whole.refuse(size)
+
+
+def band_of(transitions: FloatArray) -> FloatArray:
+    """The band storage of the recursion.
+
+    Args:
+        transitions: M (n, n, n_times); `transitions[:, :, k]` leads from time k to k + 1, the last one is not used.
+            Zeros at the last time of a record cut the recursion there.
+
+    Returns:
+        (2 n, n_times n) in LAPACK's lower band storage, unit diagonal included.
+    """
+    n, _, n_times = transitions.shape
+    if n == 0:  # nothing is led on
+        return np.zeros((0, 0))
+    band = np.zeros((n_times, n, 2 * n))
+    for row in range(n):
+        for column in range(n):
+            band[:, column, n + row - column] = -transitions[row, column]
+    band[:, :, 0] = 1.0
+    band[-1, :, 1:] = 0.0
+    return band.reshape(n_times * n, 2 * n).T
+
+
+def solve_band(band: FloatArray, forcing: FloatArray) -> FloatArray:
+    """Solve the recursion for several forcings.
+
+    Args:
+        band: From `band_of`.
+        forcing: b (n_columns, n_times, n); `forcing[:, 0]` are the initial states.
+
+    Returns:
+        dx (n_columns, n_times, n).
+    """
+    n_columns, n_times, n = forcing.shape
+    if n == 0 or n_columns == 0:
+        add_work(n_times, 1)
+        return forcing
+    add_work(n_times, n)
+    # Columns first in C order are LAPACK's right-hand sides in Fortran order: no copy.
+    right = np.ascontiguousarray(forcing).reshape(n_columns, n_times * n).T
+    solution, _ = scipy.linalg.lapack.dtbtrs(band, right, uplo="L", diag="U")
+    return np.asarray(solution).T.reshape(n_columns, n_times, n)

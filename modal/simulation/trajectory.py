@@ -1,6 +1,6 @@
 """Simulation by Newton's method on the whole trajectory.
 
-Every step's defect is driven to zero at once: one banded solve an iteration (`modal.simulation.banded`), no loop over
+Every step's defect is driven to zero at once: one banded solve an iteration (`modal.simulation.scheme`), no loop over
 time. From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
 first smoothed and then sharpened, and at last the records are marched through in windows.
 """
@@ -12,12 +12,10 @@ from typing import Literal
 import numpy as np
 
 from modal.effects.effect import jumps
-from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.banded import band_of, solve_band
+from modal.simulation.assembly import Assembly, Unknowns, drive_inputs
 from modal.simulation.drive import Drive
-from modal.simulation.driven import drive_inputs
 from modal.simulation.linearisation import Linearisation, linearise
-from modal.simulation.scheme import Scheme
+from modal.simulation.scheme import Scheme, band_of, solve_band
 from okid.arrays import FloatArray
 
 __all__ = ["SHARP", "Trajectory", "resting_states", "simulate_states"]

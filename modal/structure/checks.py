@@ -7,10 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from okid.arrays import FloatArray, frozen
+from okid.arrays import FloatArray, frozen, real_number
 from okid.errors import InvalidDataError
-from okid.record_checks import check_names, labels
-from okid.scalars import real_number
+from okid.record import check_names, labels
 
 if TYPE_CHECKING:
     from modal.structure.structural_model import SensorKind

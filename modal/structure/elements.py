@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, real_number
 from okid.errors import InvalidDataError
-from okid.scalars import real_number
 
 __all__ = ["Element", "chain_elements", "coupled_elements", "is_network", "named_elements", "relative_vector"]
 

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from modal.effects.catalogue import CATALOGUE
+from modal.effects.catalogue import CATALOGUE, parameter_units
 from modal.effects.effect import Effect, ForceEffect
-from modal.effects.effect_units import parameter_units
 from modal.simulation.plant import Plant
 from modal.structure.elements import relative_vector
 from modal.structure.placed import PlacedEffect

@@ -11,6 +11,8 @@ A small chain in TOML:
     force_dofs = [1]
     sensor_dofs = [0, 1]
     sensor_kind = "acceleration"
+
+What a model that can be kept in a file has: `save` and `load`.
 """
 
 import json
@@ -21,7 +23,7 @@ import tomllib
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +35,7 @@ from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError, UnreadableFileError
 
-__all__ = ["read_model", "write_model"]
+__all__ = ["KeptModel", "read_model", "write_model"]
 
 _MOST_TEXT = 1 << 25
 """Bytes of a text file that are read at most: 32 MiB, a matrix of more than a thousand DOFs."""
@@ -269,3 +271,41 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value).replace("\x7f", "\\u007f")
     return repr(float(value)) if isinstance(value, float) else str(value).lower()
+
+
+class KeptModel:
+    """Saving and loading, for the models that `modal.structure.model_file` knows."""
+
+    __slots__ = ()
+
+    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
+        """Write the model as TOML, JSON or NPZ, by the ending of the path; read it with `load`.
+
+        Args:
+            path: Of the file.
+            existing: "refuse" (an error when the file is there) or "replace".
+
+        Raises:
+            InvalidDataError: Another ending, the file is there already, or it cannot be written.
+        """
+
+        model: Any = self
+        return write_model(model, path, existing=existing)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read such a model from a file.
+
+        Args:
+            path: Of the file.
+
+        Raises:
+            UnreadableFileError: No such file, or one that holds no such model.
+        """
+
+        model = read_model(path)
+        if not isinstance(model, cls):
+            raise UnreadableFileError(
+                f"{path} holds a {type(model).__name__}, not a {cls.__name__}; read it with modal.read_model."
+            )
+        return model

@@ -7,8 +7,8 @@ from typing import Any
 
 from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
 from modal.simulation.plant import Plant, Port
+from okid.arrays import real_number
 from okid.errors import InvalidDataError
-from okid.scalars import real_number
 
 __all__ = ["PlacedEffect", "placed_effect"]
 

@@ -17,18 +17,48 @@ along a sensor.
 References:
     Ewins, Modal Testing, 2nd ed. 2000, sections 2.4 and 2.6 (reciprocity, driving points); Lancaster, Prells,
     Inverse problems for damped vibrating systems, J. Sound Vib. 283, 2005, https://doi.org/10.1016/j.jsv.2004.05.003
+
+What may be wrong in the linear part of a structure: its stiffness and its damping matrix, which stay symmetric.
+
+A spring or damper pushes both its ends with the same force, so a wrong one, wherever it is, changes K or C by a
+symmetric matrix. In coordinates of the undamped modes that is one number a mode and one a pair of modes. Without the
+symmetry, that is with any linear force, a wrong gain of a sensor would be a change of the plant as well: in y' = g y
+it multiplies a row of K by g and divides a column by it. So would a gain of an input, but for its driven place.
+
+What may be wrong in the linear part of a state space: any linear force inside the structure.
+
+A wrong stiffness or damping anywhere in a structure is a force that is linear in the state and that, as any force,
+moves no displacement at once: A becomes A + N F with N spanning the directions that leave the measured displacements
+where they are and F free. Poles and shapes change together, as they do in a structure; changing the poles alone would
+leave a gap of several per cent of a response whose shapes are wrong by as much.
+
+What displacement and velocity each output of a state space shows, and whether there is one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from typing import Literal
 
 import numpy as np
 import scipy
 
-from modal.simulation.tolerances import ROUNDING
+from modal.simulation.plant import LinearParameter
+from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.continuous_time import ContinuousSystem
-from okid.arrays import FloatArray
+from modal.structure.structural_model import SensorKind
+from okid.arrays import TINY, FloatArray
+from okid.errors import InvalidDataError
 
-__all__ = ["Structure", "reciprocal_structure"]
+__all__ = [
+    "INTERNAL_FORCE",
+    "InternalChanges",
+    "OutputMotion",
+    "Structure",
+    "internal_changes",
+    "motion_of_outputs",
+    "reciprocal_structure",
+    "symmetric_changes",
+]
 
 _LIKE = 1e-3
 """Defect of the equations, as a share of what tells one solution from the next: an error of a thousandth in a direction
@@ -197,4 +227,292 @@ def _modes(A: FloatArray, metric: FloatArray, forces: FloatArray) -> Structure |
     modal = shapes.T @ damping @ shapes
     return Structure(
         displacements=shapes.T @ rows, forces=forces @ shapes, stiffness=squares, damping=(modal + modal.T) / 2
+    )
+
+
+_AT_ONCE = 0.5
+"""Share of the largest velocity that an input calls up at any frequency: when it calls up that much at infinite
+frequency, it moves the displacement at once. A structure gives 0, a first-order plant 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OutputMotion:
+    """The motion that an output shows.
+
+    Attributes:
+        nature: "mechanical": it has a displacement that no force moves at once; "shaft": it has a velocity only;
+            "flow": a displacement (level) that a flow moves at once.
+        displacement: Row over [x; u], None for a shaft.
+        velocity: Row over [x; u], None for a flow.
+        driven: (n_states,) what a force changes at once: the velocity's row over x, of a flow the displacement's.
+        direct: (n_states,) how a direction of the states enters the output at once: `driven` for an accelerometer.
+        unit: Unit of its displacement.
+    """
+
+    nature: Literal["mechanical", "shaft", "flow"]
+    displacement: FloatArray | None
+    velocity: FloatArray | None
+    driven: FloatArray
+    direct: FloatArray
+    unit: str
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of a force per effective mass, or of a flow per area."""
+        return f"{self.unit}/s" if self.nature == "flow" else f"{self.unit}/s^2"
+
+    def less(self, other: "OutputMotion") -> "OutputMotion":
+        """The difference to another output of the same nature."""
+        return replace(
+            self,
+            displacement=_difference(self.displacement, other.displacement),
+            velocity=_difference(self.velocity, other.velocity),
+            driven=self.driven - other.driven,
+            direct=self.direct - other.direct,
+        )
+
+
+def motion_of_outputs(
+    system: ContinuousSystem, kinds: tuple[SensorKind, ...], units: tuple[str, ...]
+) -> tuple[OutputMotion, ...]:
+    """The motion that each output shows.
+
+    Args:
+        system: In a form in which the poles stand on the diagonal or near it.
+        kinds: Sensor kind of each output.
+        units: Unit of each output, "" where it is not known (then SI).
+
+    Raises:
+        InvalidDataError: An accelerometer on a system with an integrator that its reading does not show.
+    """
+    return tuple(_motion(system, output, kind, units[output]) for output, kind in enumerate(kinds))
+
+
+def _motion(system: ContinuousSystem, output: int, kind: SensorKind, unit: str) -> OutputMotion:
+    A, B, row, direct = system.A, system.B, system.C[output], system.D[output]
+    none = np.zeros_like(direct)
+    if kind == "displacement":
+        displacement, velocity = np.concatenate([row, direct]), np.concatenate([row @ A, row @ B])
+        held: FloatArray | None = row
+    elif kind == "velocity":
+        held = _antiderivative(system, row, direct)
+        velocity = np.concatenate([row, direct])
+        displacement = velocity if held is None else np.concatenate([held, none])
+    else:
+        rate = _antiderivative(system, row, direct)
+        if rate is None:
+            raise InvalidDataError(
+                f"an integrator needs its displacement or velocity measured, but output {output} is an acceleration of "
+                "a model with a pole at 0; measure one of them, or give the model as StructuralModel."
+            )
+        held = _antiderivative(system, rate, none)
+        velocity = np.concatenate([rate, none])
+        displacement = velocity if held is None else np.concatenate([held, none])
+    n_states = len(A)
+    length = _length_unit(unit, kind)
+    mechanical = held is not None and n_states > 1 and not _moved_at_once(system, held)
+    if not mechanical and kind == "displacement":
+        return OutputMotion(
+            nature="flow", displacement=displacement, velocity=None, driven=row, direct=np.zeros(n_states), unit=length
+        )
+    driven = velocity[:n_states]
+    return OutputMotion(
+        nature="mechanical" if mechanical else "shaft",
+        displacement=displacement if mechanical else None,
+        velocity=velocity,
+        driven=driven,
+        direct=driven if kind == "acceleration" else np.zeros(n_states),
+        unit=length,
+    )
+
+
+def _antiderivative(system: ContinuousSystem, row: FloatArray, direct: FloatArray) -> FloatArray | None:
+    """The row r with d/dt (r x) = row x + direct u; None where an integrator leaves it open."""
+    poles = np.abs(np.linalg.eigvals(system.A))
+    if poles.min() > ROUNDING * poles.max():
+        return np.asarray(np.linalg.solve(system.A.T, row))
+    # r A = row alone leaves r open along what the integrator holds; what the inputs do settles it where it can
+    both = np.hstack([system.A, system.B])
+    wanted = np.concatenate([row, direct])
+    scale = np.maximum(np.linalg.norm(both, axis=0), TINY)
+    found, _, rank, _ = np.linalg.lstsq((both / scale).T, wanted / scale, rcond=1e-12)
+    misfit = np.abs(found @ both - wanted) / scale
+    if rank < len(system.A) or misfit.max() > 1e-6 * np.abs(wanted / scale).max():
+        return None
+    return np.asarray(found)
+
+
+def _moved_at_once(system: ContinuousSystem, row: FloatArray) -> bool:
+    """Whether the inputs move row x at once, as they move a level, and not through its velocity."""
+    size = np.linalg.norm(system.B, axis=0)
+    at_once = np.divide(row @ system.B, size, out=np.zeros_like(size), where=size > 0)
+    poles = np.abs(np.linalg.eigvals(system.A))
+    poles = poles[poles > ROUNDING * poles.max()]
+    if poles.size == 0 or not size.any():
+        return False
+    span = np.geomspace(poles.min() / 10, poles.max() * 10, 400)
+    angular = np.unique(np.concatenate([span, *(poles * factor for factor in (0.98, 1.0, 1.02))]))
+    moved = ContinuousSystem(A=system.A, B=system.B, C=row[None], D=np.zeros((1, len(size)))).response(angular)
+    velocity = angular[:, None] * np.abs(moved[:, 0])
+    velocity = np.divide(velocity, size, out=np.zeros_like(velocity), where=size > 0)
+    return bool(np.linalg.norm(at_once) > _AT_ONCE * np.linalg.norm(velocity.max(axis=0)))
+
+
+def _difference(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+    return None if first is None or second is None else first - second
+
+
+def _length_unit(unit: str, kind: SensorKind) -> str:
+    """The unit of the displacement behind a reading; SI where the reading's unit is not known."""
+    suffixes: dict[SensorKind, tuple[str, ...]] = {
+        "displacement": ("",),
+        "velocity": ("/s",),
+        "acceleration": ("/s^2", "/s**2", "/s2", "/s²"),
+    }
+    if not unit:
+        return "m"
+    for suffix in suffixes[kind]:
+        if unit.endswith(suffix):
+            return unit.removesuffix(suffix)
+    return f"{unit} s" if kind == "velocity" else f"{unit} s^2"
+
+
+INTERNAL_FORCE = "internal force"
+"""How the names of these parameters begin."""
+
+MOST = 80
+"""Entries of F at most; with more only the poles are calibrated."""
+
+STILL = 1e-7
+REACH = 10.0
+"""Hard bounds, in standard deviations of the prior."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class InternalChanges:
+    """Entries of F as linear parameters.
+
+    Attributes:
+        parameters: One an entry.
+        slopes: (n_parameters, n_states + n_outputs, n_states) derivative of [A; C].
+    """
+
+    parameters: tuple[LinearParameter, ...]
+    slopes: FloatArray
+
+
+def internal_changes(
+    A: FloatArray, free: FloatArray, motions: tuple[OutputMotion, ...], *, tolerance: float
+) -> InternalChanges | None:
+    """The entries of F, each zero in the model as given.
+
+    Args:
+        A: (n_states, n_states) in real modal form.
+        free: (n_states, n_free) directions that leave the measured displacements where they are.
+        motions: What the outputs show.
+        tolerance: Standard deviation of the prior, as a share of the linear forces that the model has.
+
+    Returns:
+        The parameters; None for plants that are no structure, have rigid-body motion, or need more than 80 entries.
+    """
+    n_states, n_free = free.shape
+    if n_states < 2 or n_states * n_free > MOST or any(one.nature != "mechanical" for one in motions):
+        return None
+    poles = np.abs(np.linalg.eigvals(A))
+    if poles.min() <= STILL * poles.max():  # rigid-body motion: a spring to nowhere would be added
+        return None
+    direct = np.array([one.direct for one in motions])
+    parameters, slopes = [], []
+    for a in range(n_free):
+        scale = tolerance * float(np.linalg.norm(free[:, a] @ A)) / np.sqrt(2.0)
+        column = np.concatenate([free[:, a], direct @ free[:, a]])
+        for b in range(n_states):
+            change = np.zeros((len(column), n_states))
+            change[:, b] = column
+            slopes.append(change)
+            parameters.append(
+                LinearParameter(
+                    name=f"{INTERNAL_FORCE} {a + 1} by modal state {b + 1}",
+                    unit="1/s",
+                    nominal=0.0,
+                    deviation=scale,
+                    lower=-REACH * scale,
+                    upper=REACH * scale,
+                )
+            )
+    return InternalChanges(parameters=tuple(parameters), slopes=np.array(slopes))
+
+
+_REACH, _DAMPING_REACH = 3.0, 10.0
+"""Hard bounds, in standard deviations of the prior, and those of a mode's damping, which is often no more than a guess.
+Beside the diagonal three deviations are about what leaves a damping matrix positive, sqrt(C_aa C_bb)."""
+
+_UNDAMPED = 1e-6
+"""Damping ratio below which a mode counts as undamped."""
+
+
+def symmetric_changes(
+    A: FloatArray,
+    structure: Structure,
+    motions: tuple[OutputMotion, ...],
+    *,
+    frequency_tolerance: float,
+    damping_tolerance: float,
+) -> InternalChanges | None:
+    """The entries of the modal stiffness and damping matrices.
+
+    The prior is that of a change whose entries, in units in which the matrix is one, are independent with a deviation
+    smaller by sqrt(2) beside the diagonal: the one such prior that is the same in any coordinates of the modes.
+
+    Args:
+        A: (n_states, n_states) of the state space.
+        structure: The structure behind it.
+        motions: What the outputs show.
+        frequency_tolerance: Standard deviation of the prior on a natural frequency, as a share of it.
+        damping_tolerance: Relative standard deviation of the prior on a modal damping.
+
+    Returns:
+        The parameters; None where they would be more than 80.
+    """
+    n_modes = structure.n_modes
+    if n_modes * (n_modes + 1) > MOST:
+        return None
+    natural = np.sqrt(structure.stiffness)
+    damped = np.diag(structure.damping)
+    damping = np.where(damped > 2 * _UNDAMPED * natural, damping_tolerance * damped, 2 * UNDAMPED_DEVIATION * natural)
+    direct = np.array([one.direct for one in motions]) @ structure.forces
+    entering = np.vstack([structure.forces, direct])
+    kinds = (
+        ("stiffness", "1/s^2", np.diag(structure.stiffness), 2 * frequency_tolerance * structure.stiffness, _REACH, 0),
+        ("damping", "1/s", structure.damping, damping, _DAMPING_REACH, 1),
+    )
+    parameters, slopes = [], []
+    for word, unit, matrix, spread, reach, power in kinds:
+        rows = structure.displacements @ np.linalg.matrix_power(A, power)
+        for a, b in combinations_with_replacement(range(n_modes), 2):
+            change = np.outer(entering[:, a], rows[b])
+            slopes.append(-change if a == b else -(change + np.outer(entering[:, b], rows[a])))
+            where = f"of mode {a + 1} ({natural[a] / (2 * np.pi):.4g} Hz)"
+            parameters.append(
+                _entry(
+                    f"{word} {where}" if a == b else f"{word} between modes {a + 1} and {b + 1}",
+                    unit,
+                    nominal=float(matrix[a, b]),
+                    deviation=float(np.sqrt(spread[a] * spread[b]) * (1.0 if a == b else np.sqrt(0.5))),
+                    reach=reach if a == b else _REACH,
+                    least=0.0 if a == b else -np.inf,
+                )
+            )
+    return InternalChanges(parameters=tuple(parameters), slopes=np.array(slopes))
+
+
+def _entry(name: str, unit: str, *, nominal: float, deviation: float, reach: float, least: float) -> LinearParameter:
+    """Within so many deviations of its nominal value, and what stands on the diagonal never negative."""
+    return LinearParameter(
+        name=name,
+        unit=unit,
+        nominal=nominal,
+        deviation=deviation,
+        lower=min(max(nominal - reach * deviation, least), nominal),
+        upper=nominal + reach * deviation,
     )

@@ -25,7 +25,7 @@ from modal.structure.checks import (
     tolerance,
 )
 from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
-from modal.structure.kept_model import KeptModel
+from modal.structure.model_file import KeptModel
 from okid.arrays import ComplexArray, FloatArray, frozen
 
 if TYPE_CHECKING:

@@ -3,12 +3,19 @@
 After OKID the Markov parameters *are* a sum of exponentials, so the classical indicators test how well a mode repeats
 the observer, not the data. Repeatability asks the data: identify again with half of them, with another observer order
 and ridge, with other model orders, and take the mean overlap of the mode's pulse response with its continuation
-(`modal.modes.overlap`). The three kinds of change have equal weight, however many runs each has.
+(`modal.modes.shape_comparison`). The three kinds of change have equal weight, however many runs each has.
 
 Found again is not enough: hum is, and so is what describes coloured noise. `modal.verdict.probability` weighs r together with
 how much of the outputs the mode's answer to the inputs explains.
 
 A line that the input does not drive (hum), and a pole in the edge of a decimation filter, are never more than doubtful.
+
+One resonance modelled by several poles: judged as what it is, one response in one narrow band.
+
+A structure that is not quite linear, or whose resonance wanders during the record, is fitted best by two or three poles
+side by side with the same shape. How the response is shared among them is chance, so none of them is found again alone;
+their sum is. Modes within each other's half-power bandwidth that have the same shape form a group, led by the one with
+the most energy, and the group's summed pulse response is compared with the sum of the same band in the other runs.
 """
 
 from collections.abc import Sequence
@@ -19,24 +26,95 @@ import numpy as np
 
 from modal.modes.extraction import NOT_JUDGED, remarks
 from modal.modes.mode import ModalModel, Mode, Verdict
-from modal.modes.overlap import Pulses, Repeatability, energies, pulses, repeatability
-from modal.modes.shape_comparison import assurance
-from modal.verdict.damping import damping_doubt
-from modal.verdict.doubts import (
+from modal.modes.shape_comparison import (
+    Pulses,
+    Repeatability,
+    assurance,
+    energies,
+    inner_products,
+    pulses,
+    repeatability,
+)
+from modal.verdict.excitation import undriven_doubt
+from modal.verdict.probability import (
     colour_doubt,
+    damping_doubt,
     delay_doubt,
     edge_doubt,
     excitation_doubt,
+    f_ratio,
     poor_fit_doubt,
+    probability,
     unexcited_doubt,
 )
-from modal.verdict.excitation import undriven_doubt
-from modal.verdict.probability import f_ratio, probability
-from modal.verdict.resonance import group_overlaps, groups
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
 
-__all__ = ["Change", "Rerun", "Reruns", "judge"]
+__all__ = ["Change", "Rerun", "Reruns", "group_overlaps", "groups", "judge"]
+
+LEAST_BAND = 0.01
+"""Poles closer than this share of the frequency belong to one resonance whatever their damping."""
+LARGEST_BAND = 0.05
+"""Poles further apart than this never do: a heavily damped pole would swallow its neighbours."""
+SAME_SHAPE = 0.95
+
+
+def groups(modes: Sequence[Mode], reference: Pulses, *, n_steps: int) -> dict[int, tuple[int, ...]]:
+    """Leader and members (leader included) of each group of at least two oscillatory modes.
+
+    Args:
+        modes: of one model.
+        reference: their pulse responses.
+        n_steps: length of the pulse responses in samples.
+    """
+    found: dict[int, tuple[int, ...]] = {}
+    free = {i for i, mode in enumerate(modes) if mode.kind == "oscillatory"}
+    size = np.nan_to_num(energies(reference, n_steps=n_steps))
+    for leader in sorted(free, key=lambda i: -size[i]):
+        if leader not in free:
+            continue
+        near = _in_band(modes[leader], reference, leader, modes, reference)
+        members = tuple(i for i in range(len(modes)) if near[i] and i in free)
+        free -= set(members)
+        if len(members) > 1:
+            found[leader] = members
+    return found
+
+
+def group_overlaps(
+    leader: int,
+    members: Sequence[int],
+    modes: Sequence[Mode],
+    reference: Pulses,
+    runs: Sequence[tuple[Sequence[Mode], Pulses]],
+    *,
+    n_steps: int,
+) -> FloatArray:
+    """(n_runs,) overlap of the group's summed pulse response with that of the same band and shape in each run."""
+    group = np.array(members, dtype=np.intp)
+    own = inner_products(reference, reference, n_steps=n_steps)[np.ix_(group, group)].sum()
+    overlaps = np.zeros(len(runs))
+    for i, (again, pulses_again) in enumerate(runs):
+        if not again:
+            continue
+        near = np.flatnonzero(_in_band(modes[leader], reference, leader, again, pulses_again))
+        theirs = inner_products(pulses_again, pulses_again, n_steps=n_steps)[np.ix_(near, near)].sum()
+        both = inner_products(reference, pulses_again, n_steps=n_steps)[np.ix_(group, near)].sum()
+        largest = max(own, theirs)
+        overlaps[i] = np.clip(np.nan_to_num(both / largest), 0.0, 1.0) if largest > 0 else 0.0
+    return overlaps
+
+
+def _in_band(mode: Mode, reference: Pulses, index: int, others: Sequence[Mode], their_pulses: Pulses) -> BoolArray:
+    """Which of the others lie within the half-power bandwidth of the mode (or it in theirs), with its shape."""
+    frequency = np.array([other.frequency for other in others])
+    damping = np.array([max(0.0, other.damping_ratio) for other in others])
+    oscillatory = np.array([other.kind == "oscillatory" for other in others])
+    band = np.clip(0.5 * (damping + max(0.0, mode.damping_ratio)), LEAST_BAND, LARGEST_BAND)
+    same = assurance(reference.outputs[:, [index]], their_pulses.outputs)[0] >= SAME_SHAPE
+    near: BoolArray = (np.abs(frequency - mode.frequency) <= band * mode.frequency) & same & oscillatory
+    return near
+
 
 Change = Literal["data", "observer", "lower order", "higher order"]
 """What a rerun changed: the rows it saw, observer order and ridge, or the model order."""
@@ -53,7 +131,6 @@ HARDLY_DRIVEN = 5.0
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
-SAME_SHAPE = 0.95
 
 GROUPS: dict[str, tuple[Change, ...]] = {
     "halves of the data": ("data",),
@@ -115,11 +192,11 @@ def judge(
 
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for p
     >= 0.8 where no kind of change leaves less than 0.42, "noise" for p < 0.05, else "doubtful". At most doubtful are:
-    a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of `modal.verdict.doubts` or
-    `modal.verdict.excitation`. Poles side by side that share one resonance are judged together (`modal.verdict.resonance`). A real pole is
+    a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of `modal.verdict.probability` or
+    `modal.verdict.excitation`. Poles side by side that share one resonance are judged together (`modal.verdict.judgement`). A real pole is
     judged like the others but named as what it is.
 
-    Whether the damping of an oscillatory mode is resolved: see `modal.verdict.damping`.
+    Whether the damping of an oscillatory mode is resolved: see `modal.verdict.probability`.
 
     Args:
         model: from `modal.extract_modes`.

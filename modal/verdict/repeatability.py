@@ -15,10 +15,9 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import hankel_limits, markov_lags, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import in_units, scaled_model
+from modal.estimation.modal_parameters import in_units, scaled_model, starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import NONE, OutputError, refine
-from modal.estimation.starting import starting_parameters
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
@@ -27,9 +26,9 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
+from okid.markov import recover_markov
 from okid.observer import observer_fit
 from okid.record import Record
-from okid.recovery import recover_markov
 from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 

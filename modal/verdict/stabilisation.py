@@ -4,7 +4,7 @@ Two questions are asked of each pole. Does it continue a pole of the order below
 than the decomposition, and poles of a long observer answer it too well: all orders see the same data. Is it found
 again from halves of the data and with another observer (`repeatability`)? That one needs the reruns of
 `modal.verdict.repeatability`, which are there anyway for the verdict. Both are closed-form overlaps of pulse responses
-(`modal.modes.overlap`), paired one to one within an order.
+(`modal.modes.shape_comparison`), paired one to one within an order.
 
 A lower order is a corner of the highest one, so an order costs one eigenvalue decomposition of a small matrix. All
 poles of all orders then stand in one modal basis, their vectors filled up with zeros to the highest order, and what
@@ -20,10 +20,9 @@ from era.realisation import Realisation
 from modal.identification.result import StabilisationPoint
 from modal.modes.indicators import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
-from modal.modes.overlap import Pulses, energies, inner_products, pair_greatest_first, pulses
+from modal.modes.shape_comparison import Pulses, energies, inner_products, pair_greatest_first, pulses
 from modal.verdict.judgement import Change, Reruns
-from okid.arrays import FloatArray
-from okid.scalars import whole_number
+from okid.arrays import FloatArray, whole_number
 
 __all__ = ["stabilisation"]
 
@@ -129,7 +128,7 @@ def _corner(realisation: Realisation, order: int) -> Realisation:
 def _responses(basis: ModalBasis, output_scale: FloatArray, input_scale: FloatArray | None) -> Pulses:
     """Pulse responses in scaled channels; without `input_scale` free responses."""
     outputs, inputs = basis.outputs, basis.inputs
-    if input_scale is None:  # as `modal.modes.overlap.pulses` has it for the modes of a rerun
+    if input_scale is None:  # as `modal.modes.shape_comparison.pulses` has it for the modes of a rerun
         outputs = outputs / largest_component(outputs)
         inputs = np.ones((outputs.shape[1], 1), dtype=np.complex128)
     else:
@@ -187,7 +186,7 @@ def _repeatability(realisation: Realisation, basis: ModalBasis, levels: Sequence
 
 
 def _shares(inner: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """`modal.modes.overlap.overlap_matrix` from inner products and energies that are known already."""
+    """`modal.modes.shape_comparison.overlap_matrix` from inner products and energies that are known already."""
     largest = np.maximum(first[:, np.newaxis], second)
     with np.errstate(invalid="ignore"):  # a growing pole's pulse response may be too large for a float
         share = np.divide(inner, largest, out=np.zeros_like(inner), where=largest > 0)

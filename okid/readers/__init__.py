@@ -9,10 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from okid.errors import InvalidDataError
-from okid.readers.assembly import to_record
-from okid.readers.description import FileDescription, describe_file, describe_table
-from okid.readers.dispatch import read_table
-from okid.readers.joining import records_of_tables
+from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
+from okid.readers.joining import records_of_tables, to_record
 from okid.readers.table import Table
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record

@@ -1,20 +1,25 @@
-"""From a path to a table, by file type."""
+"""From a path to a table, by file type.
+
+What a file holds, in words: channels, units and what was done to them.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from okid.errors import UnreadableFileError
+from okid.readers.arrays import read_npy, read_npz
 from okid.readers.guard import check_file
 from okid.readers.mat import read_mat
-from okid.readers.numpy_files import read_npy, read_npz
 from okid.readers.parquet import read_parquet
-from okid.readers.table import Table
+from okid.readers.table import LeftOut, Table, stated_step
 from okid.readers.tdms import read_tdms
 from okid.readers.text import read_text
 from okid.readers.uff import read_uff
+from okid.readers.units import UnitConversion, convert_unit
 
-__all__ = ["READERS", "read_table"]
+__all__ = ["FileDescription", "READERS", "describe_file", "describe_table", "read_table"]
 
 READERS: Mapping[str, Callable[[Path], Table]] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), read_text),
@@ -54,3 +59,88 @@ def read_table(path: str | Path) -> Table:
     if table.n_samples == 0:
         raise UnreadableFileError(f"{path.name} has columns ({', '.join(table.names[:8])}) but no samples.")
     return table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileDescription:
+    """What a file holds.
+
+    Args:
+        path: the file.
+        format: what it is, in words.
+        n_samples: number of rows.
+        dt: time step [s], None if the file gives none.
+        channels: one a channel: name, unit as written, unit in the record, and what turns one into the other.
+        inputs: names of the inputs, if the file itself tells them apart, else None.
+        outputs: likewise.
+        left_out: what else is in the file, and why it is no channel.
+    """
+
+    path: Path
+    format: str
+    n_samples: int
+    dt: float | None
+    channels: tuple[UnitConversion, ...]
+    inputs: tuple[str, ...] | None
+    outputs: tuple[str, ...] | None
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """One sentence for each way in which units were converted or kept; channels treated alike share one."""
+        groups: dict[tuple[str, str, str, float, float], list[UnitConversion]] = {}
+        for conversion in self.channels:
+            if conversion.changed or conversion.note:
+                key = (conversion.written, conversion.unit, conversion.note, conversion.factor, conversion.offset)
+                groups.setdefault(key, []).append(conversion)
+        remarks = [_shared(group) for group in groups.values()]
+        return (*remarks, *(f"{left.name} left out: {left.reason}" for left in self.left_out))
+
+    def __str__(self) -> str:
+        step = "no time step" if self.dt is None else f"dt {self.dt:.6g} s"
+        channels = "1 channel" if len(self.channels) == 1 else f"{len(self.channels)} channels"
+        head = f"{self.path.name}: {self.format}, {channels}, {self.n_samples} samples, {step}"
+        return "; ".join((head, *self.remarks))
+
+
+def describe_file(path: str | Path) -> FileDescription:
+    """What a file holds and what `read_record` makes of its units.
+
+    Args:
+        path: the file.
+
+    Raises:
+        UnreadableFileError: the file cannot be read.
+        InvalidDataError: its time column is no uniform grid.
+    """
+    return describe_table(read_table(path))
+
+
+def describe_table(table: Table) -> FileDescription:
+    """The description of a table that has been read already.
+
+    Args:
+        table: of one file.
+
+    Raises:
+        InvalidDataError: its time column is no uniform grid.
+    """
+    step, _ = stated_step(table)
+    columns = [table.columns[index] for index in table.channels()]
+    return FileDescription(
+        path=table.path,
+        format=table.format,
+        n_samples=table.n_samples,
+        dt=step,
+        channels=tuple(convert_unit(column.name, column.unit) for column in columns),
+        inputs=table.inputs,
+        outputs=table.outputs,
+        left_out=table.left_out,
+    )
+
+
+def _shared(group: list[UnitConversion]) -> str:
+    names = ", ".join(conversion.channel for conversion in group[:4])
+    more = f" and {len(group) - 4} more" if len(group) > 4 else ""
+    _, _, rest = str(group[0]).partition(f"{group[0].channel}: ")
+    return f"{names}{more}: {rest}"

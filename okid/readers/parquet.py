@@ -7,8 +7,7 @@ import numpy as np
 
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
-from okid.readers.headers import split_header, unique_names
-from okid.readers.table import Column, LeftOut, Table
+from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
 
 __all__ = ["read_parquet"]
 

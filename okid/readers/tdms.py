@@ -7,8 +7,7 @@ import numpy as np
 
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line, require
-from okid.readers.headers import unique_names
-from okid.readers.table import Column, LeftOut, Table
+from okid.readers.table import Column, LeftOut, Table, unique_names
 
 __all__ = ["read_tdms"]
 

@@ -2,26 +2,248 @@
 
 The layout is found from the first megabyte; the numbers are then read by pyarrow, in several threads. Only where that
 fails is the text looked through line by line, to say which cell is at fault.
+
+Cells of a text table: how a line is cut, and what is a number, a missing value, or text.
+
+The layout of a text table: delimiter, decimal sign, where the numbers begin, what the columns are called.
+
+The dialect is the one under which the most lines after the first line of numbers are lines of as many numbers. What
+stands before that line is the header (the last line of as many names), a line of units below it if there is one, and
+remarks, which are left alone.
 """
 
 import codecs
+import csv
 import io
+import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
-from okid.readers.headers import split_header, unique_names
-from okid.readers.table import Column, Table
-from okid.readers.text_cells import MISSING, Dialect, is_missing, is_number, split_cells
-from okid.readers.text_layout import TextLayout, find_layout
+from okid.readers.table import Column, Table, looks_like_unit, split_header, unique_names
 
-__all__ = ["read_text"]
+__all__ = ["Dialect", "MISSING", "TextLayout", "find_layout", "is_missing", "is_number", "read_text", "split_cells"]
+
+MISSING = (
+    *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),
+    *("nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND"),
+)
+"""Spellings of a missing value that programs write."""
+
+_NUMBER = {
+    ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|Inf|INF|infinity|Infinity)"),
+    ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|Inf|INF)"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """Delimiter (" " stands for any run of blanks) and decimal sign of a text table."""
+
+    delimiter: Literal[",", ";", "\t", "|", " "]
+    decimal: Literal[".", ","]
+
+
+def split_cells(line: str, dialect: Dialect) -> list[str]:
+    """The cells of one line, without quotes and surrounding blanks."""
+    if dialect.delimiter == " ":
+        return line.split()
+    try:
+        cells = next(csv.reader([line], delimiter=dialect.delimiter, skipinitialspace=dialect.delimiter != "\t"), [])
+    except csv.Error:  # a cell beyond the module's limit of 128 KiB: no table
+        return [line]
+    return [cell.strip() for cell in cells]
+
+
+def is_number(cell: str, dialect: Dialect) -> bool:
+    """True for a number as the dialect writes it."""
+    return _NUMBER[dialect.decimal].fullmatch(cell) is not None
+
+
+def is_missing(cell: str) -> bool:
+    """True for an empty cell and the spellings of `MISSING`."""
+    return cell in MISSING
+
+
+# In order of trust; the first of equals wins.
+DIALECTS = (
+    *(Dialect(",", "."), Dialect(";", "."), Dialect(";", ","), Dialect("\t", "."), Dialect("\t", ",")),
+    *(Dialect("|", "."), Dialect(" ", "."), Dialect(" ", ","), Dialect(",", ",")),
+)
+MAX_REMARKS = 1000
+"""Lines that may stand before the first number."""
+
+LINES_COMPARED = 200
+_COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
+_TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
+_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
+_HEADER_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextLayout:
+    """How to read a text table.
+
+    Args:
+        dialect: delimiter and decimal sign.
+        first_line: index of the first line of numbers.
+        headers: one a column, with their units; () if the table has no header.
+        n_columns: number of columns.
+    """
+
+    dialect: Dialect
+    first_line: int
+    headers: tuple[str, ...]
+    n_columns: int
+
+
+def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
+    """The layout of a text table from its first lines.
+
+    Raises:
+        UnreadableFileError: no line of numbers, or a header that does not fit the numbers below it.
+    """
+    found = [
+        (_score(lines, dialect, start), dialect, start) for dialect in DIALECTS if (start := _start(lines, dialect))
+    ]
+    if not found:
+        _refuse_text_column(lines, file_name)
+        shown = next((line.strip() for line in lines if line.strip()), "")[:60]
+        n_lines = min(len(lines), MAX_REMARKS)
+        searched = "in its only line" if n_lines == 1 else f"among its first {n_lines} lines"
+        raise UnreadableFileError(
+            f"{file_name} holds no row of numbers {searched} (it begins with {shown!r}); a record is a table "
+            "of numbers, one row a sample, one column a channel."
+        )
+    _, dialect, (first_line, n_columns) = max(found, key=lambda candidate: candidate[0])
+    headers = _headers(lines, first_line, n_columns, dialect, file_name)
+    return TextLayout(dialect=dialect, first_line=first_line, headers=headers, n_columns=n_columns)
+
+
+def _start(lines: Sequence[str], dialect: Dialect) -> tuple[int, int] | None:
+    """First line of numbers only that is followed by one like it (or by none), and its number of cells."""
+    for index, line in enumerate(lines[:MAX_REMARKS]):
+        cells = split_cells(line, dialect)
+        if not _all_numbers(cells, dialect):
+            continue
+        after = next((later for later in lines[index + 1 :] if later.strip()), None)
+        below = cells if after is None else split_cells(after, dialect)
+        if len(below) == len(cells) and any(is_number(cell, dialect) or is_missing(cell) for cell in below):
+            return index, len(cells)
+    return None
+
+
+def _all_numbers(cells: Sequence[str], dialect: Dialect) -> bool:
+    numbers = [is_number(cell, dialect) for cell in cells]
+    return any(numbers) and all(number or is_missing(cell) for number, cell in zip(numbers, cells, strict=True))
+
+
+def _score(lines: Sequence[str], dialect: Dialect, start: tuple[int, int]) -> tuple[int, bool, int]:
+    first, n_columns = start
+    alike = 0
+    for line in lines[first : first + LINES_COMPARED]:
+        cells = split_cells(line, dialect)
+        alike += len(cells) == n_columns and _all_numbers(cells, dialect)
+    above = [line for line in lines[:first] if line.strip()]
+    return alike, bool(above) and _fits(above[-1], n_columns, dialect), n_columns
+
+
+def _headers(
+    lines: Sequence[str], first_line: int, n_columns: int, dialect: Dialect, file_name: str
+) -> tuple[str, ...]:
+    above = [(number, line) for number, line in enumerate(lines[:first_line], start=1) if line.strip()]
+    if not above:
+        return ()
+    number, last = above[-1]
+    names = _names_in(last, n_columns, dialect)
+    cells = split_cells(last, dialect)
+    if len(cells) != n_columns and len(cells) > 1 and _all_numbers(cells, dialect):
+        raise UnreadableFileError(
+            f"line {number} of {file_name} holds {len(cells)} cells, but the rows below it hold {n_columns}; every row "
+            "must have as many, and the cell of a missing sample is left empty."
+        )
+    if names is None:
+        count = len(cells)
+        if count > 1 and n_columns > 1 and not _COMMENT.match(last):
+            raise UnreadableFileError(
+                f"line {number} of {file_name} names {count} columns, but the rows below it hold {n_columns} numbers; "
+                "give every column a name."
+            )
+        return ()
+    before = _names_in(above[-2][1], n_columns, dialect) if len(above) > 1 else None
+    if before and _is_header(before, dialect):
+        if not _is_header(names, dialect):
+            _refuse_text(names, before, number, dialect, file_name)
+        if _is_units_row(before, names):
+            return tuple(f"{name} [{unit.strip('[]()')}]" for name, unit in zip(before, names, strict=True))
+    return tuple(names)
+
+
+def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
+    return not any(is_number(cell, dialect) for cell in cells)
+
+
+def _is_units_row(header: Sequence[str], below: Sequence[str]) -> bool:
+    """True if `below` are the units of `header`: a unit of time under "time", or units and nothing else."""
+    for name, unit in zip(header, below, strict=True):
+        if _TIME_HEADER.match(name) and unit.strip("[]() ") in _TIME_UNITS:
+            return True
+    units = [unit.strip("[]() ") for unit in below if unit]
+    return all(map(looks_like_unit, units)) and not any(map(looks_like_unit, header))
+
+
+def _names_in(line: str, n_columns: int, dialect: Dialect) -> list[str] | None:
+    """The line's cells if they can be names of `n_columns` columns."""
+    text = _COMMENT.sub("", line).rstrip("\r\n")
+    if n_columns == 1:
+        return [text.strip().strip('"')]
+    trials = [dialect, *DIALECTS]
+    if dialect.delimiter == " ":  # numpy writes "# time, u, y" above columns cut by blanks
+        trials.append(trials.pop(0))
+    for trial in trials:
+        cells = _HEADER_WORD.findall(text) if trial.delimiter == " " else split_cells(text, trial)
+        if len(cells) == n_columns:
+            return list(cells)
+        if len(cells) == n_columns - 1 and trial == dialect and trial.delimiter != " ":
+            return [*cells, ""]  # rows that end with a delimiter have one empty cell more
+    return None
+
+
+def _fits(line: str, n_columns: int, dialect: Dialect) -> bool:
+    """True if the line names as many columns, cut by the dialect's own delimiter."""
+    text = _COMMENT.sub("", line).rstrip("\r\n")
+    if n_columns == 1:
+        return len(split_cells(text, Dialect(",", "."))) == 1
+    return len(_HEADER_WORD.findall(text) if dialect.delimiter == " " else split_cells(text, dialect)) == n_columns
+
+
+def _refuse_text(cells: Sequence[str], header: Sequence[str], number: int, dialect: Dialect, file_name: str) -> None:
+    for name, cell in zip(header, cells, strict=True):
+        if not is_number(cell, dialect) and not is_missing(cell):
+            raise UnreadableFileError(
+                f"line {number}, column {name!r} of {file_name} holds {cell[:40]!r} where a number is expected; "
+                "correct it, or leave the cell empty if the sample is missing."
+            )
+
+
+def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
+    """Name the column of text (dates, labels) in a table that is numbers but for it."""
+    for dialect in DIALECTS[:-1]:
+        for number, (line, below) in enumerate(itertools.pairwise(lines[:MAX_REMARKS]), start=1):
+            cells, cells_below = split_cells(line, dialect), split_cells(below, dialect)
+            numbers = [is_number(cell, dialect) for cell in cells]
+            if any(numbers) and numbers == [is_number(cell, dialect) for cell in cells_below]:
+                header = _names_in(lines[number - 2], len(cells), dialect) if number > 1 else None
+                names = header or [f"column_{index}" for index in range(len(cells))]
+                _refuse_text(cells, names, number, dialect, file_name)
+
 
 SAMPLE_BYTES = 1 << 20
 """How much of a file is looked at to find its layout; no line may be longer."""

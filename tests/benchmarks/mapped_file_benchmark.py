@@ -51,9 +51,9 @@ def anonymous_megabytes():
 
 
 def measure(path, n_samples, n_inputs, n_outputs, order):
+    from okid.markov import recover_markov
     from okid.observer import fit_observer
     from okid.record import Record
-    from okid.recovery import recover_markov
 
     peak, done = [anonymous_megabytes()], threading.Event()
     before = peak[0]

@@ -26,11 +26,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
-    "okid/observer.py", "okid/recovery.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
-    "era/decomposition.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
+    "okid/observer.py", "okid/markov.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
+    "era/balanced.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
 )  # fmt: skip
 ALSO = {
-    "era/decomposition.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),
+    "era/balanced.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""
@@ -40,7 +40,7 @@ EQUIVALENT = {
     ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
         "one lag more than needed meets no row and column"
     ),
-    ("era/decomposition.py", "order: int = self.A.shape[0]", "one more"): "A is square",
+    ("era/balanced.py", "order: int = self.A.shape[0]", "one more"): "A is square",
     ("era/balanced.py", "largest = found.singular_values[0] if found.singular_values.size else 0.0", "a tenth more"): (
         "without singular values the sentence says 0 of nothing"
     ),

@@ -44,9 +44,9 @@ def make_case(n_outputs, n_inputs, n_samples, path):
 
 
 def ours(u, y):
+    from okid.markov import recover_markov
     from okid.observer import fit_observer
     from okid.record import Record
-    from okid.recovery import recover_markov
 
     record = Record(u, y, 0.01)
     return lambda: recover_markov(fit_observer(record, order=ORDER), n_lags=N_LAGS).system

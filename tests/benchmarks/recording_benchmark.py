@@ -2,7 +2,7 @@
 
     python tests/benchmarks/recording_benchmark.py [--samples 1000000] [--inputs 2] [--outputs 6] [--folder DIR]
 
-The budget, stated in modal/recording/levels.py: 8 channels of a million samples make a file of less than 100 MB,
+The budget, stated in modal/recording/series.py: 8 channels of a million samples make a file of less than 100 MB,
 written in less than 5 s; the look at the data quality is part of it. Exit status 1 where either is not met. Judged is
 the processor time of all threads, which is what the clock shows where nothing else runs. What is recorded is made by
 hand in tests/modal/recording/conftest.py, so nothing else is timed.

@@ -85,10 +85,9 @@ def ours(path):
     from modal.modes.extraction import extract_modes
     from modal.verdict.judgement import Rerun, Reruns
     from modal.verdict.stabilisation import stabilisation
-    from okid.markov import MarkovParameters
+    from okid.markov import MarkovParameters, recover_markov
     from okid.observer import fit_observer
     from okid.record import Record
-    from okid.recovery import recover_markov
 
     with np.load(path) as stored:
         pulses = list(stored["pulses"])
@@ -173,9 +172,9 @@ def points_of_one_system(seed):
     from era.balanced import decompose, realise_from
     from modal.verdict.repeatability import repeat
     from modal.verdict.stabilisation import stabilisation
+    from okid.markov import recover_markov
     from okid.observer import fit_observer
     from okid.record import Record
-    from okid.recovery import recover_markov
 
     rng = np.random.default_rng(seed)
     truth = random_system(rng, n_modes=4)

@@ -10,10 +10,9 @@ from systems import chain_matrices, markov, modal_system, random_system, structu
 
 from era.balanced import decompose, realise, realise_from
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 
 
 def parameters_of(system, n_lags=80, **extra):

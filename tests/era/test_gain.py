@@ -7,10 +7,9 @@ import systems
 from noisy import noisy_data, noisy_system
 from systems import random_system
 
-from era.gain import estimate_gain, gain_from_innovations
+from era.gain import estimate_gain, gain_from_innovations, stabilised_gain
 from era.kalman import innovations
 from era.realisation import Realisation
-from era.riccati import stabilised_gain
 from okid.errors import InvalidDataError
 from okid.record import Record
 

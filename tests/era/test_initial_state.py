@@ -6,9 +6,8 @@ import scipy
 import systems
 from systems import random_system
 
-from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
-from era.simulation import simulate
+from era.simulation import estimate_initial_state, simulate
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

@@ -7,7 +7,7 @@ import pytest
 from noisy import noisy_data, noisy_system
 
 from era.gain import estimate_gain
-from era.innovation_check import check_innovations
+from era.kalman import check_innovations
 from era.realisation import Realisation
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from era.innovation_run import backward_states, finite_gramian, innovation_run, one_step
+from era.state_recursion import backward_states, finite_gramian, innovation_run, one_step
 
 
 def random_form(rng, order=5, n_outputs=3):

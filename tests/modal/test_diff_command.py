@@ -11,8 +11,7 @@ import pytest
 from modal.command.main import _status
 from modal.comparison.changes import compare_results
 from modal.comparison.source import summary_of
-from modal.report.comparison import comparison_json, write_comparison
-from modal.report.comparison_pages import comparison_html, comparison_markdown
+from modal.report.comparison import comparison_html, comparison_json, comparison_markdown, write_comparison
 from okid.errors import InvalidDataError
 
 

@@ -7,10 +7,10 @@ import pytest
 import scipy
 from typer.testing import CliRunner
 
-from modal.command import job
+from modal.command import run as job
 from modal.command.main import app
 from modal.examples import demo, struck_mass
-from modal.examples.demo_geometry import demo_geometry
+from modal.examples.demo import demo_geometry
 from modal.examples.struck_mass import StruckMass, measured_samples, study
 from modal.examples.struck_mass_models import (
     frequency_and_damping,
@@ -274,8 +274,8 @@ def test_the_demo_is_reported_on_its_tower(monkeypatch, tmp_path, identification
         seen.append(geometry)
         raise InvalidDataError("no report is wanted.")
 
-    monkeypatch.setattr("modal.command.job.identify", lambda _records, **_options: identification)
-    monkeypatch.setattr("modal.command.job.write_report", write_report)
+    monkeypatch.setattr("modal.command.run.identify", lambda _records, **_options: identification)
+    monkeypatch.setattr("modal.command.run.write_report", write_report)
     for named in (None, other):
         monkeypatch.setattr(job, "prepare", lambda _job, named=named: (None, named))
         result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path)])

@@ -7,8 +7,7 @@ import pytest
 
 from modal.examples import loose_joint, motor_propeller, story
 from modal.examples.loose_joint import Frame
-from modal.examples.motor_propeller import Motor
-from modal.examples.motor_propeller_thrust import read_staircase, thrust_law, thrust_sentences
+from modal.examples.motor_propeller import Motor, read_staircase, thrust_law, thrust_sentences
 from modal.report.writing import DiagnosisFiles
 from okid.errors import InvalidDataError, UnreadableFileError
 

@@ -100,7 +100,7 @@ def test_the_frame_is_found_as_it_is(frame_run):
     assert status == 0
     document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert document["test"]["article"].startswith("three-storey frame")
-    from modal.identification.storage import load
+    from modal.identification.result import load
 
     result, truth = load(folder / "result.npz"), three_storey_frame.truth()
     rows = compare_with_truth(truth, result.modes)
@@ -125,7 +125,7 @@ def test_the_measured_file_and_the_test_file_say_what_the_script_knows(frame_run
 
 def test_a_fan_in_the_way_of_a_mode_is_refused(frame_run, tmp_path):
     """The other side of the answer: the band moved to where a mode is."""
-    from modal.identification.storage import load
+    from modal.identification.result import load
 
     text = three_storey_frame.TEST_FILE.read_text(encoding="utf-8").replace("[11.5, 12.5]", "[13.5, 14.5]")
     (tmp_path / "test.toml").write_text(text, encoding="utf-8")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import modal.recording
-from modal.command.command_options import spread_files
-from modal.command.gap_job import chosen_effects
+from modal.command.gap import chosen_effects
 from modal.command.main import _status
+from modal.command.options import spread_files
 from modal.effects.catalogue import CATALOGUE
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InsufficientDataError, InvalidDataError
@@ -63,7 +63,7 @@ def quick(monkeypatch, diagnosis_of):
             raise state["result"]
         return state["result"]
 
-    monkeypatch.setattr("modal.command.gap_job.diagnose", diagnose)
+    monkeypatch.setattr("modal.command.gap.diagnose", diagnose)
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.discrepancy_writing.draw_diagnosis", lambda _diagnosis: {})
     return state
@@ -216,13 +216,13 @@ def test_warnings_of_ours_are_remarks_of_the_report(data, quick, capsys, monkeyp
 
     from okid.errors import IdentificationWarning
 
-    plain = modal.command.gap_job.diagnose
+    plain = modal.command.gap.diagnose
 
     def diagnose(*arguments, **options):
         warnings.warn(IdentificationWarning("mind the hold"), stacklevel=1)
         return plain(*arguments, **options)
 
-    monkeypatch.setattr("modal.command.gap_job.diagnose", diagnose)
+    monkeypatch.setattr("modal.command.gap.diagnose", diagnose)
     assert "mind the hold" in gap(capsys, *GOOD)[1].out
     quick["result"] = replace(quick["result"], warnings=("mind the hold",))
     assert gap(capsys, *GOOD, "--overwrite")[1].out.lower().count("mind the hold") == 1
@@ -244,8 +244,8 @@ def test_an_option_takes_all_the_files_that_follow(given, spread):
 
 
 def test_the_report_is_printed_when_that_is_asked_for(data, quick, capsys, monkeypatch):
-    monkeypatch.setattr("modal.command.job_setup.find_browser", lambda: "browser")
-    monkeypatch.setattr("modal.command.gap_job.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    monkeypatch.setattr("modal.command.run.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.command.gap.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
     status, captured = gap(capsys, *GOOD, "--pdf")
     assert status == 0, captured.err
     assert (data / "out" / "report.pdf").read_text() == "printed report.html"

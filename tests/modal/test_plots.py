@@ -9,8 +9,8 @@ from modal import plots
 from modal.identification.result import OrderEvidence
 from modal.modes.response_synthesis import measured_frf
 from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
-from modal.plots.style import COLOURS, envelope
-from modal.sections.spectra import power_spectra
+from modal.plots.panels import COLOURS, envelope
+from modal.sections.discrepancy_stages import power_spectra
 from okid.record import Record
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modal import plots
-from modal.plots.charts import MOST_VALUES, Notes, chart_text
 from modal.plots.layout import grid_of
+from modal.plots.vector import MOST_VALUES, Notes, chart_text
 
 
 def chart_of(figure, *, notes=None):

@@ -8,8 +8,9 @@ import pytest
 from diagnosis_by_hand import hysteresis_law
 
 from modal import plots
-from modal.plots import discrepancy, discrepancy_law
-from modal.plots.marks import Area, Segments
+from modal.plots import discrepancy
+from modal.plots import discrepancy as discrepancy_law
+from modal.plots.panels import Area, Segments
 from modal.sections.discrepancy_stages import rows_of, stages_of
 
 

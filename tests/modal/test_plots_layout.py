@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.plots.layout import Key, grid_of, row_of
-from modal.plots.panels import Panel
-from modal.plots.style import text_width
-from modal.plots.ticks import ticks_between
+from modal.plots.panels import Panel, text_width, ticks_between
 from modal.plots.vector import page_of, svg_text
 
 

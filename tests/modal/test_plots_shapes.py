@@ -10,9 +10,8 @@ from modal import plots
 from modal.geometry.placement import placed
 from modal.geometry.scene import scene_of
 from modal.geometry.sensors import Geometry, Sensor
-from modal.plots.marks import Segments
-from modal.plots.structure import MOST_SEGMENTS
-from modal.plots.style import text_width
+from modal.plots.panels import Segments, text_width
+from modal.plots.shapes import MOST_SEGMENTS
 from okid.errors import InvalidDataError
 
 NAMES = ("2X+", "3X+", "4Y-")

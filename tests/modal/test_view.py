@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-import modal.command.view_job
+import modal.command.view
 from modal.command.main import _status
-from modal.command.view_job import find_viewer, recording_of
+from modal.command.view import find_viewer, recording_of
 from okid.errors import UnreadableFileError
 
 
@@ -35,7 +35,7 @@ def started(monkeypatch):
             commands.append(command)
 
     monkeypatch.setattr(subprocess, "Popen", Popen)
-    monkeypatch.setattr(modal.command.view_job, "find_viewer", lambda: "/bin/rerun")
+    monkeypatch.setattr(modal.command.view, "find_viewer", lambda: "/bin/rerun")
     monkeypatch.setenv("DISPLAY", ":0")
     return commands
 
@@ -80,7 +80,7 @@ def test_without_a_display_the_command_is_said(folder, started, capsys, monkeypa
 
 
 def test_without_a_viewer_the_command_is_said(folder, started, capsys, monkeypatch):
-    monkeypatch.setattr(modal.command.view_job, "find_viewer", lambda: None)
+    monkeypatch.setattr(modal.command.view, "find_viewer", lambda: None)
     (folder / "a b").mkdir()
     (folder / "a b" / "recording.rrd").write_bytes(b"RRF2")
     assert _status(["view", "a b"]) == 1

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.folds import interleaved_folds
 from okid.record import Record
+from okid.rows import interleaved_folds
 
 
 def records(*lengths):

@@ -9,9 +9,9 @@ from signals import random_inputs, with_noise
 from systems import initial_state, markov, random_system, simulate
 
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 
 N_LAGS = 120
 

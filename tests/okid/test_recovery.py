@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from okid.errors import InvalidDataError, NumericalError
+from okid.markov import recover_arrays, recover_markov, recover_system, solve_recursion
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_arrays, recover_markov, recover_system
-from okid.recursion import solve_recursion
 
 
 def textbook(D, alpha, beta, n_lags):

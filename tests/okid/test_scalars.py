@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from okid.arrays import real_number, time_step, whole_number
 from okid.errors import InvalidDataError
-from okid.scalars import real_number, time_step, whole_number
 
 
 @pytest.mark.parametrize("value", [3, 3.0, np.int64(3), np.float32(3), np.array(3)])

@@ -3,8 +3,7 @@
 import numpy as np
 import scipy
 
-from modal.structure.continuous_time import ContinuousSystem
-from modal.structure.modal_form import in_modal_coordinates
+from modal.structure.continuous_time import ContinuousSystem, in_modal_coordinates
 
 __all__ = ["Chain"]
 

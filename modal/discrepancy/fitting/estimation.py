@@ -3,33 +3,171 @@
 The cost is sum((y - yhat)^2 / floor) over the measured values, each record and output in units of its own noise floor,
 so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
 one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
+
+A damped Gauss-Newton step that stays within bounds.
+
+Steps of the size of a hard limit, in its reciprocal, up to that of a wall.
+
+The level above a brim is flow / rate. In the rate it is all but flat once the brim is hard: a step of Gauss and Newton
+then asks for many times the rate, and the levels that it predicts lie far below the brim, where nothing flows over and
+the simulation has to start anew. In 1 / rate both are straight lines. A step `dr` in the rate r is one of -dr / r^2 in
+1 / r, which leads to
+
+    r / (1 - dr / r)
+
+never negative, infinite at dr = r: a step goes up to a share of that. A brim that no step of the simulation can tell
+from a wall is one, and its rate is held there.
 """
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 
-from modal.discrepancy.fitting.bounded_step import bounded_step
-from modal.discrepancy.fitting.hard_steps import moved_by_reciprocals, reach_of, walls
+from modal.effects.memoryless import WALL
 from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.budget import Budget
 from modal.simulation.drive import Drive
-from modal.simulation.scheme import Scheme, scheme_and_slopes
+from modal.simulation.forces import step_compliance
+from modal.simulation.scheme import Budget, Scheme, scheme_and_slopes
 from modal.simulation.sensitivity import Sensitivity, sensitivity
 from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = [
     "Estimate",
     "Problem",
+    "bounded_step",
     "estimate",
+    "moved_by_reciprocals",
+    "reach_of",
     "score_equations",
     "sensitivity_of",
     "simulate_at",
+    "walls",
     "weighted_residual",
     "weights_along",
 ]
+
+
+def bounded_step(
+    gram: FloatArray,
+    score: FloatArray,
+    damping: float,
+    *,
+    at: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    reach: FloatArray,
+) -> FloatArray:
+    """The damped step, unknowns at a bound that it would cross held there.
+
+    What would go further than it may reach in one step goes that far, and the others follow from that.
+
+    Args:
+        gram: (n, n) J' J.
+        score: (n,) J' r.
+        damping: Marquardt's, as a share of the diagonal.
+        at: (n,) the unknowns.
+        lower: (n,) hard bounds.
+        upper: (n,) likewise.
+        reach: (n,) longest step upwards, not negative; infinite for most unknowns.
+
+    Returns:
+        (n,) the step.
+
+    Example:
+        >>> far = np.full(2, np.inf)
+        >>> gram, score = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([4.0, 2.0])
+        >>> bounded_step(gram, score, 0.0, at=np.zeros(2), lower=-far, upper=far, reach=np.array([1.0, np.inf]))
+        array([1. , 0.5])
+    """
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    scaled = gram / np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] = 1.0 + damping
+    free = scale > 1e-140
+    step, pinned = np.zeros(len(score)), np.zeros(len(score))
+    for _ in range(len(score)):
+        index = np.flatnonzero(free)
+        step[:] = pinned
+        wanted = score[index] / scale[index] - scaled[index] @ (pinned * scale)
+        step[index] = _solve(scaled[np.ix_(index, index)], wanted) / scale[index]
+        beyond = free & (step > reach)
+        if beyond.any():
+            free &= ~beyond
+            pinned[beyond] = reach[beyond]
+            continue
+        crossing = free & ((at + step < lower) | (at + step > upper))
+        if not crossing.any():
+            return step
+        held = np.clip(at, lower, upper) - at
+        stuck = crossing & (((at <= lower) & (step < 0.0)) | ((at >= upper) & (step > 0.0)))
+        if not stuck.any():
+            bound = np.clip(at + step, lower, upper) - at
+            return np.where(crossing, bound, step)
+        free &= ~stuck
+        pinned[stuck] = held[stuck]
+    return step
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))
+    except scipy.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
+
+
+REACH = 0.9
+"""Longest step as a share of the size: it makes a limit ten times as hard."""
+
+
+def walls(assembly: Assembly, unknowns: Unknowns, dt: float) -> FloatArray:
+    """(n_common,) the sizes at which hard limits are walls for steps of `dt`; infinite for all other unknowns."""
+    found = np.full(assembly.n_common, np.inf)
+    for i in assembly.forces:
+        effect, port = assembly.placements[i].force_and_port
+        if not effect.is_brim:
+            continue
+        compliance = step_compliance(assembly.plant, port, unknowns.directions(assembly, i), dt)
+        begin = assembly.common_of(i).start
+        for position, j in enumerate(assembly.placements[i].common):
+            if effect.parameters[j].role == "amplitude" and compliance > 0.0:
+                found[begin + position] = WALL / compliance
+    return found
+
+
+def reach_of(common: FloatArray, walls: FloatArray) -> FloatArray:
+    """(n_common,) the longest step upwards: of a hard limit a share of its size, none at the wall; else infinite.
+
+    A limit of no size yet goes as far as it likes.
+    """
+    found = np.full(len(common), np.inf)
+    hard = np.isfinite(walls) & (common > 0.0)
+    found[hard] = np.where(common[hard] < walls[hard], REACH * common[hard], 0.0)
+    return found
+
+
+def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray) -> FloatArray:
+    """The common unknowns after a step, sizes of hard limits moved in their reciprocal.
+
+    Args:
+        common: (n_common,) before.
+        step: (n_common,) the step; within the reach of each (`reach_of`).
+        walls: (n_common,) the sizes at which hard limits are walls; infinite for what is none.
+
+    Returns:
+        (n_common,) after.
+
+    Example:
+        >>> moved_by_reciprocals(np.array([2.0, 2.0, 2.0]), np.ones(3), np.array([np.inf, 1e4, 3.0]))
+        array([3., 4., 3.])
+    """
+    after = common + step
+    hard = np.isfinite(walls) & (common > 0.0)
+    share = np.minimum(step[hard] / common[hard], REACH)
+    after[hard] = np.minimum(common[hard] / (1.0 - share), walls[hard])
+    return after
+
 
 FIRST_DAMPING = 1e-3
 TRIALS = 5

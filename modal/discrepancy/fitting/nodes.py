@@ -1,4 +1,17 @@
-"""Models with some effects, fitted and judged on held-out records: what the search goes from and comes to."""
+"""Models with some effects, fitted and judged on held-out records: what the search goes from and comes to.
+
+A fitted model along held-out records: the common values stay, only what each record has for itself is sought.
+
+Fit a model whose first values may be far off: in free run, and by way of the observer form where that leaves a gap.
+
+The free run of a lightly damped model whose frequency is off by more than the width of the resonance is out of step
+with the record from the first beat on: the error hardly falls towards the right frequency, more damping lowers it, and
+the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step, so that the fit
+is contractive; from there the free run is near its minimum.
+
+Where linear parameters sit on their bounds and leave a gap, the nominal values may be further off than was thought:
+wider bounds are taken where they explain all of it, and only then, because an effect that is missing would use them.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -6,25 +19,160 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.fitting.held_out import judged
+from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run, observer_gain
 from modal.effects.effect import Effect, is_sharp
-from modal.simulation.assembly import Unknowns
-from modal.simulation.budget import Budget
+from modal.simulation.assembly import Assembly, Unknowns, assemble
+from modal.simulation.scheme import Budget
+from modal.simulation.tolerances import AT_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
 __all__ = [
     "FINE_STEPS",
+    "Node",
     "SMALLEST_FALL",
     "SMALLEST_GAIN",
-    "Node",
     "Task",
+    "calibrated_node",
     "counts",
+    "fitted_either_way",
+    "judged",
     "log_likelihood_gain",
     "node_of",
     "on_other_floor",
     "polished",
+    "rested",
 ]
+
+NEARLY_THERE = 2.0
+"""Level below which the fit explains the records, so that the held-out ones must be explained as well."""
+DOUBTFUL = (1.1, 100.0)
+"""A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
+MATTER = 0.8
+"""Initial states matter where they lower the cost of the plant without its effects to less than this share."""
+WEAKER = (1.0, 0.3, 0.1)
+"""Shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
+
+
+def judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
+    """The model along the held-out records; only initial states and what else each record has for itself is fitted.
+
+    Args:
+        fitted: The model.
+        held_out: The held-out records.
+        begun: A like model along them, from whose initial states to start.
+
+    Returns:
+        The estimate; None where the model escapes.
+    """
+    assembly = fitted.assembly
+    n_records = held_out.drive.n_records
+    local = np.zeros((n_records, assembly.n_local))
+    for i in range(len(assembly.placements)):
+        own = assembly.local_of(i)
+        local[:, own] = np.mean(fitted.unknowns.local[:, own], axis=0)
+    n_states = assembly.plant.n_states
+    begin = _first_states(fitted, held_out) if begun is None else begun.unknowns.local[:, :n_states]
+    local[:, :n_states] = begin
+    unknowns = Unknowns(common=fitted.unknowns.common, local=local)
+    start = simulate_at(assembly, unknowns, held_out, smoothing=fitted.smoothing)
+    found = None if start is None else estimate(start, held_out, iterations=8)
+    if found is not None and _doubtful(found, fitted):
+        rest = rested(found, held_out)
+        found = found if rest is found else estimate(rest, held_out, iterations=8)
+    if found is not None and _doubtful(found, fitted):
+        again = _by_observer(found, held_out)
+        if again is not None and again.cost < found.cost:
+            return again
+    return found
+
+
+def rested(start: Estimate, problem: Problem) -> Estimate:
+    """The same model begun at rest where that is nearer to the records.
+
+    Initial states that made up for a missing law do not find back from under friction, which holds a mass anywhere.
+
+    Args:
+        start: A model in free run.
+        problem: Its records.
+
+    Returns:
+        That one, or the given one.
+    """
+    local = start.unknowns.local.copy()
+    local[:, : start.assembly.plant.n_states] = 0.0
+    rest = Unknowns(common=start.unknowns.common, local=local)
+    states = start.trajectory.states
+    found = simulate_at(start.assembly, rest, problem, states=states, smoothing=start.smoothing)
+    return start if found is None or found.cost >= start.cost else found
+
+
+def _first_states(fitted: Estimate, held_out: Problem) -> FloatArray:
+    """Initial states to start from: those of the plant without its effects where they matter, else rest.
+
+    A mass that is held by friction at rest would stay there whatever its initial state is changed by.
+    """
+    plant = fitted.assembly.plant
+    rest = np.zeros((held_out.drive.n_records, plant.n_states))
+    if not fitted.assembly.placements:
+        return rest
+    linear = Unknowns(common=fitted.unknowns.common[: fitted.assembly.n_linear], local=rest)
+    resting = simulate_at(assemble(plant), linear, held_out)
+    begun = None if resting is None else estimate(resting, held_out, iterations=2)
+    if resting is None or begun is None or begun.cost > MATTER * resting.cost:
+        return rest
+    return begun.unknowns.local
+
+
+def _doubtful(held_out: Estimate, fitted: Estimate) -> bool:
+    """Whether the held-out records' initial states may be in another basin: surely where the fit is at the floor."""
+    level = max(fitted.level, 1.0)
+    most = np.inf if level <= NEARLY_THERE else DOUBTFUL[1] * level
+    return DOUBTFUL[0] * level < held_out.level < most
+
+
+def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
+    """The initial states once more, found in observer form first.
+
+    Under play, stops or a hard spring a free run from rest may stay in another basin.
+    """
+    steps = int(held_out.drive.rows[1]) if len(held_out.drive.rows) > 1 else 1
+    gain = observer_gain(found, held_out, steps)
+    if gain is None:
+        return None
+    smoothing = found.smoothing
+    states = found.trajectory.states
+    corrected = (
+        simulate_at(
+            found.assembly,
+            found.unknowns,
+            held_out,
+            states=states,
+            gain=share * gain,
+            smoothing=smoothing,
+            start="near",
+        )
+        for share in WEAKER
+    )
+    seen = next((one for one in corrected if one is not None), None)
+    if seen is None:
+        return None
+    seen = estimate(seen, held_out, iterations=4)
+    local = seen.trajectory.states[list(held_out.drive.firsts[:-1])]
+    unknowns = Unknowns(common=found.unknowns.common, local=seen.unknowns.local.copy())
+    unknowns.local[:, list(found.assembly.initial)] = local
+    start = simulate_at(
+        found.assembly, unknowns, held_out, states=seen.trajectory.states, smoothing=smoothing, start="near"
+    )
+    free = None if start is None else estimate(start, held_out, iterations=8)
+    if free is not None and free.cost <= LOST * seen.cost:
+        return free
+    try:
+        graded = graded_run(seen, held_out, smoothing=smoothing)
+    except LostMotion:
+        return free
+    return free if graded is None else estimate(graded, held_out, iterations=8)
+
 
 SMALLEST_FALL = 0.1
 SMALLEST_GAIN = 30.0
@@ -205,3 +353,66 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
         return False
     falls = child.held_out_level <= (1.0 - SMALLEST_FALL) * parent.held_out_level
     return falls and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
+
+
+WIDER = 4.0
+"""Factor by which bounds are moved out."""
+
+
+def calibrated_node(start: Estimate, task: Task) -> Node:
+    """The linear parameters and the initial states fitted, and judged on the held-out records.
+
+    Args:
+        start: The model as it was given.
+        task: Records and catalogue.
+
+    Returns:
+        The model; within wider bounds where these explain the records and those given do not.
+    """
+    found = polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
+    if found.held_out_level <= AT_FLOOR or not found.coarse.at_bounds[: start.assembly.n_linear].any():
+        return found
+    wide = simulate_at(_widened(start.assembly), start.unknowns, task.fit, smoothing=start.smoothing)
+    if wide is None:
+        return found
+    free = polished(node_of(fitted_either_way(wide, task.fit, iterations=12), task), task)
+    return free if max(free.fit_level, free.held_out_level) <= AT_FLOOR else found
+
+
+def _widened(assembly: Assembly) -> Assembly:
+    """The model with bounds of its linear parameters that lie further out."""
+    parameters = tuple(
+        replace(one, lower=min(one.lower / WIDER, one.lower * WIDER), upper=max(one.upper / WIDER, one.upper * WIDER))
+        for one in assembly.plant.parameters
+    )
+    return replace(assembly, plant=replace(assembly.plant, parameters=parameters))
+
+
+def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> Estimate:
+    """The better of the fit in free run and the one that begins in observer form.
+
+    Args:
+        start: The model to start from, in free run.
+        problem: Records to fit.
+        iterations: Largest number of iterations of a free run.
+    """
+    found = estimate(start, problem, iterations=iterations)
+    if found.level <= AT_FLOOR:
+        return found
+    observed = _calibrated_by_observer(start, problem, iterations)
+    return found if observed is None or observed.cost >= found.cost else observed
+
+
+def _calibrated_by_observer(start: Estimate, problem: Problem, iterations: int) -> Estimate | None:
+    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
+    gain = observer_gain(start, problem, steps)
+    if gain is None:
+        return None
+    observed = simulate_at(
+        start.assembly, start.unknowns, problem, states=start.trajectory.states, gain=gain, smoothing=start.smoothing
+    )
+    if observed is None:
+        return None
+    near = estimate(observed, problem, iterations=6)
+    free = simulate_at(start.assembly, near.unknowns, problem, states=near.trajectory.states, smoothing=start.smoothing)
+    return None if free is None else estimate(free, problem, iterations=iterations)

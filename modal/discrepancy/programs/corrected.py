@@ -20,9 +20,8 @@ from modal.discrepancy.fitting.estimation import Problem, simulate_at
 from modal.discrepancy.programs.program import Simulator, run_callable
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
-from modal.simulation.drive import drive_of
-from modal.simulation.driven import drive_inputs
-from modal.simulation.steps import steps_per_sample
+from modal.simulation.assembly import drive_inputs
+from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.trajectory import SHARP
 from modal.structure.given import placed_assembly
 from modal.structure.placed import PlacedEffect

@@ -2,19 +2,41 @@
 
 What comes back is checked each time, because nothing else is known of the program: a wrong channel order, a missing
 sample or a random number in it would pose as an effect.
+
+The linear part of a simulation program, identified from its own noise-free outputs by OKID and ERA.
+
+Observer orders and model orders are tried from small to large, and the smallest model is taken whose free run
+reproduces the program; nothing else would be a proof, and nothing less is needed without noise. Records that drive too
+narrow a band do not determine the model outside it, so the program is then also run along a broadband record of the
+same level.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from era.balanced import decompose, order_choice, realise_from
+from era.realisation import Realisation
+from era.simulation import estimate_initial_state, simulate
+from modal.localisation.gap import SAME_LEVEL
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError
+from okid.markov import recover_markov
+from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
 
-__all__ = ["Simulator", "check_deterministic", "run_callable"]
+__all__ = [
+    "IdentifiedPart",
+    "Simulator",
+    "check_deterministic",
+    "identify_callable",
+    "quietest",
+    "relative_miss",
+    "run_callable",
+]
 
 Simulator = Callable[[Record], Record]
 """Simulates along the inputs of a record; what the record measured is for its start at most."""
@@ -103,3 +125,185 @@ def _check_order(found: Record, record: Record) -> None:
 
 def _named(record: Record) -> str:
     return f"record {record.name!r}" if record.name else f"a record of {record.n_samples} samples"
+
+
+OBSERVER_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
+"""Hankel singular values below these shares of the largest are left out, one model each."""
+N_LAGS = 120
+MOST_STATES = 30
+EXACT = 1e-6
+"""Relative miss of the free run at which no larger model is tried: tolerances of integrators are of this size."""
+AS_GOOD = 1.5
+"""A smaller model is preferred to one whose free run misses by less than this factor less."""
+STABLE = 1.0 + 1e-7
+PROBE_SAMPLES = 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IdentifiedPart:
+    """The linear part of a callable.
+
+    Attributes:
+        realisation: Discrete model at the time step of the records.
+        miss: What its free run misses of the callable's outputs on the quietest records, relative, worst output.
+        source: "records" or "probe": what it was identified from.
+    """
+
+    realisation: Realisation
+    miss: float
+    source: str
+
+
+def identify_callable(
+    simulator: Simulator, runs: Sequence[Record], *, usable: Callable[[Realisation], bool] = lambda _: True
+) -> IdentifiedPart | None:
+    """Identify the linear part about the quietest level.
+
+    Args:
+        simulator: Takes a Record and returns one.
+        runs: The records with the callable's outputs.
+        usable: Whether a model can be worked with (that a continuous-time system samples to it, say); others are
+            passed over.
+
+    Returns:
+        The smallest model that reproduces the callable as well as any; None where there is none.
+
+    References:
+        Juang, Phan, Horta, Longman, Identification of observer/Kalman filter Markov parameters: theory and experiments,
+        J. Guid. Control Dyn. 16(2), 1993, https://doi.org/10.2514/3.21006; Juang, Pappa, An eigensystem realization
+        algorithm for modal parameter identification and model reduction, J. Guid. Control Dyn. 8(5), 1985,
+        https://doi.org/10.2514/3.20031
+
+    Example:
+        >>> def first_order(record: Record) -> Record:
+        ...     level, outputs = 0.0, np.zeros_like(record.outputs)
+        ...     for k, u in enumerate(record.inputs[:, 0]):
+        ...         outputs[k], level = level, 0.9 * level + u
+        ...     return replace(record, outputs=outputs)
+        >>> push = np.random.default_rng(1).standard_normal(300)
+        >>> part = identify_callable(first_order, [first_order(Record(push, np.zeros(300), 0.1))])
+        >>> part.realisation.order, part.realisation.A.round(6)
+        (1, array([[0.9]]))
+    """
+    quiet = quietest(runs)
+    known, narrow = _best(quiet, quiet, "records", usable)
+    if known is not None and not narrow and known.miss <= EXACT:
+        return known
+    try:
+        probed, _ = _best([run_callable(simulator, _probe(quiet[0]))], quiet, "probe", usable)
+    except IdentificationError:
+        # it may know nothing but the records (a table of stored runs)
+        probed = None
+    if probed is None or known is None:
+        return known or probed
+    # a narrow record is met by many models; the broadband one alone tells which
+    return probed if probed.miss <= (max(3.0 * known.miss, 1e-3) if narrow else known.miss) else known
+
+
+def quietest(records: Sequence[Record]) -> list[Record]:
+    """The records whose inputs are within 10 % of the quietest."""
+    levels = [_level(record) for record in records]
+    least = min(levels)
+    return [record for record, level in zip(records, levels, strict=True) if level <= SAME_LEVEL * least]
+
+
+def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
+    """What the free run misses of the outputs, constant and initial state fitted.
+
+    Args:
+        realisation: The model.
+        run: A record with the outputs that the model should have.
+
+    Returns:
+        (n_outputs,) rms of the miss over the rms of the output about its mean; 0 where both rest.
+    """
+    # two rounds: the constant that the free response leaves is not that of the outputs
+    constant = np.zeros(run.n_outputs)
+    missed = run.outputs
+    for _ in range(2):
+        moved = replace(run, outputs=run.outputs - constant)
+        state = estimate_initial_state(realisation, moved)
+        missed = run.outputs - simulate(realisation, run, initial_state=state).outputs
+        constant = missed.mean(axis=0)
+    size, miss = run.outputs.std(axis=0), missed.std(axis=0)
+    return np.where(size > 0.0, miss / np.where(size > 0.0, size, 1.0), np.where(miss > 0.0, np.inf, 0.0))
+
+
+def _best(
+    runs: Sequence[Record], judges: Sequence[Record], source: str, usable: Callable[[Realisation], bool]
+) -> tuple[IdentifiedPart | None, bool]:
+    """The smallest of the models that miss least, and whether the records drove too little to tell."""
+    found: list[IdentifiedPart] = []
+    narrow = False
+    for observer, poor in _observers(runs):
+        for realisation in _realisations(observer):
+            try:
+                miss = max(float(np.max(relative_miss(realisation, judge))) for judge in judges)
+            except IdentificationError:
+                continue
+            if np.isfinite(miss) and usable(realisation):
+                found.append(IdentifiedPart(realisation=realisation, miss=miss, source=source))
+        least = min((part.miss for part in found), default=np.inf)
+        narrow = poor
+        if least <= EXACT:
+            break
+    if not found:
+        return None, narrow
+    enough = max(AS_GOOD * min(part.miss for part in found), EXACT)
+    return min(
+        (part for part in found if part.miss <= enough), key=lambda part: (part.realisation.order, part.miss)
+    ), narrow
+
+
+def _observers(runs: Sequence[Record]) -> Iterator[tuple[ObserverFit, bool]]:
+    """An observer of each order, and whether the fit says that the inputs excite too little."""
+    channels = runs[0].n_inputs + runs[0].n_outputs
+    n_rows = sum(run.n_samples for run in runs)
+    for order in OBSERVER_ORDERS:
+        if 2 * order * channels > n_rows or min(run.n_samples for run in runs) <= 2 * order:
+            return
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                observer = fit_observer(runs, order=order)
+            except IdentificationError:
+                continue
+        poor = any(issubclass(one.category, IdentificationWarning) for one in said)
+        yield observer, poor
+
+
+def _realisations(observer: ObserverFit) -> Iterator[Realisation]:
+    """Models of several orders by the Hankel singular values, from small to large."""
+    try:
+        found = decompose(recover_markov(observer, n_lags=max(N_LAGS, 4 * observer.order)))
+    except IdentificationError:
+        return
+    values, highest = found.singular_values, min(found.rank, found.max_order, MOST_STATES)
+    orders = {order_choice(found).order, highest}
+    if values.size and values[0] > 0.0:
+        orders |= {int(np.count_nonzero(values > share * values[0])) for share in THRESHOLDS}
+    for order in sorted(orders):
+        if order <= highest:
+            model = realise_from(found, order)
+            if order == 0 or np.abs(np.linalg.eigvals(model.A)).max() <= STABLE:
+                yield model
+
+
+def _probe(quiet: Record) -> Record:
+    """White noise of the size of a record's inputs about their means."""
+    rng = np.random.default_rng(0)
+    n_samples = max(min(quiet.n_samples, PROBE_SAMPLES), 400)
+    mean, spread = np.nanmean(quiet.inputs, axis=0), np.nanstd(quiet.inputs, axis=0)
+    largest = float(spread.max(initial=0.0))
+    spread = np.where(spread > 0.0, spread, largest or 1.0)
+    return replace(
+        quiet,
+        inputs=mean + spread * rng.standard_normal((n_samples, quiet.n_inputs)),
+        outputs=np.zeros((n_samples, quiet.n_outputs)),
+        name="broadband probe",
+    )
+
+
+def _level(record: Record) -> float:
+    return float(np.sqrt(np.nansum(np.nanvar(record.inputs, axis=0))))

@@ -3,27 +3,240 @@
 `named` needs three things: within 1.5 of the noise floor on held-out data; every effect of the model earns its place
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
+
+A gain that a free calibration has taken up: the records do not tell, but how far the model had to move does.
+
+Where any linear force inside a state space is free (`internal_changes`), a wrong gain of a sensor or an input is hardly
+more than another set of such forces: both explain the records. The model as given tells them apart, because with the
+gain it stays where it was.
+
+How far the effects of a model are from none, in deviations of the noise.
+
+An effect is none in many ways: a brim without a flow over it, at whatever limit, or a limit that no level reaches, at
+whatever rate. Its distance from none cannot be that of one parameter from its neutral value: of a hard limit any large
+rate does, and the deviation of the rate is as large as itself. What counts is what the effect does to the outputs. With
+delta the outputs with it less those without it, in deviations of the noise, and J what all else in the model could do
+instead,
+
+    z^2 = delta' (I - J (J' J + prior)^-1 J') delta
+
+For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test); it is the
+same however the parameters are chosen; and z^2 is what 2 ln L would lose at first order without the effect. The
+effect's own shapes count as what could be done instead, as in Wald's test, its amplitudes do not; of an effect that has
+no amplitude (a delay, the limit of a drive) nothing of its own does.
+
+How sure an estimate is: the covariance of its unknowns, and which of them are held.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 
-from modal.discrepancy.fitting.estimation import Problem
-from modal.discrepancy.fitting.nodes import Node, Task, counts, log_likelihood_gain
-from modal.discrepancy.selection.absorbed_gain import AbsorbedGain, absorbed_gain
-from modal.discrepancy.selection.covariance import covariance
-from modal.discrepancy.selection.simpler_laws import has_limit, with_limits, with_twins
-from modal.discrepancy.selection.smaller_models import without
-from modal.discrepancy.selection.sureness import sureness
+from modal.discrepancy.fitting.estimation import (
+    Estimate,
+    Problem,
+    estimate,
+    score_equations,
+    sensitivity_of,
+    simulate_at,
+    weights_along,
+)
+from modal.discrepancy.fitting.nodes import (
+    SMALLEST_GAIN,
+    Node,
+    Task,
+    counts,
+    fitted_either_way,
+    log_likelihood_gain,
+    node_of,
+)
+from modal.discrepancy.selection.smaller_models import has_limit, run_without, with_limits, with_twins, without
 from modal.effects.ambiguity import Circumstance, ambiguous_with
-from modal.effects.effect_names import effects_at
+from modal.effects.catalogue import CATALOGUE, effects_at
+from modal.simulation.assembly import Assembly, Unknowns, place_effect
+from modal.simulation.drive import IndexArray
+from modal.simulation.sensitivity import Sensitivity
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
-from modal.wording.statements import number, times_floor_text
+from modal.simulation.trajectory import SHARP
+from modal.structure.reciprocity import INTERNAL_FORCE
+from modal.wording.numbers import number, times_floor_text
+from okid.arrays import TINY, FloatArray
 
-__all__ = ["Decision", "decide_nodes"]
+__all__ = ["AbsorbedGain", "Decision", "absorbed_gain", "covariance", "decide_nodes", "held_unknowns", "sureness"]
+
+ITERATIONS, LONGEST = 20, 60
+"""Of the fit that finds the gain, and of one to its end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AbsorbedGain:
+    """A gain that explains a calibration.
+
+    Attributes:
+        node: The calibrated model with it.
+        without: The same without it, calibrated anew.
+        fall: By how much the cost of the first is lower, the priors of the calibration included, as 2 ln L.
+    """
+
+    node: Node
+    without: Node
+    fall: float
+
+
+def absorbed_gain(root: Node, task: Task) -> AbsorbedGain | None:
+    """The one gain that explains the calibration of a model, where there is one.
+
+    Args:
+        root: The calibrated model; it explains the data.
+        task: Records, catalogue.
+
+    Returns:
+        The best one; None where no internal force is free, or no gain is worth 30.
+    """
+    plant = root.coarse.assembly.plant
+    if not any(one.name.startswith(INTERNAL_FORCE) for one in plant.parameters):
+        return None
+    if _moved(root) <= SMALLEST_GAIN:  # no gain saves more than the calibration has cost
+        return None
+    alone = _alone(root, task)
+    channels = {"input_gain": plant.input_names, "sensor_gain": plant.output_names}
+    found: AbsorbedGain | None = None
+    for key, names in channels.items():
+        for where in names if task.catalogue.get(key) is CATALOGUE[key] else ():
+            one = None if (key, where) in root.effects else _with_gain(root, alone, key, where, task)
+            if one is not None and one.fall > (SMALLEST_GAIN if found is None else found.fall):
+                found = one
+    return found
+
+
+def _moved(root: Node) -> float:
+    """What the calibration costs by the priors of the linear parameters."""
+    assembly = root.coarse.assembly
+    centre, deviation = assembly.prior()
+    moved = (root.coarse.unknowns.common - centre)[: assembly.n_linear] / deviation[: assembly.n_linear]
+    return float(np.sum(moved**2))
+
+
+def _alone(root: Node, task: Task) -> Estimate | None:
+    """The calibration as it is, fitted to its end by the noise floor of now."""
+    coarse = root.coarse
+    start = simulate_at(coarse.assembly, coarse.unknowns, task.fit, states=coarse.trajectory.states)
+    return None if start is None else _settled(start, task)
+
+
+def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: Task) -> AbsorbedGain | None:
+    """The model with a gain, from the linear parameters as given; None where it does not explain the data or save 30.
+
+    The calibration without it is fitted from there as well, and the better way counts.
+    """
+    before = root.coarse.assembly
+    effect = CATALOGUE[key]
+    assembly = replace(before, placements=(*before.placements, place_effect(before.plant, effect, where)))
+    common = np.concatenate([before.plant.nominal, root.coarse.unknowns.common[before.n_linear :], effect.neutral])
+    unknowns = Unknowns(common=common, local=root.coarse.unknowns.local)
+    start = simulate_at(assembly, unknowns, task.fit, states=root.coarse.trajectory.states)
+    if start is None:
+        return None
+    node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
+    if alone is None or max(node.fit_level, node.held_out_level) > NEAR_FLOOR:
+        return None
+    if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
+        return None
+    start = run_without(node.coarse, len(assembly.placements) - 1, task.fit, smoothing=SHARP)
+    other = alone if start is None else _settled(start, task)
+    rival = other if other.cost < alone.cost else alone
+    return AbsorbedGain(node=node, without=node_of(rival, task), fall=rival.cost - node.coarse.cost)
+
+
+def _settled(start: Estimate, task: Task) -> Estimate:
+    """Fitted until an iteration gains less than 1: the valley of the internal forces is long and flat."""
+    return estimate(start, task.fit, iterations=LONGEST, standstill=1.0 / max(start.cost, 1.0))
+
+
+def covariance(current: Estimate, problem: Problem) -> FloatArray:
+    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor.
+
+    What is held, or sits on a hard bound, has none: the others' is that given the bound.
+    """
+    gram, _ = score_equations(current, problem, sensitivity_of(current, problem))
+    held = held_unknowns(current)
+    gram[held, :] = 0.0
+    gram[:, held] = 0.0
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse[held, :] = 0.0
+    inverse[:, held] = 0.0
+    return np.asarray(inverse * max(1.0, current.level))
+
+
+def held_unknowns(current: Estimate) -> IndexArray:
+    """Which common unknowns are held, or sit on a hard bound."""
+    lower, upper = current.assembly.bounds()
+    return np.flatnonzero((lower == upper) | current.at_bounds)
+
+
+def sureness(node: Node, task: Task) -> list[float]:
+    """How many deviations each effect of a model is from none.
+
+    Args:
+        node: A fitted model.
+        task: Records.
+
+    Returns:
+        One number an effect; infinite where the model without it escapes.
+    """
+    current, problem = node.coarse, task.fit
+    slopes = sensitivity_of(current, problem)
+    gram, _ = score_equations(current, problem, slopes)
+    held = held_unknowns(current)
+    found = []
+    for i in range(len(current.assembly.placements)):
+        change = _change(current, problem, i)
+        if change is None:
+            found.append(np.inf)
+            continue
+        others = np.ones(len(gram), dtype=bool)
+        others[held] = False
+        others[_own(current.assembly, i)] = False
+        seen = _against(problem, current, slopes, change)[others]
+        left = float(np.sum(change**2)) - float(seen @ _solved(gram[np.ix_(others, others)], seen))
+        found.append(float(np.sqrt(max(left, 0.0) / max(1.0, current.level))))
+    return found
+
+
+def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray | None:
+    """(n_rows, n_outputs) what an effect does to the outputs, all else as it is, in deviations of the noise."""
+    off = run_without(current, placement, problem, smoothing=current.smoothing)
+    if off is None:
+        return None
+    change = (current.trajectory.outputs - off.trajectory.outputs) * weights_along(problem, current.trajectory)
+    return change if np.isfinite(np.sum(change**2)) else None
+
+
+def _own(assembly: Assembly, placement: int) -> list[int]:
+    """Where the amplitudes of an effect stand, or all that it has where it has none."""
+    item, begin = assembly.placements[placement], assembly.common_of(placement).start
+    roles = [item.effect.parameters[j].role for j in item.common]
+    found = [begin + position for position, role in enumerate(roles) if role == "amplitude"]
+    return found or [begin + position for position in range(len(roles))]
+
+
+def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: FloatArray) -> FloatArray:
+    """What each unknown's effect on the outputs has in common with a change, in the order of the normal equations."""
+    drive, weights = problem.drive, weights_along(problem, current.trajectory)
+    found = [np.sum(slopes.common * weights * change, axis=(1, 2))]
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        found.append(np.sum(slopes.local[:, rows] * weights[rows] * change[rows], axis=(1, 2)))
+    return np.concatenate(found)
+
+
+def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)
 
 
 MOST_ON_FIT = 2.0

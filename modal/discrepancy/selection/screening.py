@@ -4,6 +4,17 @@ The model, linearised about its trajectory, responds to each candidate's force; 
 response after everything that the model could still adjust (linear parameters, effects already there, initial states)
 is projected out. The fall of the residual's square is what a first Gauss-Newton step would win, so one screen ranks a
 hundred candidates for the price of as many right-hand sides.
+
+What each candidate effect would do by itself: its force at a place along the current trajectory, at a few shapes.
+
+A law that is linear in its amplitudes gives one history an amplitude; what is not linear (a gap, a yield displacement,
+a frequency, a delay) is tried at the values that the effect proposes from the motion at its place and from the peaks of
+what the model leaves.
+
+An effect's own states along a given motion, by Newton's method on the whole of it.
+
+A rate-independent law goes straight through where the motion does not turn round: it depends on the turning points
+alone. These are solved for first, a small share of the samples, and all others follow from the last one before them.
 """
 
 from collections.abc import Mapping
@@ -14,16 +25,241 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, weights_along
-from modal.discrepancy.selection.screen_trials import TriedShape, trials_of
-from modal.effects.effect import Effect, ForceEffect
-from modal.simulation.assembly import EffectPlacement
-from modal.simulation.drive import Drive
-from modal.simulation.sensitivity import respond, sensitivity
+from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation, Values
+from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive_inputs, initial_unknowns, place_effect
+from modal.simulation.drive import Drive, IndexArray
+from modal.simulation.forces import motion_at
+from modal.simulation.scheme import band_of, solve_band
+from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
 from modal.simulation.tolerances import ROUNDING
 from modal.structure.placed import possible_places
-from okid.arrays import TINY, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 
-__all__ = ["Candidate", "screen_candidates"]
+__all__ = ["Candidate", "TriedShape", "memory_along", "screen_candidates", "trials_of"]
+
+TRIES, MISS = 40, 1e-6
+"""Iterations, and the last change that counts as none, as a share of the largest state."""
+
+
+def memory_along(effect: ForceEffect, values: Values, motion: Motion, drive: Drive) -> FloatArray | None:
+    """The states of an effect that remembers.
+
+    Args:
+        effect: The effect.
+        values: Its parameters.
+        motion: Motion at its place, at all times of the drive.
+        drive: The records; each begins without memory.
+
+    Returns:
+        (n_times, n_memory); None where they do not settle.
+    """
+    firsts = np.array(drive.firsts[:-1])
+    if not effect.rate_independent:
+        return _solved(effect, values, motion, nodes=np.arange(drive.n_times), firsts=firsts, dt=drive.dt)
+    nodes = _nodes(motion, firsts)
+    found = _solved(effect, values, motion, nodes=nodes, firsts=np.searchsorted(nodes, firsts), dt=drive.dt)
+    return None if found is None else _filled(effect, values, motion, nodes=nodes, found=found, dt=drive.dt)
+
+
+def _nodes(motion: Motion, firsts: IndexArray) -> IndexArray:
+    """First and last samples of records, and those between which the motion may turn round."""
+    way = np.sign(np.diff(motion.displacement))
+    speed = np.sign(motion.velocity)
+    same = (speed[:-1] * speed[1:] > 0.0) & (speed[:-1] == way)
+    same[firsts[1:] - 1] = False
+    inner = np.zeros(len(motion.displacement), dtype=np.bool_)
+    inner[1:-1] = same[:-1] & same[1:] & (way[:-1] == way[1:])
+    return np.flatnonzero(~inner)
+
+
+def _solved(
+    effect: ForceEffect, values: Values, motion: Motion, *, nodes: IndexArray, firsts: IndexArray, dt: float
+) -> FloatArray | None:
+    """The states at the nodes."""
+    following = np.minimum(np.arange(len(nodes)) + 1, len(nodes) - 1)
+    straight = nodes[following] > nodes + 1
+    lasts = np.append(firsts[1:], len(nodes)) - 1
+    z = np.zeros((len(nodes), effect.n_memory))
+    begin, end = _taken(motion, nodes, straight), _taken(motion, nodes[following], straight)
+    for _ in range(TRIES):
+        step = effect.advance(values, replace(begin, memory=z), replace(end, memory=z[following]), dt)
+        forcing = np.zeros((1, *z.shape))
+        forcing[0, 1:] = (step.value - z[following])[:-1]
+        forcing[0, firsts] = -z[firsts]
+        transitions = step.by_memory.transpose(1, 2, 0).copy()
+        transitions[:, :, lasts] = 0.0
+        change = solve_band(band_of(transitions), forcing)[0]
+        z = z + change
+        if not np.isfinite(z).all():
+            return None
+        if np.abs(change).max() <= MISS * max(np.abs(z).max(), TINY):
+            return z
+    return None
+
+
+def _filled(
+    effect: ForceEffect, values: Values, motion: Motion, *, nodes: IndexArray, found: FloatArray, dt: float
+) -> FloatArray:
+    """The states at all samples, straight from the last node before each."""
+    last = np.searchsorted(nodes, np.arange(len(motion.displacement)), side="right") - 1
+    straight = np.ones(len(last), dtype=np.bool_)
+    begin = replace(_taken(motion, nodes[last], straight), memory=found[last])
+    end = replace(_taken(motion, np.arange(len(last)), straight), memory=found[last])
+    return effect.advance(values, begin, end, dt).value
+
+
+def _taken(motion: Motion, rows: IndexArray, straight: BoolArray) -> Motion:
+    """The motion at some samples; without a velocity a step is a straight line."""
+    return replace(
+        motion,
+        displacement=motion.displacement[rows],
+        velocity=np.where(straight, 0.0, motion.velocity[rows]),
+        time=motion.time[rows],
+        memory=motion.memory[rows],
+        smoothing=np.broadcast_to(motion.smoothing, motion.displacement.shape)[rows],
+    )
+
+
+N_PEAKS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TriedShape:
+    """An effect at a place, at one shape.
+
+    Attributes:
+        placement: The effect at its place.
+        values: Its parameters; amplitudes stand at 1.
+        sources: What each amplitude does by itself, for each column of the port.
+    """
+
+    placement: EffectPlacement
+    values: tuple[float, ...]
+    sources: tuple[Source, ...]
+
+
+def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[TriedShape]:
+    """An effect at a place, at each shape worth a try.
+
+    Args:
+        current: The model so far.
+        problem: The records to fit.
+        effect: The effect.
+        where: Name of the place.
+        smoothing: Width of sharp laws, as a share of the motion's scale.
+
+    Returns:
+        The trials; none where the model has that effect there already, or none of its shapes shows.
+    """
+    assembly, trajectory = current.assembly, current.trajectory
+    drive = trajectory.drive
+    item = place_effect(assembly.plant, effect, where)
+    if any(other.effect.key == effect.key and other.where == where for other in assembly.placements):
+        return []
+    if isinstance(effect, ForceEffect):
+        states, memory = trajectory.states[:, : assembly.plant.n_states], np.zeros((drive.n_times, effect.n_memory))
+        motion = motion_at(item, states, drive, memory, smoothing * drive.level)
+    else:
+        signal = drive.sample if isinstance(effect, InputEffect) else trajectory.linearisation.free
+        time = drive.time if isinstance(effect, InputEffect) else drive.time[drive.rows]
+        motion = _signal(signal[:, item.channel], time)
+    motion = replace(
+        motion,
+        displacement_scale=max(float(np.std(motion.displacement)), TINY),
+        velocity_scale=max(float(np.std(motion.velocity)), TINY),
+    )
+    item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
+    situation = Situation(
+        motion=motion,
+        residual_frequencies=_peaks(current, problem),
+        dt=drive.dt,
+        longest=float(drive.time.max()),
+    )
+    found = []
+    for values in effect.starts(situation):
+        sources = _sources(current, item, values, motion)
+        if sources:
+            found.append(TriedShape(placement=item, values=values, sources=tuple(sources)))
+    return found
+
+
+def _signal(values: FloatArray, time: FloatArray) -> Motion:
+    return Motion(
+        displacement=values,
+        velocity=np.zeros_like(values),
+        time=time,
+        memory=np.zeros((len(values), 0)),
+        displacement_scale=1.0,
+        velocity_scale=1.0,
+    )
+
+
+def _sources(current: Estimate, item: EffectPlacement, values: tuple[float, ...], motion: Motion) -> list[Source]:
+    effect, drive, n = item.effect, current.trajectory.drive, current.assembly.plant.n_states
+    n_all = current.trajectory.states.shape[1]
+    if isinstance(effect, ForceEffect):
+        if effect.n_memory:
+            memory = memory_along(effect, values, motion, drive)
+            if memory is None:
+                return []
+            motion = replace(motion, memory=memory)
+        histories = effect.screen_columns(values, motion)
+        _, port = item.force_and_port
+        return [
+            force_response(drive, current.scheme, column, history, n_all)
+            for column in port.columns
+            for history in histories.T
+        ]
+    if isinstance(effect, SensorEffect):
+        slopes = effect.by_parameter(effect.neutral, motion.displacement, motion.time)
+        found = []
+        for slope in slopes.T:
+            sensed = np.zeros_like(current.trajectory.outputs)
+            sensed[:, item.channel] = slope
+            found.append(Source(sensed=sensed))
+        return found
+    moved = values
+    if values == effect.neutral:
+        moved = tuple(value + 1.0 for value in values)
+    lone = Assembly(plant=current.assembly.plant, placements=(item,))
+    changed = drive_inputs(lone, _plain(lone, moved, drive.n_records), drive)
+    flow = np.zeros((drive.n_times, n_all))
+    flow[:, :n] = (changed.start - drive.start) @ current.scheme.B0.T + (changed.end - drive.end) @ current.scheme.B1.T
+    direct = (changed.sample - drive.sample)[drive.rows] @ current.scheme.D.T
+    if not flow.any() and not direct.any():
+        return []
+    return [Source(flow=flow, outputs=direct)]
+
+
+def _plain(lone: Assembly, values: tuple[float, ...], n_records: int) -> Unknowns:
+    unknowns = initial_unknowns(lone, n_records)
+    unknowns.common[lone.n_linear :] = [values[j] for j in lone.placements[0].common]
+    return unknowns
+
+
+def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
+    """Frequencies of the highest peaks of what the model leaves, outputs in units of their residual."""
+    drive = problem.drive
+    residual = np.where(drive.present, drive.outputs - current.trajectory.outputs, 0.0)
+    length = min(drive.row_firsts[r + 1] - drive.row_firsts[r] for r in range(drive.n_records))
+    power = np.zeros(length // 2 + 1)
+    window = np.hanning(length)
+    for record in range(drive.n_records):
+        part = residual[drive.rows_of(record)][:length]
+        scale = np.maximum(part.std(axis=0), TINY)
+        power += np.sum(np.abs(np.fft.rfft((part - part.mean(axis=0)) / scale * window[:, None], axis=0)) ** 2, axis=1)
+    dt = drive.dt * (int(drive.rows[1]) if len(drive.rows) > 1 else 1)
+    frequencies = np.fft.rfftfreq(length, dt)
+    inner = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    order = inner[np.argsort(-power[inner])]
+    chosen: list[int] = []
+    for index in order:
+        if index > 1 and all(abs(index - other) > 3 for other in chosen):
+            chosen.append(int(index))
+        if len(chosen) == N_PEAKS:
+            break
+    return tuple(float(frequencies[index]) for index in chosen)
+
 
 CHUNK = 48
 

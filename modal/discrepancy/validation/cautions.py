@@ -1,20 +1,28 @@
 """What a finished diagnosis must still say of its records, whatever the model.
 
 Nothing is explained, a channel is spoiled, outputs come before their inputs, a hold is in doubt.
+
+Gains that look like something else: a wrong unit, a turned or dead channel, or the error of a simulation.
+
+How far the parameters of a sharp law may be off because time and the law itself are taken in steps.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from modal.discrepancy.explained import explained_words
-from modal.discrepancy.results import Diagnosis
-from modal.discrepancy.validation.hold_hint import hold_words
+import numpy as np
+
+from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.results import Diagnosis, explained_words
+from modal.discrepancy.selection.decision import Decision
+from modal.discrepancy.validation.other_hold import hold_words
 from modal.quality.check import spoiled_channels
-from modal.structure.internal_changes import INTERNAL_FORCE
-from modal.wording.statements import number
+from modal.structure.reciprocity import INTERNAL_FORCE
+from modal.wording.numbers import number
+from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["early_words", "free_words", "spoiled_words", "with_cautions"]
+__all__ = ["doubted_units", "early_words", "free_words", "grid_error", "spoiled_words", "with_cautions"]
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
@@ -99,3 +107,67 @@ def early_words(found: Diagnosis) -> str:
         f"the outputs answer {where} {number(lead, 3)} s ({samples} samples) before it is recorded: no physical effect "
         "does, so the channels are skewed, or the outputs were written down a step after their inputs"
     )
+
+
+PLAUSIBLE_GAIN = (0.3, 3.0)
+"""Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
+SLIGHT = 0.01
+"""A gain that differs from one by less is no finding."""
+HARDLY_FOLLOWS = 0.03
+"""Size of a gain below which a channel may as well be dead, or another one."""
+
+
+def doubted_units(decision: Decision) -> Decision:
+    """The decision, not firm where a gain far from one was found, a wrong unit, or one that hardly differs from one."""
+    assembly = decision.node.coarse.assembly
+    reasons = list(decision.reasons)
+    for i, item in enumerate(assembly.placements):
+        if item.effect.key in {"input_gain", "sensor_gain"}:
+            gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
+            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
+                reasons.append(_doubted_gain(gain, item.where))
+            elif abs(gain - 1.0) < SLIGHT:
+                reasons.append(
+                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
+                    "of and errors of a simulation look like"
+                )
+    if len(reasons) == len(decision.reasons):
+        return decision
+    return replace(decision, status="unresolved", reasons=tuple(reasons))
+
+
+def _doubted_gain(gain: float, where: str) -> str:
+    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
+    words = f"a gain of {number(gain)} at {where} looks like"
+    if abs(gain) < HARDLY_FOLLOWS:
+        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
+    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
+        return f"{words} a turned direction: check the sign of the channel"
+    return f"{words} a wrong unit: check the units of the records"
+
+
+LEAST_RATIO = 2.0
+"""Where only the smoothing was sharpened, the grid's own error is as unknown as if it had been halved."""
+
+
+def grid_error(node: Node) -> FloatArray:
+    """Deviation of each common unknown that the steps of time may have left.
+
+    Fitted on two grids, one `r` times as fine as the other, an unknown whose error is in proportion to the step still
+    has 1 / (r - 1) of its change from one to the other as its error.
+
+    Args:
+        node: A fitted model.
+
+    Returns:
+        (n_common,) in the unknowns' units; zero where there was one grid only, and
+        for what is held at a bound.
+
+    References:
+        Richardson, Gaunt, The deferred approach to the limit, Phil. Trans. R. Soc. A 226, 1927,
+        https://doi.org/10.1098/rsta.1927.0008
+    """
+    fine, coarse = node.fitted, node.coarse
+    change = np.where(fine.at_bounds, 0.0, np.abs(fine.unknowns.common - coarse.unknowns.common))
+    ratio = coarse.trajectory.drive.dt / fine.trajectory.drive.dt
+    return np.asarray(change / (max(ratio, LEAST_RATIO) - 1.0))

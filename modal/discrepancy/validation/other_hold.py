@@ -2,18 +2,44 @@
 
 With many samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a
 wrong hold leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough.
+
+A wrongly declared hold of the inputs poses as half a sample of delay or as damping: when to think of it.
+
+Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: that share
+of the motion at most, a fifth of it at 16 samples a period. A gap that is larger is not due to the hold alone.
+
+Records cut into spans, each with its own initial state, where the motion cannot be followed along the whole.
+
+Hard springs under a strong drive, and stops, part neighbouring motions exponentially: from the initial state to the end
+of a long record no simulation, of the true model either, stays with the measurement. Over a few dozen periods it does.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
+
+from modal.discrepancy.noise.floor import NoiseFloor
 from modal.discrepancy.results import Diagnosis
+from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.effects.effect_names import effects_at
 from modal.simulation.tolerances import NEAR_FLOOR
+from modal.wording.numbers import number
+from okid.arrays import FloatArray, frozen_with_gaps
 from okid.record import InputHold, Record
 
-__all__ = ["by_the_better_hold", "half_a_sample", "has_half_a_sample", "other_hold"]
+__all__ = [
+    "by_the_better_hold",
+    "cut_into_spans",
+    "floor_of_spans",
+    "half_a_sample",
+    "has_half_a_sample",
+    "highest_frequency",
+    "hold_words",
+    "other_hold",
+    "span_words",
+]
 
 HALF_A_SAMPLE = (0.25, 0.75)
 """Delays, beyond whole samples, that a wrong hold may stand behind."""
@@ -103,3 +129,146 @@ def _n_besides(found: Diagnosis) -> int:
 
 def _named(found: Diagnosis) -> str:
     return effects_at([(one.effect, one.where) for one in found.findings]) or "no effect"
+
+
+MOST_OF_IT = 0.95
+"""Share of an output's power above the noise that lies below the highest frequency that matters."""
+
+
+def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
+    """Frequency [Hz] below which nearly all of the outputs' power above the noise lies; 0 where there is none.
+
+    Args:
+        records: Measured.
+        floor: (n_records, n_outputs) variance of the noise.
+    """
+    highest = 0.0
+    for record, noise in zip(records, floor, strict=True):
+        centred = np.nan_to_num(record.outputs - np.nanmean(record.outputs, axis=0))
+        power = np.square(np.abs(np.fft.rfft(centred * np.hanning(len(centred))[:, np.newaxis], axis=0)))
+        above = power / power.sum(axis=0).clip(min=np.finfo(float).tiny) * centred.var(axis=0) - noise / len(power)
+        total = above.sum(axis=0)
+        reached = np.cumsum(above, axis=0) >= MOST_OF_IT * total
+        lines = np.argmax(reached, axis=0)[total > 0.0]
+        highest = max(highest, float(lines.max(initial=0)) / (record.n_samples * record.dt))
+    return highest
+
+
+def hold_words(diagnosis: Diagnosis) -> str:
+    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain.
+
+    Args:
+        diagnosis: What was found.
+    """
+    first = diagnosis.fit[0]
+    if not first.n_inputs:
+        return ""
+    frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
+    shift = np.pi * frequency * first.dt
+    unexplained = _gap_remains(diagnosis) and not _left_over(diagnosis) > shift
+    if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
+        return ""
+    other = other_hold(first.input_hold)
+    why = "was held by its source" if other == "zero_order" else "was measured rather than set"
+    return (
+        f"Check the hold: the motion reaches up to {number(frequency)} Hz, {number(1.0 / (frequency * first.dt), 2)} "
+        f'samples a period, and the input is declared {first.input_hold}. If it {why}, declare input_hold="{other}": '
+        "a wrong hold looks like half a sample of delay, or like damping."
+    )
+
+
+def _gap_remains(diagnosis: Diagnosis) -> bool:
+    return not diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
+
+
+def _left_over(diagnosis: Diagnosis) -> float:
+    """Size of the held-out gap above the noise, as a share of the motion's."""
+    noise = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :]
+    above = np.maximum(np.square(diagnosis.gap_after) - noise, 0.0)
+    motion = np.array([np.nanvar(record.outputs, axis=0) for record in diagnosis.held_out])
+    return float(np.sqrt(above.sum() / motion.sum()))
+
+
+PERIODS = 20.0
+"""Length of a span in periods of the highest frequency that matters."""
+FEWEST_SAMPLES = 200
+
+
+def cut_into_spans(
+    records: Sequence[Record], floor: FloatArray, *, fewest: int = 1
+) -> tuple[tuple[Record, ...], tuple[int, ...]]:
+    """Each record in spans of about equal length, in each of which every output is measured somewhere.
+
+    Args:
+        records: Whole ones.
+        floor: (n_records, n_outputs) variance of their noise.
+        fewest: Samples that a span must have.
+
+    Returns:
+        The spans, in order, and of each the position of its record.
+
+    References:
+        Bock, Recent advances in parameter identification techniques for ODE, 1983 (multiple shooting),
+        https://doi.org/10.1007/978-1-4684-7324-7_7
+
+    Example:
+        >>> time = 0.01 * np.arange(2000)
+        >>> record = Record(np.ones(2000), np.sin(2 * np.pi * 4.0 * time), 0.01, name="run")
+        >>> spans, origin = cut_into_spans([record], np.array([[1e-9]]))
+        >>> [(one.name, one.n_samples) for one in spans], origin
+        ([('run, span 1', 500), ('run, span 2', 500), ('run, span 3', 500), ('run, span 4', 500)], (0, 0, 0, 0))
+    """
+    frequency = max(highest_frequency(tuple(records), floor), 1e-12)
+    wanted = max(PERIODS / (frequency * records[0].dt), fewest, FEWEST_SAMPLES)
+    spans: list[Record] = []
+    origin: list[int] = []
+    for position, record in enumerate(records):
+        edges = _edges(record, max(int(record.n_samples / wanted), 1))
+        own = [record.samples(first, last) for first, last in pairwise(edges)]
+        if len(own) > 1:
+            name = f"{record.name}, span" if record.name else "span"
+            own = [replace(span, name=f"{name} {i + 1}") for i, span in enumerate(own)]
+        spans += own
+        origin += [position] * len(own)
+    return tuple(spans), tuple(origin)
+
+
+def _edges(record: Record, count: int) -> list[int]:
+    """Where spans begin and end; fewer of them where one would lack an output throughout."""
+    for fewer in range(count, 1, -1):
+        edges = [int(edge) for edge in np.linspace(0, record.n_samples, fewer + 1)]
+        if not any(np.isnan(record.outputs[first:last]).all(axis=0).any() for first, last in pairwise(edges)):
+            return edges
+    return [0, record.n_samples]
+
+
+def floor_of_spans(floor: NoiseFloor, origin: Sequence[int]) -> NoiseFloor:
+    """The floor of each span, which is that of its record.
+
+    Args:
+        floor: Of whole records.
+        origin: Position of each span's record.
+    """
+    rows = list(origin)
+
+    def of(values: FloatArray) -> FloatArray:
+        return frozen_with_gaps(values[rows], name="floor")
+
+    return NoiseFloor(
+        variance=of(floor.variance),
+        method=tuple(floor.method[row] for row in rows),
+        reason=tuple(floor.reason[row] for row in rows),
+        standard_error=of(floor.standard_error),
+        random=of(floor.random),
+        distortion=of(floor.distortion),
+    )
+
+
+def span_words(spans: Sequence[Record]) -> str:
+    """What the reader must know of spans."""
+    longest = max(span.n_samples for span in spans)
+    return (
+        "no simulation can follow this motion along a whole record, because it parts from its neighbours too fast "
+        f"(chaos, or many impacts): the records were cut into spans of up to {longest} samples "
+        f"({number(longest * spans[0].dt, 2)} s), each with an initial state of its own"
+    )

@@ -1,36 +1,251 @@
-"""The page "Discrepancy": spectrum of the gap, hypotheses, laws over the data, all drawn, and the verdict in words."""
+"""The page "Discrepancy": spectrum of the gap, hypotheses, laws over the data, all drawn, and the verdict in words.
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+Modes against level in the recording: change of frequency and damping ratio, drawn where they tell something.
+
+The pages of a diagnosis in words and tables, as Markdown.
+
+The page "Step by step": the gap of one output, its spectrum, and the gap of each part, one row a step: they play.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from modal.discrepancy.results import Diagnosis, LawCurve
-from modal.recording.axis import Axis, linear_axis, log_axis
-from modal.recording.discrepancy.discrepancy_levels import log_level_modes
-from modal.recording.discrepancy.discrepancy_plan import DiscrepancyPlan
-from modal.recording.discrepancy.discrepancy_words import gap_text, law_text, verdict_text
-from modal.recording.discrepancy.series import STAGE_COLOURS, log_histories, log_tables, stage_part
-from modal.recording.figure import Figure, Pane
-from modal.recording.names import label
-from modal.recording.palette import BLUE, DIM_BLUE, FRAME, GOLD, GREEN, GREY, PALE
-from modal.recording.tables import log_table
-from modal.sections.discrepancy_spectra import GapDensity, gap_density
+from modal.discrepancy.results import Diagnosis, Finding, LawCurve
+from modal.localisation.gap import Gap
+from modal.recording.discrepancy.series import STAGE_COLOURS, DiscrepancyPlan, log_histories, log_tables, stage_part
+from modal.recording.figure import (
+    BLUE,
+    CYCLE,
+    DIM_BLUE,
+    FRAME,
+    GOLD,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    Axis,
+    Colour,
+    Figure,
+    Pane,
+    linear_axis,
+    log_axis,
+)
+from modal.recording.plan import cell, label, name_with_unit
+from modal.recording.series import TIMELINE, bucket_length, positions, reduced
+from modal.recording.tables import UNKNOWN, bullets, log_table, table
+from modal.sections import discrepancy_words as words
+from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
     NAMED_WITHIN,
     effect_text,
     effects_text,
     found_hypothesis,
+    found_value,
+    interval_text,
     law_against,
     law_gives,
+    size_text,
+    step_text,
     times_floor,
     times_text,
 )
+from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["GAP_TEXT", "HYPOTHESES", "LAW_TEXT", "VERDICT_TEXT", "law_panes", "log_discrepancy_page", "spectrum_pane"]
+__all__ = [
+    "GAP_TEXT",
+    "HYPOTHESES",
+    "LAW_TEXT",
+    "LEVEL_DAMPING",
+    "LEVEL_FREQUENCY",
+    "STEP_GAP",
+    "STEP_PARTS",
+    "STEP_SPECTRUM",
+    "STEP_TEXT",
+    "VERDICT_TEXT",
+    "gap_text",
+    "law_panes",
+    "law_text",
+    "level_panes",
+    "log_discrepancy_page",
+    "log_level_modes",
+    "log_steps_page",
+    "spectrum_pane",
+    "step_document",
+    "verdict_text",
+]
+
+LEVEL_FREQUENCY: Final = Pane("discrepancy/levels/frequency/plot", 700.0, 520.0)
+LEVEL_DAMPING: Final = Pane("discrepancy/levels/damping/plot", 700.0, 520.0)
+NINETY_FIVE: Final = 1.96
+
+Values = Callable[[LevelLine], tuple[FloatArray, FloatArray]]
+
+
+def level_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
+    """The plots that there is something to draw in."""
+    lines = level_lines(diagnosis)
+    damped = any(np.isfinite(line.damping).any() for line in lines)
+    return (*([LEVEL_FREQUENCY] if lines else []), *([LEVEL_DAMPING] if damped else []))
+
+
+def log_level_modes(diagnosis: Diagnosis, recording: "rerun.RecordingStream") -> None:
+    """Both plots; nothing where nothing is known of how modes move with level."""
+    lines = level_lines(diagnosis)
+    panes = level_panes(diagnosis)
+    if LEVEL_FREQUENCY in panes:
+        title = "change of frequency [%]"
+        _draw(recording, LEVEL_FREQUENCY, lines, title, lambda line: (line.change, line.change_std))
+    if LEVEL_DAMPING in panes:
+        _draw(recording, LEVEL_DAMPING, lines, "damping ratio [%]", lambda line: (line.damping, line.damping_std))
+
+
+def _draw(recording: "rerun.RecordingStream", pane: Pane, lines: Sequence[LevelLine], title: str, of: Values) -> None:
+    shown = [(line, *of(line)) for line in lines if np.isfinite(of(line)[0]).any()]
+    ends = [values + side * NINETY_FIVE * np.nan_to_num(std) for _, values, std in shown for side in (-1.0, 1.0)]
+    low, high = min(0.0, float(np.min(np.concatenate(ends)))), max(0.0, float(np.max(np.concatenate(ends))))
+    margin = 0.08 * (high - low) or 1.0
+    figure = Figure(
+        recording=recording, pane=pane, x=_level_axis(lines), y=linear_axis(title, low - margin, high + margin)
+    )
+    figure.frame()
+    span = [10.0**figure.x.low, 10.0**figure.x.high]
+    figure.bars("0_zero", [[[span[0], 0.0], [span[1], 0.0]]], FRAME, width=0.6, order=2.0)
+    entries = []
+    for k, (line, values, std) in enumerate(shown):
+        colour, width = CYCLE[k % len(CYCLE)], NINETY_FIVE * np.nan_to_num(std)
+        figure.line(f"1_line/{k}", line.levels, values, colour, width=1.2, order=5.0)
+        stack = zip(line.levels.tolist(), (values - width).tolist(), (values + width).tolist(), strict=True)
+        figure.bars(f"2_bars/{k}", [[[x, a], [x, b]] for x, a, b in stack], colour, width=0.8, order=6.0)
+        figure.points(f"3_points/{k}", line.levels, values, colour, radius=4.0)
+        entries.append((label(line.name, 24), colour))
+    figure.legend_row(entries)
+
+
+def _level_axis(lines: Sequence[LevelLine]) -> Axis:
+    """A logarithmic axis with a tick at each level: nothing is known between them."""
+    levels = sorted({level for line in lines for level in line.levels.tolist()})
+    places = tuple(float(np.log10(level)) for level in levels)
+    margin = max(0.08 * (places[-1] - places[0]), 0.03)
+    return Axis(
+        title="level of the excitation, relative to the loudest record",
+        low=places[0] - margin,
+        high=places[-1] + margin,
+        ticks=places,
+        texts=tuple(f"{level:.2g}" for level in levels),
+        scale="log10",
+    )
+
+
+MOST_ROWS = 40
+
+
+def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
+    """The verdict, the numbers found, before and after, what it cannot be told from, and what to do next."""
+    judgement = words.judge_diagnosis(diagnosis)
+    parts = [f"### {cell(words.diagnosis_headline(diagnosis))}", f"**{judgement.label}.**"]
+    parts += [f"**Read this:** {cell(warning)}" for warning in words.read_first(diagnosis)]
+    if diagnosis.findings:
+        parts.append(_parameters(diagnosis.findings))
+    parts.append(_before_after(plan))
+    runners_up = [words.runner_up_sentence(finding) for finding in diagnosis.findings if finding.runner_up]
+    parts += bullets(judgement.reasons, runners_up)
+    parts += ["**Next**", *bullets(words.next_sentences(diagnosis))]
+    limits = words.hidden_sentence(diagnosis)
+    return "\n\n".join([*parts, *([cell(limits)] if limits else [])])
+
+
+def law_text(diagnosis: Diagnosis) -> str:
+    """Every finding with its law, its signature and what speaks for it; then where the two disagree."""
+    parts = []
+    for number, finding in enumerate(diagnosis.findings, start=1):
+        name = f"{words.capital(effect_text(finding.effect))} at {finding.where}"
+        parts += [f"### {number}. {cell(name)}", f"Law: **{cell(finding.law)}** (`{cell(finding.effect)}`)"]
+        parts += bullets(
+            [
+                f"How it shows: {words.as_sentence(finding.signature)}",
+                words.as_sentence(finding.evidence.words),
+                words.runner_up_sentence(finding),
+            ]
+        )
+    where = words.where_sentences(diagnosis)
+    if where:
+        parts += ["### Where they disagree, before any effect was tried", *bullets(where)]
+    return "\n\n".join(parts) or "No effect was found."
+
+
+def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
+    """The gap part by part and output by output, and from what the noise floor was found."""
+    floor = np.sqrt(np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :])
+    rows = [
+        [
+            cell(record.name or f"held-out record {i + 1}", 40),
+            cell(name, 28),
+            size_text(float(diagnosis.gap_before[i, j])),
+            f"**{size_text(float(diagnosis.gap_after[i, j]))}**",
+            size_text(float(floor[i, j])),
+            cell(record.output_units[j], 12) if record.output_units[j] else UNKNOWN,
+        ]
+        for i, record in enumerate(diagnosis.held_out)
+        for j, name in enumerate(record.output_names)
+    ]
+    parts = ["### Held-out gap, root mean square"]
+    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:MOST_ROWS]))
+    if plan.stages:
+        heads = ["by", "part", *(stage.name for stage in plan.stages)]
+        sizes = [[row.part, cell(row.name, 40), *map(times_text, row.sizes)] for row in rows_of(plan.stages)]
+        parts += ["### The same in times of the noise floor", table(heads, sizes[:MOST_ROWS])]
+    return "\n\n".join([*parts, *bullets(words.floor_sentences(diagnosis))])
+
+
+def step_document(diagnosis: Diagnosis, number: int) -> str:
+    """One step: what it added, and what is left after it and after each of the others."""
+    step = diagnosis.steps[number]
+    rows = [
+        [
+            f"**{cell(step_text(one.name))}**" if k == number else cell(step_text(one.name)),
+            times_text(times_floor(one.fit_level)),
+            times_text(times_floor(one.held_out_level)),
+        ]
+        for k, one in enumerate(diagnosis.steps)
+    ]
+    left = times_text(times_floor(step.held_out_level))
+    return "\n\n".join(
+        [
+            f"### Step {number} of {len(diagnosis.steps) - 1}: {cell(step_text(step.name))}",
+            f"On held-out data **{left}** times the noise floor are left (1 is noise and no more).",
+            table(["step", "fitted to", "held out"], rows),
+            "Play the timeline `step` (or `time`): the gap shrinks.",
+        ]
+    )
+
+
+def _parameters(findings: tuple[Finding, ...]) -> str:
+    rows = [
+        [
+            cell(effect_text(finding.effect)),
+            cell(finding.where, 28),
+            cell(one.name),
+            f"**{found_value(one)}**",
+            cell(one.unit, 16) if one.unit else UNKNOWN,
+            interval_text(one.value, one.std),
+        ]
+        for finding in findings
+        for one in finding.parameters
+    ]
+    return table(["effect", "place", "", "value ± std", "unit", "95 %"], rows)
+
+
+def _before_after(plan: DiscrepancyPlan) -> str:
+    """The gap by output, in times of the noise floor."""
+    rows = [[cell(row.name, 28), *map(times_text, row.sizes)] for row in rows_of(plan.stages) if row.part == "output"]
+    heads = ["output, × noise", *(stage.name for stage in plan.stages)]
+    return table(heads, rows[:MOST_ROWS]) if rows else "The model as given does not run through the held-out records."
+
 
 VERDICT_TEXT: Final = "discrepancy/verdict"
 LAW_TEXT: Final = "discrepancy/law/text"
@@ -197,3 +412,142 @@ def _span(parts: Sequence[np.ndarray]) -> tuple[float, float]:
     low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
     margin = 0.08 * (high - low) or 1.0
     return low - margin, high + margin
+
+
+STEP: Final = "step"
+STEP_GAP: Final = Pane("discrepancy/steps/gap/plot", 1400.0, 335.0)
+STEP_SPECTRUM: Final = Pane("discrepancy/steps/spectrum/plot", 520.0, 400.0)
+STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
+STEP_TEXT: Final = "discrepancy/steps/text"
+DIM_RED: Final[Colour] = (120, 56, 58)
+DRAWN_SAMPLES: Final = 4000
+SHOWN_PARTS: Final = 7
+
+
+def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    """Frames once, and what changes once a step; nothing where no step ran through."""
+    import rerun as rr
+
+    if not plan.step_gaps:
+        return
+    _draw_gap(diagnosis, recording, plan)
+    _draw_spectrum(diagnosis, recording, plan)
+    _draw_parts(recording, plan)
+    texts = [step_document(diagnosis, number) for number in plan.step_numbers]
+    columns = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
+    _send(recording, STEP_TEXT, plan, columns)
+
+
+def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    record = diagnosis.held_out[plan.record]
+    bucket = bucket_length(record.n_samples, DRAWN_SAMPLES)
+    times = record.start_time + record.dt * positions(record.n_samples, bucket)
+    curves = [reduced(gap.residuals[plan.record][:, plan.output], bucket) for gap in plan.step_gaps]
+    noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
+    reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
+    name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
+    figure = Figure(
+        recording=recording,
+        pane=STEP_GAP,
+        x=linear_axis("time [s]", float(times[0]), float(times[-1])),
+        y=linear_axis(f"gap of {name}, held out", -reach, reach),
+    )
+    figure.frame()
+    figure.line("1_first", times, curves[0], DIM_RED, width=0.6, order=3.0)
+    for side in (-noise, noise):
+        ends = [float(times[0]), float(times[-1])]
+        figure.line(f"2_noise/{'low' if side < 0 else 'high'}", ends, [side, side], GREY, width=0.6, order=4.0)
+    _play_lines(recording, plan, f"{STEP_GAP.path}/3_now", [[figure.place(times, curve)] for curve in curves])
+    figure.legend([("as given", DIM_RED), ("this step", ORANGE), ("the last", GREEN), ("noise, ±2 deviations", GREY)])
+
+
+def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    density = gap_density(plan.step_gaps)
+    frequency, output = density.frequency, plan.output
+    figure = Figure(
+        recording=recording,
+        pane=STEP_SPECTRUM,
+        x=log_axis("frequency [Hz]", float(frequency[0]), float(frequency[-1])),
+        y=density_axis(density, output, diagnosis),
+    )
+    figure.frame()
+    figure.line("0_measured", frequency, density.measured[:, output], DIM_BLUE, width=0.9, order=2.0)
+    figure.line("1_first", frequency, density.gaps[0][:, output], DIM_RED, width=0.9, order=3.0)
+    ends = [float(frequency[0]), float(frequency[-1])]
+    figure.line("2_noise", ends, [float(density.noise[output])] * 2, GREY, width=0.9, order=4.0)
+    low, high = 10.0**figure.y.low, 10.0**figure.y.high
+    strips = [[figure.place(frequency, np.clip(gap[:, output], low, high))] for gap in density.gaps]
+    _play_lines(recording, plan, f"{STEP_SPECTRUM.path}/3_now", strips, width=1.3)
+    figure.legend_inside([("measured output", DIM_BLUE), ("gap as given", DIM_RED), ("gap now", ORANGE)])
+
+
+def _draw_parts(recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+    """A bar a part, as long as its gap is in times of the noise floor."""
+    rows = _shown(plan.step_gaps)
+    sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
+    figure = Figure(
+        recording=recording,
+        pane=STEP_PARTS,
+        x=log_axis("times the noise floor", min([0.7, *sizes]), max([3.0, *sizes])),
+        y=Axis(title="gap by output, record and band", low=0.0, high=len(rows) + 0.1, ticks=(), texts=()),
+    )
+    figure.frame()
+    figure.bars("0_floor", [[[1.0, 0.0], [1.0, len(rows)]]], GREY, width=0.9, order=3.0)
+    start = 10.0**figure.x.low
+    bars: list[list[FloatArray]] = [[] for _ in plan.step_gaps]
+    for k, row in enumerate(rows):
+        height = len(rows) - k - 0.75
+        figure.text_from(f"name/{k}", start, height + 0.42, f"{row.part}: {label(row.name, 40)}", PALE)
+        first = row.sizes[0] if np.isfinite(row.sizes[0]) else start
+        figure.bars(f"1_first/{k}", [[[start, height], [first, height]]], DIM_RED, width=3.0, order=4.0)
+        for strips, size in zip(bars, row.sizes, strict=True):
+            end = size if np.isfinite(size) and size > start else start
+            strips.append(figure.place([start, end], [height, height]))
+    _play_lines(recording, plan, f"{STEP_PARTS.path}/2_now", bars, width=5.0)
+
+
+def _shown(gaps: Sequence[Gap]) -> list[Row]:
+    """The outputs, records and bands with the largest gap at first, in their order."""
+    stages = [Stage(name="", kind="after", step=k, gap=gap) for k, gap in enumerate(gaps)]
+    rows = rows_of(stages)
+    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[:SHOWN_PARTS]
+    return [rows[k] for k in sorted(order.tolist())]
+
+
+def _play_lines(
+    recording: "rerun.RecordingStream",
+    plan: DiscrepancyPlan,
+    path: str,
+    frames: Sequence[Sequence[FloatArray]],
+    *,
+    width: float = 1.0,
+) -> None:
+    """One row of line strips a step: orange on the way, green at the last."""
+    import rerun as rr
+
+    counts = [len(strips) for strips in frames]
+    last = len(frames) - 1
+    colours = [GREEN if k == last else ORANGE for k, count in enumerate(counts) for _ in range(count)]
+    strips = [_known(strip) for frame in frames for strip in frame]
+    columns = [
+        *rr.LineStrips2D.columns(
+            strips=strips, colors=colours, radii=[rr.Radius.ui_points(width)] * len(strips)
+        ).partition(counts),
+    ]
+    _send(recording, path, plan, columns)
+    recording.log(path, rr.LineStrips2D.from_fields(draw_order=8.0), static=True, strict=True)
+
+
+def _known(strip: FloatArray) -> FloatArray:
+    """A strip without the points that are not known."""
+    return strip[np.isfinite(strip).all(axis=1)]
+
+
+def _send(recording: "rerun.RecordingStream", path: str, plan: DiscrepancyPlan, columns: Any) -> None:
+    import rerun as rr
+
+    index = [
+        rr.TimeColumn(STEP, sequence=list(plan.step_numbers)),
+        rr.TimeColumn(TIMELINE, duration=list(plan.step_times)),
+    ]
+    recording.send_columns(path, index, columns, strict=True)

@@ -1,28 +1,282 @@
-"""The page "Modes": shapes, their complexity and likeness, the table of all modes, the choices in words."""
+"""The page "Modes": shapes, their complexity and likeness, the table of all modes, the choices in words.
 
-from typing import TYPE_CHECKING, Final
+How the page "Modes" opens; called by `modal.recording.stream`.
+
+The page "Modes" in words: the table of all modes with every indicator, and what the shapes leave out.
+
+Shapes in the complex plane: a circle for each mode, and in it the components as phasors, largest 1.
+
+The components of a real mode lie on one line; it lies flat here, since shapes are turned to their best real phase.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from modal.geometry.comparable import comparable_shapes
-from modal.geometry.complexity import complexity_words
 from modal.geometry.placement import Placement, placed
-from modal.geometry.scene import scene_of
+from modal.geometry.scene import (
+    Scene,
+    comparable_shapes,
+    comparison_words,
+    complexity_words,
+    envelope_of,
+    phasors,
+    scene_of,
+)
 from modal.identification.result import Identification
+from modal.identification.words import damping_text
+from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
-from modal.recording.identification.complexity import log_complexity
-from modal.recording.identification.modes_words import modes_text
-from modal.recording.identification.shapes import log_shape
-from modal.recording.palette import WHITE
-from modal.recording.plan import Plan
-from modal.recording.tables import log_table
-from modal.recording.words import choices_text
-from okid.arrays import FloatArray
+from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, WHITE, Pane, document_view, plot_view
+from modal.recording.identification.shapes import log_shape, shape_path
+from modal.recording.plan import Plan, cell, label
+from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
+from modal.wording.numbers import hertz, ratio_text, with_interval
+from okid.arrays import ComplexArray, FloatArray
+from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["ASSURANCE", "CHOICES_TEXT", "FIELDS", "MODES_TABLE", "MODES_TEXT", "log_modes_page", "placement_in"]
+__all__ = [
+    "ASSURANCE",
+    "CHOICES_TEXT",
+    "COMPLEXITY",
+    "FIELDS",
+    "MODES_TABLE",
+    "MODES_TEXT",
+    "complexity_pane",
+    "log_complexity",
+    "log_modes_page",
+    "modes_page",
+    "modes_text",
+    "placement_in",
+]
+
+COMPLEXITY: Final = "modes/complexity"
+ROOM: Final = (390.0, 230.0)
+"""Width and height of the plot, about those of its pane on a common screen: a view unit is a point of the screen."""
+
+WORDS: Final = 24.0
+"""Height of the words under a circle, in view units."""
+
+GAP: Final = 7.0
+"""Between two circles, in view units."""
+
+MOST_COLUMNS: Final = 3
+"""Circles in a row, so that the words under them have room."""
+
+
+def complexity_pane(n_shapes: int) -> Pane:
+    """Where the circles are stored, and the size of the plot."""
+    n_columns, n_rows, _ = _cells(n_shapes)
+    return Pane(COMPLEXITY, ROOM[0] * n_columns / MOST_COLUMNS, max(ROOM[1], 74.0 * n_rows))
+
+
+def _cells(n_shapes: int) -> tuple[int, int, float]:
+    """Columns, rows, and radius of the circles."""
+    n_columns = min(max(n_shapes, 1), MOST_COLUMNS)
+    n_rows = -(-max(n_shapes, 1) // n_columns)
+    height = max(ROOM[1] / n_rows, 74.0)
+    return n_columns, n_rows, min(ROOM[0] / MOST_COLUMNS, height - WORDS) / 2 - GAP
+
+
+def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record) -> None:
+    """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words.
+
+    Args:
+        recording: the stream.
+        plan: of the recording.
+        record: whose outputs they are.
+    """
+    pane, radius = complexity_pane(len(plan.shapes)), _cells(len(plan.shapes))[2]
+    centres = _centres(len(plan.shapes), pane)
+    circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 65))
+    rims = [_places(circle, centre, radius) for centre in centres]
+    cross = [_places(np.array(ends), centre, radius) for centre in centres for ends in ((-1, 1), (-1j, 1j))]
+    _strips(recording, "0_cross", cross, GRID, 0.6, order=0.0)
+    _strips(recording, "1_circle", rims, FRAME, 0.8, order=1.0)
+    found = [phasors(plan.modes[number - 1], record.output_units) for number in plan.shapes]
+    arms, heads = [], []
+    for values, centre in zip(found, centres, strict=True):
+        ends = _places(values, centre, radius)
+        arms += [np.array([centre, end]) for end in ends]
+        heads.append(ends)
+    _strips(recording, "2_arms", arms, BLUE, 1.2, order=5.0)
+    _points(recording, "3_heads", np.concatenate(heads), list(record.output_names) * len(found))
+    modes = [plan.modes[number - 1] for number in plan.shapes]
+    words = [_words(number, mode) for number, mode in zip(plan.shapes, modes, strict=True)]
+    _texts(recording, "4_words", np.add(centres, (0.0, radius)), words)
+    parts = {"real": [one.real for one in found], "imaginary": [one.imag for one in found]}
+    log_table(recording, f"{COMPLEXITY}/numbers", "mode", plan.shapes, parts)
+
+
+def _centres(n_shapes: int, pane: Pane) -> list[FloatArray]:
+    n_columns, n_rows, radius = _cells(n_shapes)
+    width, height = pane.width / n_columns, pane.height / n_rows
+    cells = [divmod(k, n_columns) for k in range(n_shapes)]
+    return [np.array([width * (column + 0.5), height * row + GAP + radius]) for row, column in cells]
+
+
+def _places(values: ComplexArray, centre: FloatArray, radius: float) -> FloatArray:
+    """(n, 2) view coordinates; the view's second axis points down."""
+    return np.asarray(centre + radius * np.column_stack([values.real, -values.imag]), dtype=np.float64)
+
+
+def _words(number: int, mode: Mode) -> str:
+    """Collinearity and phase deviation; in words they stand in the table of the modes."""
+    known = [
+        f"MPC {mode.phase_collinearity:.2f}" if np.isfinite(mode.phase_collinearity) else "",
+        f"{mode.mpd:.0f}°" if np.isfinite(mode.mpd) else "",
+    ]
+    return f"{number}: {', '.join(filter(None, known)) or 'no indicator'}"
+
+
+def _strips(
+    recording: "rerun.RecordingStream",
+    name: str,
+    strips: list[FloatArray],
+    colour: tuple[int, int, int],
+    width: float,
+    *,
+    order: float,
+) -> None:
+    import rerun as rr
+
+    lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(width), colors=colour, draw_order=order)
+    recording.log(f"{COMPLEXITY}/{name}", lines, static=True, strict=True)
+
+
+def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
+    import rerun as rr
+
+    points = rr.Points2D(
+        places,
+        radii=rr.Radius.ui_points(2.6),
+        colors=ORANGE,
+        labels=[label(text) for text in texts],
+        show_labels=False,
+        draw_order=10.0,
+    )
+    recording.log(f"{COMPLEXITY}/{name}", points, static=True, strict=True)
+
+
+def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
+    import rerun as rr
+
+    points = rr.Points2D(
+        places,  # a label hangs below its point
+        radii=rr.Radius.ui_points(0.0),
+        colors=PALE,
+        labels=texts,
+        show_labels=True,
+        draw_order=30.0,
+    )
+    recording.log(f"{COMPLEXITY}/{name}", points, static=True, strict=True)
+
+
+REASON_LETTERS: Final = 90
+HEAD: Final = (
+    *("", "f [Hz]", "ζ [%]", "verdict", "repeats", "P", "gain", "γ", "EMAC out", "EMAC in", "EMAC", "MPC", "MPD [°]"),
+    *("shape", "CMI", "MSV", "kind", "why"),
+)
+
+
+def modes_text(identification: Identification, plan: Plan, placement: Placement | None) -> str:
+    """The table of all modes, noise included, with every indicator, the verdict and its reason.
+
+    Args:
+        identification: whose modes.
+        plan: their numbers.
+        placement: of the outputs on the structure, where shapes are drawn.
+    """
+    rows = [_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
+    parts = [table(*_with_content(HEAD, rows)) if rows else "The model has no mode."]
+    parts += bullets(
+        [
+            f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {mode.reason}"
+            for number, mode in enumerate(plan.modes, start=1)
+            if _start(mode.reason) != mode.reason
+        ]
+    )
+    if identification.modes.indicators_missing:
+        parts.append(f"Indicators are missing: {cell(identification.modes.indicators_missing)}")
+    parts.append(_key(identification, plan))
+    if placement is not None and plan.shapes:
+        parts += ["**The shapes**", *bullets([*placement.sentences, *_assurance_words(identification, plan)])]
+    return "\n\n".join(parts)
+
+
+def _key(identification: Identification, plan: Plan) -> str:
+    caution = identification.modes.indicator_caution
+    spread = "±: 95 % interval. " if np.isfinite([mode.frequency_std for mode in plan.modes]).any() else ""
+    return (
+        f"{spread}repeats: mean overlap with the same mode found again from other data and orders; it decides the "
+        "verdict. P: probability that the mode belongs to the system. gain: share of the squared error without the "
+        "mode that it removes. γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase "
+        "collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode singular value over the largest. "
+        f"n/(pq) = {_number(caution, 2)}"
+        + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
+    )
+
+
+def _assurance_words(identification: Identification, plan: Plan) -> list[str]:
+    first = identification.records[0]
+    words = comparison_words(first.output_names, first.output_units) if plan.compared else ""
+    return [words] if words else []
+
+
+def _row(number: int, mode: Mode) -> list[str]:
+    strong = "**" if mode.verdict == "system" else ""
+    known = mode.kind != "real" and mode.damping_resolved
+    damping = f"{strong}{_interval(100 * mode.damping_ratio, 196 * mode.damping_ratio_std)}{strong}"
+    return [
+        str(number),
+        f"{strong}{_frequency(mode)}{strong}",
+        damping if known else damping_text(mode),
+        f"{strong}{mode.verdict}{strong}",
+        *[_number(value, 2) for value in (mode.repeatability, mode.probability)],
+        _figures(mode.gain),
+        *[_number(value, 2) for value in (mode.amplitude_coherence, mode.emac_output, mode.emac_input, mode.emac)],
+        _number(mode.phase_collinearity, 2),
+        _number(mode.mpd, 0),
+        complexity_words(mode),
+        _number(mode.cmi, 2),
+        _number(mode.msv, 2),
+        mode.kind,
+        cell(_start(mode.reason)) if mode.reason else UNKNOWN,
+    ]
+
+
+def _frequency(mode: Mode) -> str:
+    if not np.isfinite(mode.frequency_std):
+        return hertz(mode.frequency)
+    return with_interval(mode.frequency, 1.96 * mode.frequency_std)
+
+
+def _interval(value: float, half_width: float) -> str:
+    return with_interval(value, half_width) if np.isfinite(half_width) else f"{value:#.3g}"
+
+
+def _start(reason: str) -> str:
+    """What fits beside the numbers on a common screen; the whole of a longer reason stands below the table."""
+    return reason if len(reason) <= REASON_LETTERS else reason[: REASON_LETTERS - 1].rstrip() + "…"
+
+
+def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """Leave out columns that say nothing: no value in any row, or every pole oscillatory."""
+    said = [k for k in range(len(head)) if {row[k] for row in rows} - {UNKNOWN, "oscillatory"}]
+    return [head[k] for k in said], [[row[k] for k in said] for row in rows]
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
+
+
+def _figures(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else UNKNOWN
+
 
 MODES_TEXT: Final = "modes/text"
 CHOICES_TEXT: Final = "modes/choices"
@@ -180,3 +434,122 @@ def _log_texts(
         draw_order=30.0,
     )
     recording.log(path, points, static=True, strict=True)
+
+
+HALF_VIEW: Final = 0.52
+"""Half the height that a 3-D view shows, at a distance of 1."""
+
+SHAPES_ROOM: Final = (1000.0, 500.0)
+TITLE: Final = 28.0
+"""Width and height of the room for all shapes on a common screen, and height of the title of each, in its points."""
+
+SHAPES_COLUMNS: Final = 4
+"""Panes side by side, so that each is wide enough for its title."""
+
+MARGIN: Final = 1.1
+AIMING: Final = 20
+"""Steps of the search for the aim, each halving what is off."""
+
+
+def modes_page(identification: Identification, plan: Plan) -> Any:
+    """Shapes beside their assurance and complexity, over the table in words and in numbers."""
+    import rerun.blueprint as rrb
+
+    words: list[Any] = [document_view(MODES_TEXT, "Mode table"), document_view(CHOICES_TEXT, "Choices and warnings")]
+    if plan.modes:
+        columns = ["mode", *(f"/{MODES_TABLE}:{name}" for name in FIELDS)]
+        query = rrb.archetypes.DataframeQuery(timeline="mode", select=columns)
+        words.append(rrb.DataframeView(origin=MODES_TABLE, name="Numbers", query=query))
+    below = rrb.Tabs(*words, active_tab=0, name="In words")
+    if not plan.shapes:
+        return rrb.Vertical(below, name="Modes")
+    scene = scene_of(placement_in(identification, plan))
+    points = _reached(scene, plan)
+    n_columns, aspect = _grid(len(plan.shapes), scene, points)
+    eye = _eye(scene, points, aspect)
+    shapes = rrb.Grid(*[_shape(plan, number, eye) for number in plan.shapes], grid_columns=n_columns, name="Shapes")
+    beside: list[Any] = [_assurance(len(plan.shapes))] if plan.compared else []
+    beside.append(plot_view(complexity_pane(len(plan.shapes)), "Complexity of the shapes"))
+    right = rrb.Vertical(*beside, row_shares=[1.2, 1.0][-len(beside) :], name="Compared")
+    above = rrb.Horizontal(shapes, right, column_shares=[2.6, 1.0], name="Shapes")
+    return rrb.Vertical(above, below, row_shares=[1.75, 1.0], name="Modes")
+
+
+def _reached(scene: Scene, plan: Plan) -> FloatArray:
+    """Every place that a node comes to in any of the shapes, (n, 3)."""
+    places = [scene.positions]
+    moving = scene.placement.motions.moving
+    for number in plan.shapes:
+        furthest = envelope_of(scene.motion(plan.modes[number - 1]))[moving]
+        places += [scene.positions[moving] + furthest, scene.positions[moving] - furthest]
+    return np.concatenate(places)
+
+
+def _grid(n_views: int, scene: Scene, points: FloatArray) -> tuple[int, float]:
+    """Columns of the grid of shapes and width over height of its panes: those that show the structure largest."""
+    width, height = np.maximum(np.ptp(scene.eye.seen(points), axis=0), 0.3)
+    sizes = {}
+    for n_columns in range(1, min(n_views, SHAPES_COLUMNS) + 1):
+        pane = _pane(n_views, n_columns)
+        sizes[n_columns] = min(pane[0] / width, pane[1] / height)
+    n_columns = max(sizes, key=lambda one: (round(sizes[one], 6), -one))
+    pane = _pane(n_views, n_columns)
+    return n_columns, pane[0] / pane[1]
+
+
+def _pane(n_views: int, n_columns: int) -> tuple[float, float]:
+    return SHAPES_ROOM[0] / n_columns, max(SHAPES_ROOM[1] / -(-n_views // n_columns) - TITLE, 20.0)
+
+
+def _shape(plan: Plan, number: int, eye: Any) -> Any:
+    import rerun.blueprint as rrb
+
+    mode = plan.modes[number - 1]
+    resolved = mode.damping_resolved and mode.kind != "real"
+    damping = ratio_text(mode.damping_ratio) if resolved else damping_text(mode).replace("not", "damping not")
+    title = f"Mode {number}: {hertz(mode.frequency)} Hz, {damping}"  # the interval stands in the table
+    if mode.verdict != "system":
+        title = f"{mode.verdict.capitalize()} {number}: {hertz(mode.frequency)} Hz"
+    return rrb.Spatial3DView(
+        origin=shape_path(number),
+        name=title,
+        line_grid=rrb.LineGrid3D(visible=False),
+        background=rrb.Background(BACKGROUND),
+        eye_controls=eye,
+    )
+
+
+def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
+    """As near as the pane's shape allows, aimed at the middle of all that is seen; the same for every mode.
+
+    At a distance D a point of depth z is seen at (x - x0) / (D - z); the aim x0 is moved until what is seen is centred.
+    """
+    import rerun.blueprint as rrb
+
+    eye = scene.eye
+    seen = eye.seen(points)
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    depth = points @ eye.towards
+    half = HALF_VIEW * np.array([aspect, 1.0]) / MARGIN
+    distance = 1.0
+    for _ in range(AIMING):
+        needed = np.abs(seen - middle) / half + depth[:, np.newaxis]
+        distance = max(float(needed.max()), float(depth.max()) + 0.5)
+        on_screen = (seen - middle) / (distance - depth)[:, np.newaxis]
+        middle = middle + 0.5 * distance * (on_screen.min(axis=0) + on_screen.max(axis=0)) / 2
+    target = middle[0] * eye.right + middle[1] * eye.up
+    return rrb.EyeControls3D(position=target + distance * eye.towards, look_target=target, eye_up=(0.0, 0.0, 1.0))
+
+
+def _assurance(n_modes: int) -> Any:
+    import rerun.blueprint as rrb
+
+    margin = 0.16 * n_modes
+    return rrb.Spatial2DView(
+        origin=ASSURANCE,
+        name="Assurance of the shapes",
+        background=rrb.Background(BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(-margin, n_modes + 0.5 * margin), y_range=(-0.5 * margin, n_modes + margin)
+        ),
+    )

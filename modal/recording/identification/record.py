@@ -1,26 +1,112 @@
-"""The page "Record": what was measured, over time and over frequency, and what there is to say against it."""
+"""The page "Record": what was measured, over time and over frequency, and what there is to say against it.
+
+How the page "Record" opens; called by `modal.recording.stream`, and by `modal.recording.live` before any fit.
+
+The quality of the data in words, as Markdown: the verdict, what was found, one row a channel.
+"""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from modal.quality.findings import DataQuality, Finding
-from modal.recording.axis import SHARE_AXIS, Axis, linear_axis, log_axis
-from modal.recording.figure import Figure, Pane
-from modal.recording.identification.quality_words import quality_text
-from modal.recording.names import label, name_with_unit
-from modal.recording.palette import BLUE, CYCLE, GOLD, ORANGE, RED, Colour
-from modal.recording.plan import DataPlan
+from modal.recording.figure import (
+    BLUE,
+    CYCLE,
+    GOLD,
+    ORANGE,
+    RED,
+    SHARE_AXIS,
+    Axis,
+    Colour,
+    Figure,
+    Pane,
+    document_view,
+    linear_axis,
+    log_axis,
+    plot_view,
+    series_view,
+)
+from modal.recording.identification.fit import inputs_view
+from modal.recording.plan import SHOWN_OUTPUTS, DataPlan, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import log_table
+from modal.recording.tables import UNKNOWN, bullets, log_table, table
 from okid.arrays import FloatArray
 from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["LEVEL_COLOURS", "OUTPUT_COLOURS", "log_record_page", "marked", "marks_path", "quality_path", "spectra_pane"]
+__all__ = [
+    "LEVEL_COLOURS",
+    "OUTPUT_COLOURS",
+    "log_record_page",
+    "marked",
+    "marks_path",
+    "quality_path",
+    "quality_text",
+    "record_page",
+    "spectra_pane",
+]
+
+LISTED_CHANNELS: Final = 40
+LISTED_FINDINGS: Final = 20
+
+
+def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
+    """What the data are good for, before any model.
+
+    Args:
+        quality: of the records.
+        records: the same.
+    """
+    first = records[0]
+    n_samples = sum(record.n_samples for record in records)
+    seconds = sum(record.n_samples * record.dt for record in records)
+    of = f"{len(records)} records, " if len(records) > 1 else ""
+    extent = (
+        f"{of}{n_samples} samples at {first.sampling_frequency:.6g} Hz, {seconds:.4g} s in all; "
+        f"{_count(first.n_inputs, 'input')}, {_count(first.n_outputs, 'output')}."
+    )
+    parts = [f"### {cell(quality.verdict)}", extent]
+    found = quality.findings[:LISTED_FINDINGS]
+    lines = [
+        f"{k}. **{one.level}**, {cell(one.where, 80)}: {cell(one.sentence)}" for k, one in enumerate(found, start=1)
+    ]
+    parts.append("\n".join(lines))
+    left = len(quality.findings) - len(found)
+    if left:
+        parts += bullets([f"{_count(left, 'finding')} more; all are stored."])
+    head = ["channel", "unit", "deviation", "largest", "over noise", "explained", "data"]
+    rows = [
+        [
+            cell(one.name, 24),
+            cell(one.unit, 12) if one.unit else UNKNOWN,
+            _figures(one.statistics.std),
+            _figures(max(abs(one.statistics.smallest), abs(one.statistics.largest))),
+            f"{one.statistics.signal_to_noise:.0f} dB" if np.isfinite(one.statistics.signal_to_noise) else UNKNOWN,
+            f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
+            one.level if one.level == "good" else f"**{one.level}**",
+        ]
+        for one in quality.channels[:LISTED_CHANNELS]
+    ]
+    parts.append(table(head, rows))
+    if first.n_inputs:
+        parts.append(
+            "Over noise: power of the channel over that of broadband noise, at least. Explained: share of an output's "
+            "power that the inputs explain by a linear law (coherence)."
+        )
+    return "\n\n".join(part for part in parts if part)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def _figures(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
+
 
 LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": RED, "doubtful": GOLD, "note": (140, 165, 210)}
 
@@ -245,3 +331,63 @@ def _density_axis(title: str, densities: FloatArray) -> Axis:
         return log_axis(title, 0.1, 10.0)
     high = float(positive.max())
     return log_axis(title, max(float(positive.min()), high * 10.0**-SPECTRUM_DECADES), high)
+
+
+ONE_COLUMN: Final = 4
+"""Outputs stand one below the other up to so many, in two columns beyond."""
+
+
+def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:
+    """Inputs, findings on the time axis, outputs; to the right the quality in words over spectra and coherence."""
+    import rerun.blueprint as rrb
+
+    rows = inputs_view(plan)
+    shares = [1.0] * len(rows)
+    marks = marked(quality)
+    if marks:
+        rows.append(_marks_view(plan, len(marks)))
+        shares.append(0.5 + 0.09 * len(marks))
+    rows += [_outputs(records, plan)]
+    shares.append(0.9 * -(-len(plan.shown_outputs) // _columns(plan)))
+    left = rrb.Vertical(*rows, row_shares=shares, name="Channels")
+    words = [document_view(quality_path(plan), "Data quality")]
+    if quality.frequencies.size:
+        pane = spectra_pane(plan)
+        words.append(plot_view(pane, "Spectra" if quality.coherence is None else "Spectra and coherence"))
+    right = rrb.Vertical(*words, row_shares=[1.0, 1.9][: len(words)], name="Quality")
+    return rrb.Horizontal(left, right, column_shares=[1.7, 1.0], name="Record")
+
+
+def _columns(plan: DataPlan) -> int:
+    return 1 if len(plan.shown_outputs) <= ONE_COLUMN else 2
+
+
+def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
+    import rerun.blueprint as rrb
+
+    first = records[0]
+    views = []
+    for i in plan.shown_outputs:
+        title = name_with_unit(first.output_names[i], first.output_units[i])
+        view = series_view(plan.output_paths[i], title, ["$origin"], legend=False)
+        view.visualizer_overrides[plan.output_paths[i]] = _thin(i)
+        views.append(view)
+    n_outputs = first.n_outputs
+    name = "Outputs" if n_outputs <= SHOWN_OUTPUTS else f"Outputs, the first {SHOWN_OUTPUTS} of {n_outputs}"
+    return rrb.Grid(*views, grid_columns=_columns(plan), name=name)
+
+
+def _thin(output: int) -> Any:
+    """The style on this page: the colour that the output has in the spectra, and a thin line."""
+    import rerun as rr
+
+    colour = OUTPUT_COLOURS[output % len(OUTPUT_COLOURS)]
+    return rr.SeriesLines.from_fields(colors=colour, widths=1.0, aggregation_policy="MinMax")
+
+
+def _marks_view(plan: DataPlan, n_marks: int) -> Any:
+    import rerun.blueprint as rrb
+
+    view = series_view(marks_path(plan), "What was found, and when", ["$origin/**"])
+    view.properties["ScalarAxis"] = rrb.ScalarAxis(range=(-n_marks - 0.7, -0.3), zoom_lock=True)
+    return view

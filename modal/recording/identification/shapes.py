@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
-from modal.recording.names import label
-from modal.recording.palette import BLUE, DIM_BLUE, GOLD, GREY, ORANGE
-from modal.recording.plan import Plan
+from modal.recording.figure import BLUE, DIM_BLUE, GOLD, GREY, ORANGE
+from modal.recording.plan import Plan, label
 from modal.recording.series import TIMELINE
 from okid.arrays import ComplexArray, FloatArray
 

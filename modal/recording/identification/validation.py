@@ -3,36 +3,188 @@
 Over time the model runs freely: it sees the inputs alone. Over frequency its response is set against the quotient of
 the spectra, which knows nothing of the model, with the coherence that says where that quotient can be believed. Without
 inputs the spectrum of the outputs takes the place of the response.
+
+How the page "Validation" opens; called by `modal.recording.stream`.
+
+Where the page "Validation" draws what: a pane for each output, and one for each pair of output and input.
+
+The page "Validation" in words: what was run on which rows, and how much of each output is left over.
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.recording.axis import SHARE_AXIS, Axis, linear_axis
-from modal.recording.evidence import Gathered
-from modal.recording.figure import Figure, Pane
-from modal.recording.identification.validation_panes import (
-    DECADES,
-    density_pane,
-    drawn_inputs,
-    magnitude_pane,
-    response_pane,
-    two_line_axis,
+from modal.recording.figure import (
+    BLUE,
+    GREY,
+    ORANGE,
+    PALE,
+    SHARE_AXIS,
+    Axis,
+    Figure,
+    Pane,
+    document_view,
+    linear_axis,
+    log_axis,
+    plot_view,
+    series_view,
 )
-from modal.recording.identification.validation_words import validation_text
-from modal.recording.names import label
-from modal.recording.palette import BLUE, GREY, ORANGE, PALE
-from modal.recording.plan import Plan
-from modal.recording.tables import log_table
+from modal.recording.identification.fit import run_view
+from modal.recording.plan import SHOWN_INPUTS, Gathered, Plan, cell, label
+from modal.recording.tables import UNKNOWN, log_table, table
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["VALIDATION_TEXT", "log_validation_page"]
+__all__ = [
+    "DECADES",
+    "VALIDATION_TEXT",
+    "density_pane",
+    "drawn_inputs",
+    "log_validation_page",
+    "magnitude_pane",
+    "overview_columns",
+    "response_pane",
+    "two_line_axis",
+    "validation_page",
+    "validation_text",
+]
+
+MOST_RESPONSES: Final = 16
+DECADES: Final = 5.0
+"""Of a magnitude that are shown; of a power spectrum, which is its square, twice as many hold the same."""
+HIGHEST: Final = 100.0
+"""Times the largest measured value that a peak of the model may have in the picture."""
+
+
+def response_pane(output: int, source: int) -> Pane:
+    """Where magnitude, phase and coherence of an output to an input are drawn."""
+    return Pane(f"validation/response/{output + 1:02d}/{source + 1:02d}/plot", 470.0, 740.0)
+
+
+def overview_columns(n_outputs: int) -> int:
+    """Columns in which the outputs stand side by side."""
+    return 1 if n_outputs < 3 else 2 if n_outputs < 7 else 3
+
+
+def magnitude_pane(output: int, n_outputs: int) -> Pane:
+    """Where the magnitude of an output's response, or its spectrum, is drawn beside those of the others.
+
+    As large as its place on a common screen, or texts would be too large for it.
+    """
+    n_columns = overview_columns(n_outputs)
+    n_rows = -(-n_outputs // n_columns)
+    return Pane(f"validation/overview/{output + 1:02d}/plot", 1040.0 / n_columns, max(150.0, 780.0 / n_rows - 30.0))
+
+
+def density_pane(output: int) -> Pane:
+    """Where the spectrum of an output is drawn by itself, when there are no inputs."""
+    return Pane(f"validation/spectrum/{output + 1:02d}/plot", 470.0, 740.0)
+
+
+def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]:
+    """Inputs whose response at this output is drawn, the one that moves it most first; at least one, not too many.
+
+    How much an input moves an output is told by its ordinary coherence, mean over the lines.
+    """
+    if evidence.measured is None:
+        return ()
+    n_drawn = min(SHOWN_INPUTS, max(1, MOST_RESPONSES // len(plan.data.shown_outputs)))
+    strength = np.nan_to_num(evidence.measured.ordinary_coherence[:, output]).mean(axis=0)
+    return tuple(np.argsort(-strength, kind="stable")[:n_drawn].tolist())
+
+
+def two_line_axis(title: str, seen: FloatArray, made: FloatArray, *, decades: float = DECADES) -> Axis:
+    """Down to what was measured, as a zero of the model goes down to nothing; up to the peaks of both.
+
+    A pole on the unit circle has no peak: the model may rise by some decades above what was measured, and no more.
+    """
+    known = [values[np.isfinite(values) & (values > 0)] for values in (seen, made)]
+    first = next((values for values in known if values.size), None)
+    if first is None:
+        return log_axis(title, 0.1, 10.0)
+    high = float(first.max())
+    highest = max(float(values.max()) for values in known if values.size)
+    high = max(high, min(HIGHEST * high, highest))
+    return log_axis(title, max(float(first.min()), high * 10.0**-decades), high)
+
+
+LISTED_OUTPUTS: Final = 40
+
+
+def validation_text(identification: Identification, evidence: Gathered) -> str:
+    """What the pictures beside it show, on which rows, and the numbers of each output."""
+    first = identification.records[0]
+    if first.n_inputs:
+        title = "### Free run on all rows"
+        meaning = (
+            "The lines show a free run: the model sees the inputs alone and never the outputs. It runs over **all "
+            "rows**, which the final model was fitted to as well. The honest score is beside it: **cross-validated**, "
+            "of models that were not fitted to the rows they are scored on."
+        )
+    else:
+        title = "### One step ahead, on all rows"
+        meaning = (
+            "No input was measured, so nothing can run freely: the lines show the prediction **one step ahead**, over "
+            "all rows. The pictures over frequency set the spectrum of each output against that of the model, driven "
+            "by its own one-step errors."
+        )
+    sizes = "Left over: root mean square of what the lines leave of an output. Output: its standard deviation."
+    parts = [title, meaning, table(*_table(identification)), sizes]
+    measured = evidence.measured
+    if measured is not None:
+        parts.append(
+            f"Response: H1 from {measured.n_averages} segments of {measured.frequencies[1]:.4g} Hz resolution; "
+            "a narrower resonance is smeared. Where the coherence is low, the measured line is not to be "
+            "trusted, and the two need not agree."
+        )
+    elif first.n_inputs:
+        parts.append("The records are too short for a measured response.")
+    return "\n\n".join(parts)
+
+
+def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
+    first, fit = identification.records[0], identification.fit
+    driven = bool(first.n_inputs)
+    head = ["output", "unit", "cross-validated", "all rows" if driven else "one step", "left over", "output"]
+    rows = []
+    for i in range(min(first.n_outputs, LISTED_OUTPUTS)):
+        left, whole = _sizes(identification, i)
+        rows.append(
+            [
+                cell(first.output_names[i], 24),
+                cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
+                f"**{_percent(fit.cross_validated[i])}**",
+                _percent(fit.whole[i] if driven else fit.one_step[i]),
+                _figures(left),
+                _figures(whole),
+            ]
+        )
+    return head, rows
+
+
+def _sizes(identification: Identification, output: int) -> tuple[float, float]:
+    """Root mean square of what the run leaves of an output, and the output's deviation; nan where nothing is known."""
+    measured = np.concatenate([record.outputs[:, output] for record in identification.records])
+    simulated = np.concatenate([record.outputs[:, output] for record in identification.simulated])
+    left = measured - simulated
+    there = np.isfinite(left)
+    if not there.any():
+        return np.nan, np.nan
+    return float(np.sqrt(np.mean(left[there] ** 2))), float(np.std(measured[there]))
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
+
+
+def _figures(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
+
 
 VALIDATION_TEXT: Final = "validation/text"
 
@@ -240,3 +392,65 @@ def _phase(values: ComplexArray) -> FloatArray:
     jumps = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0)
     degrees[jumps] = np.nan
     return np.asarray(degrees)
+
+
+def validation_page(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
+    """All outputs over frequency, then each over time and frequency; the words to the right."""
+    import rerun.blueprint as rrb
+
+    outputs = plan.data.shown_outputs
+    tabs = [_one_output(identification, plan, evidence, i) for i in outputs]
+    if len(outputs) > 1:
+        tabs = [_everything(identification, plan, evidence), *tabs]
+    left = rrb.Tabs(*tabs, active_tab=0, name="Outputs") if len(tabs) > 1 else tabs[0]
+    words = document_view(VALIDATION_TEXT, "Validation in words")
+    return rrb.Horizontal(left, words, column_shares=[2.4, 1.0], name="Validation")
+
+
+def _everything(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
+    import rerun.blueprint as rrb
+
+    views = [_overview(identification, plan, evidence, i) for i in plan.data.shown_outputs]
+    return rrb.Grid(*views, grid_columns=overview_columns(len(views)), name="All outputs")
+
+
+def _overview(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
+    sources = drawn_inputs(evidence, plan, output)
+    name = label(_output(identification, output), 20)
+    pane = magnitude_pane(output, len(plan.data.shown_outputs))
+    if sources:
+        return plot_view(pane, f"{name} / {_input(identification, sources[0], 20)}")
+    if evidence.model_density.size:
+        return plot_view(pane, f"Spectrum of {name}")
+    return run_view(identification, plan, output, legend=output == 0)
+
+
+def _one_output(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
+    """Over time to the left, with what is left over; over frequency to the right, a tab an input."""
+    import rerun.blueprint as rrb
+
+    name = label(_output(identification, output), 18)
+    series = rrb.Vertical(
+        run_view(identification, plan, output),
+        series_view(plan.fit_paths[output], "Residual", ["$origin/residual/**"]),
+        row_shares=[1.3, 1.0],
+        name="Over time",
+    )
+    responses = [
+        plot_view(response_pane(output, source), f"{name} / {_input(identification, source, 18)}")
+        for source in drawn_inputs(evidence, plan, output)
+    ]
+    if evidence.model_density.size:
+        responses = [plot_view(density_pane(output), f"Spectrum of {name}")]
+    if not responses:
+        return rrb.Vertical(series, name=name)
+    right = rrb.Tabs(*responses, active_tab=0, name="Over frequency") if len(responses) > 1 else responses[0]
+    return rrb.Horizontal(series, right, column_shares=[1.25, 1.0], name=name)
+
+
+def _output(identification: Identification, output: int) -> str:
+    return identification.records[0].output_names[output]
+
+
+def _input(identification: Identification, source: int, longest: int) -> str:
+    return label(identification.records[0].input_names[source], longest)

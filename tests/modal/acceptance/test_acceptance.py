@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.acceptance.acceptance_sight import uncovered
 from modal.acceptance.check import all_met, check_limits
 from modal.acceptance.limits import (
     DampingRange,
@@ -21,8 +20,8 @@ from modal.acceptance.limits import (
     UncertaintyAtMost,
 )
 from modal.acceptance.test_file import Specification
-from modal.acceptance.weighing import MAYBE, NO, YES, all_of, any_of, inside, negated
-from modal.modes.uncertainty import Uncertainty
+from modal.acceptance.weighing import MAYBE, NO, YES, all_of, any_of, inside, negated, uncovered
+from modal.modes.mode import Uncertainty
 from okid.record import Record
 
 ANSWERS = st.sampled_from([NO, MAYBE, YES])

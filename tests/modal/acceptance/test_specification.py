@@ -8,19 +8,20 @@ from pathlib import Path
 import pytest
 
 import modal.acceptance.test_file
-from modal.acceptance.limit_tables import _KINDS, limits_of
 from modal.acceptance.limits import (
+    _KINDS,
     DampingRange,
     FitAtLeast,
     ModeCount,
     ModeExpected,
     ModeForbidden,
     SettledVerdicts,
+    Table,
     TrustAtLeast,
     UncertaintyAtMost,
+    limits_of,
 )
 from modal.acceptance.test_file import Specification, read_specification
-from modal.acceptance.toml_tables import Table
 from okid.errors import InvalidDataError, UnreadableFileError
 
 WHOLE = """

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modal.command.check_job import CheckJob, carry_out_check, check_status, quality_json
-from modal.command.job import FileSource
-from modal.command.terminal_check import show_quality
+from modal.command.check import CheckJob, carry_out_check, check_status, quality_json, show_quality
+from modal.command.run import FileSource
 from modal.quality.check import check_quality
 from okid.errors import InvalidDataError
 from okid.record import Record

@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 
 import modal.identification.pipeline
 import modal.recording
-from modal.command.command_options import plain_name, spread_files
 from modal.command.main import _status, app
+from modal.command.options import plain_name, spread_files
 
 COMMAND = [sys.executable, "-c", "from modal.command.main import main; main()"]
 HERE = Path(modal.identification.pipeline.__file__).parents[1]
@@ -136,7 +136,7 @@ def quick(monkeypatch, identification):
             raise state["result"]
         return state["result"]
 
-    monkeypatch.setattr("modal.command.job.identify", identify)
+    monkeypatch.setattr("modal.command.run.identify", identify)
     monkeypatch.setattr("modal.identify", identify)
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
@@ -178,7 +178,7 @@ def test_every_file_is_read_once(data, quick, monkeypatch):
 
     read, seen = okid.readers.read_table, []
     monkeypatch.setattr(okid.readers, "read_table", lambda path: seen.append(path) or read(path))
-    monkeypatch.setattr("okid.readers.description.read_table", lambda path: seen.append(path) or read(path))
+    monkeypatch.setattr("okid.readers.dispatch.read_table", lambda path: seen.append(path) or read(path))
     assert invoke(data / "good.csv", "--inputs", "force", "-o", data / "out").exit_code == 0
     assert seen == [data / "good.csv"]
 
@@ -307,7 +307,7 @@ if {stage!r} == "identify":
         return [identify(*arguments, **options) for _ in range(20)]
     modal.identification.pipeline.identify = announced
 else:
-    from modal.identification.storage import load
+    from modal.identification.result import load
     modal.identification.pipeline.identify = lambda *_arguments, **_options: load("result.npz")
     modal.recording.save_recording = waiting
 from modal.command.main import main
@@ -520,8 +520,8 @@ def test_a_report_stopped_while_it_is_printed_has_no_old_print_beside_it(data, q
     def interrupted(_html, _pdf):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("modal.command.job_setup.find_browser", lambda: "browser")
-    monkeypatch.setattr("modal.command.job.write_pdf", interrupted)
+    monkeypatch.setattr("modal.command.run.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.command.run.write_pdf", interrupted)
     (data / "out").mkdir()
     (data / "out" / "report.pdf").write_text("old")
     arguments = ["run", str(data / "good.csv"), "--inputs", "force", "--pdf", "-o", str(data / "out"), "--overwrite"]
@@ -536,7 +536,7 @@ def test_a_viewer_that_cannot_be_had_is_said_and_is_not_in_the_report(data, quic
         tell("No viewer was found.")
         yield None
 
-    monkeypatch.setattr("modal.command.live_view.live_recording", live_recording)
+    monkeypatch.setattr("modal.command.terminal.live_recording", live_recording)
     result = invoke(data / "good.csv", "--inputs", "force", "--live", "-o", data / "out")
     assert result.exit_code == 0, result.output
     assert "No viewer was found." in result.stdout
@@ -545,9 +545,9 @@ def test_a_viewer_that_cannot_be_had_is_said_and_is_not_in_the_report(data, quic
 
 def test_a_viewer_is_told_of_records_progress_and_result(data, quick, monkeypatch):
     told = []
-    monkeypatch.setattr("modal.command.live_view.live_recording", lambda **_: contextlib.nullcontext("stream"))
-    monkeypatch.setattr("modal.command.live_view.log_records", lambda records, to: told.append((to, len(records))))
-    monkeypatch.setattr("modal.command.live_view.log_result", lambda result, to, **_: told.append((to, result)))
+    monkeypatch.setattr("modal.command.terminal.live_recording", lambda **_: contextlib.nullcontext("stream"))
+    monkeypatch.setattr("modal.command.terminal.log_records", lambda records, to: told.append((to, len(records))))
+    monkeypatch.setattr("modal.command.terminal.log_result", lambda result, to, **_: told.append((to, result)))
     assert invoke(data / "good.csv", "--inputs", "force", "--live", "-o", data / "out").exit_code == 0
     assert told == [("stream", 1), ("stream", quick["result"])]
 
@@ -580,11 +580,11 @@ def test_a_bad_test_file_or_geometry_is_refused_before_any_work(data, quick, mon
 
 
 def test_a_pdf_that_cannot_be_is_refused_before_any_work(data, quick, monkeypatch):
-    monkeypatch.setattr("modal.command.job_setup.find_browser", lambda: None)
+    monkeypatch.setattr("modal.command.run.find_browser", lambda: None)
     result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
     assert (result.exit_code, quick["calls"]) == (2, [])
     assert one_sentence(result.stderr), result.stderr
-    monkeypatch.setattr("modal.command.job_setup.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.command.run.find_browser", lambda: "browser")
     (data / "out").mkdir()
     (data / "out" / "report.pdf").write_text("mine")
     result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
@@ -597,7 +597,7 @@ def test_what_an_older_report_had_more_does_not_stay_beside_a_new_one(data, quic
     out.mkdir()
     for name in ("report.html", "report.pdf", "result.npz", "notes.txt"):
         (out / name).write_text("old")
-    monkeypatch.setattr("modal.report.kept_result.LARGEST_KEPT", 0)
+    monkeypatch.setattr("modal.report.writing.LARGEST_KEPT", 0)
     result = invoke(data / "good.csv", "--inputs", "force", "-o", out, "--overwrite")
     assert result.exit_code == 0, result.output
     assert not (out / "report.pdf").exists()
@@ -607,8 +607,8 @@ def test_what_an_older_report_had_more_does_not_stay_beside_a_new_one(data, quic
 
 
 def test_a_pdf_is_printed_from_the_page(data, quick, monkeypatch):
-    monkeypatch.setattr("modal.command.job_setup.find_browser", lambda: "browser")
-    monkeypatch.setattr("modal.command.job.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
+    monkeypatch.setattr("modal.command.run.find_browser", lambda: "browser")
+    monkeypatch.setattr("modal.command.run.write_pdf", lambda html, pdf: pdf.write_text(f"printed {html.name}"))
     result = invoke(data / "good.csv", "--inputs", "force", "--pdf", "-o", data / "out")
     assert result.exit_code == 0, result.output
     assert (data / "out" / "report.pdf").read_text() == "printed report.html"

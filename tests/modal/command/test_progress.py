@@ -4,8 +4,8 @@ import signal
 
 import pytest
 
-from modal.command.progress import progress_bar, time_left_text
-from modal.report.interruption import stop_politely, uninterrupted
+from modal.command.terminal import progress_bar, time_left_text
+from modal.report.folder import stop_politely, uninterrupted
 
 
 @pytest.mark.parametrize(

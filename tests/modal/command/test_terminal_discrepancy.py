@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from modal.command.terminal_discrepancy import show_diagnosis, show_diagnosis_files
+from modal.command.gap import show_diagnosis, show_diagnosis_files
 from modal.report.writing import DiagnosisFiles
 
 

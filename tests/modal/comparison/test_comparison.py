@@ -13,8 +13,7 @@ from systems import random_system, simulate
 
 from modal.comparison import words as words
 from modal.comparison.changes import compare_results
-from modal.comparison.comparison_matching import TOO_FAR, match_modes, pair_costs
-from modal.comparison.shifts import holm
+from modal.comparison.shifts import TOO_FAR, holm, match_modes, pair_costs
 from modal.comparison.source import read_result, summary_of
 from modal.identification.pipeline import identify
 from modal.report.machine import json_text

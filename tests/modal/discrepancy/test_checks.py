@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses
 
-from modal.discrepancy.checks import check_plant, check_records
+from modal.discrepancy.setup import check_plant, check_records
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
@@ -141,7 +141,7 @@ def test_too_few_values():
 
 @pytest.mark.parametrize(("n_samples", "refused"), [(63, True), (64, False)])
 def test_a_record_that_proves_nothing_is_refused(n_samples, refused):
-    from modal.discrepancy.checks import check_long_enough
+    from modal.discrepancy.setup import check_long_enough
     from modal.structure.structural_model import StructuralModel
     from modal.structure.structural_plant import structural_plant
 

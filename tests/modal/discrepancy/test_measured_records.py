@@ -14,8 +14,8 @@ import pytest
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.stages import fit
+from modal.structure.given import simulate
 from modal.structure.plant_model import PlantModel
-from modal.structure.simulation import simulate
 from modal.structure.structural_model import StructuralModel
 from okid.readers import read_record
 from okid.record import Record

@@ -3,10 +3,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from modal.effects.catalogue import CATALOGUE, register
+from modal.effects.catalogue import CATALOGUE, check_effect, register
 from modal.effects.cubic_stiffness import CubicStiffness
 from modal.effects.effect import ForceEffect, InputEffect, Motion, SensorEffect, Situation
-from modal.effects.effect_check import check_effect
 from okid.errors import InvalidDataError
 
 CONTRACT = {  # keys and parameter names that scripts outside read, in the order of the design

@@ -4,8 +4,8 @@ from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.realisation import Realisation
+from modal.estimation.cross_validation import Trial
 from modal.estimation.fits import fit_of, measure_fit, model_runs
-from modal.estimation.trials import Trial
 from modal.identification.order_search import Search, search_limits
 from okid.errors import NumericalError
 from okid.record import Record

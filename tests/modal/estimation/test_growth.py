@@ -5,10 +5,9 @@ import pytest
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.estimation.growth import errors_of, with_weak_mode
+from modal.estimation.modal_parameters import errors_of, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
-from modal.estimation.starting import starting_parameters
 from okid.record import Record
 
 

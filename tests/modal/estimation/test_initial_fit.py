@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.estimation.initial_fit import STATE_REGULARISATION, fit_initial_state
+from modal.estimation.free_run import STATE_REGULARISATION, fit_initial_state
 
 RUNS = [[(0, 120)], [(0, 30), (45, 46), (60, 120)], [(3, 90)]]
 

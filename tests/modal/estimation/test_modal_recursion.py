@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.estimation.modal_recursion import BLOCK, ModalRecursion, powers_of
+from modal.estimation.free_run import BLOCK, ModalRecursion, powers_of
 
 
 def a_model(seed, n_poles, n_inputs, n_outputs, *, largest=0.99):

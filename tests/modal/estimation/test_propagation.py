@@ -13,9 +13,9 @@ from modal.estimation import propagation
 from modal.estimation.propagation import propagated
 from modal.modes.extraction import extract_modes
 from okid.errors import InvalidDataError
+from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 
 
 def observer_gain(system, radius=0.5):

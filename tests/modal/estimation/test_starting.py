@@ -8,10 +8,10 @@ from systems import initial_state, random_system, simulate
 from textbook_output_error import loop_run, loop_sensitivities, random_loop_model
 
 from era.realisation import Realisation
-from modal.estimation import initial_fit
+from modal.estimation import free_run as initial_fit
+from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError
-from modal.estimation.starting import starting_parameters
 from okid.record import Record
 
 REGULARISATION = 1e-9

@@ -5,10 +5,10 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import random_system, simulate
 
-from modal.estimation.stretches import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
+from modal.estimation.cross_validation import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
 from modal.identification.pipeline import identify
-from okid.folds import interleaved_folds, whole_record_folds
 from okid.record import Record
+from okid.rows import interleaved_folds, whole_record_folds
 
 
 def record_of(n_samples):

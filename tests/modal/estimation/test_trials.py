@@ -10,13 +10,13 @@ from systems import initial_state, modal_system, simulate
 from era.hankel import block_sizes
 from modal.estimation.cross_validation import (
     hankel_shape,
+    make_trials,
     markov_lags,
     prepare_ground,
     scaled_record,
     training_decomposition,
     training_gram,
 )
-from modal.estimation.trials import make_trials
 from okid.record import Record
 
 

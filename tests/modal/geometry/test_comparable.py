@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from modal.geometry.comparable import comparable_shapes, comparison_words
+from modal.geometry.scene import comparable_shapes, comparison_words
 from modal.modes.shape_comparison import assurance
 
 POLES = (-0.1 + 8.0j, -0.2 + 30.0j)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.geometry.complexity import complexity_words, phasors
+from modal.geometry.scene import complexity_words, phasors
 from modal.modes.mode import Mode
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.geometry.dof_names import Dof, dof_of
+from modal.geometry.sensors import Dof, dof_of
 
 FORMS = {
     "12X+": ("12", 0, 1),

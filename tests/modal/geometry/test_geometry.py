@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.geometry.node_motion import motion_of
-from modal.geometry.sensors import MOST_NODES, Geometry, Sensor
+from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, motion_of
 from okid.errors import InvalidDataError
 
 

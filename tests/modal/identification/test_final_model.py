@@ -4,7 +4,7 @@ from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.simulation import simulate as free_simulation
-from modal.estimation.trials import Trial
+from modal.estimation.cross_validation import Trial
 from modal.identification.final_model import fit_all_rows
 from modal.identification.order_search import Search, search, search_limits
 from okid.errors import NumericalError

@@ -7,10 +7,9 @@ import pytest
 from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, loop_run
 
-from modal.estimation.cross_validation import corner, prepare_ground, training_decomposition
+from modal.estimation.cross_validation import Trial, corner, prepare_ground, training_decomposition
+from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.output_error import refine
-from modal.estimation.starting import starting_parameters
-from modal.estimation.trials import Trial
 from modal.identification import refined_search as refined_choice
 from modal.identification.order_search import search
 from modal.identification.refined_search import MOST_STEPS, output_error_data, refined_search

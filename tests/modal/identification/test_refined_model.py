@@ -10,18 +10,15 @@ from era.balanced import realise
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_record
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import scaled_model
+from modal.estimation.modal_parameters import scaled_model, starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
-from modal.estimation.starting import starting_parameters
 from modal.identification.pipeline import identify
-from modal.identification.refined_model import refined_model
-from modal.identification.refined_search import MOST_STEPS
+from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.modes.extraction import extract_modes
-from okid.markov import MarkovParameters
+from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 from okid.scaling import channel_scaling
 
 

@@ -10,8 +10,7 @@ from textbook_output_error import LoopModel, differences, loop_run, parameter_pl
 
 from era.realisation import Realisation
 from modal.identification.covariance import output_error_uncertainty
-from modal.identification.refined_model import RefinedModel, refined_model
-from modal.identification.refined_search import MOST_STEPS
+from modal.identification.refined_search import MOST_STEPS, RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
 from okid.record import Record
 

@@ -8,7 +8,7 @@ from systems import initial_state, modal_system, simulate
 import era
 import modal
 import okid
-from modal.estimation.trials import Trial
+from modal.estimation.cross_validation import Trial
 from modal.examples.demo import demo_record
 from modal.identification.order_search import (
     ROUND_OFF,
@@ -19,8 +19,8 @@ from modal.identification.order_search import (
     as_good,
     search,
     search_limits,
+    untried_neighbours,
 )
-from modal.identification.search_grid import untried_neighbours
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 

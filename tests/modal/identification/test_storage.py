@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from era.realisation import HankelFactors
-from modal.identification import storage
+from modal.identification import result as storage
 from modal.identification.result import Identification
 from okid.errors import InvalidDataError, UnreadableFileError
 

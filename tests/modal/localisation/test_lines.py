@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nonlinear_chain import no_force, run_chain
 
-from modal.localisation.line_words import line_statements
-from modal.localisation.lines import measure_lines
-from modal.localisation.periods import input_period, periods_of
+from modal.localisation.lines import input_period, line_statements, measure_lines, periods_of
 from okid.errors import InvalidDataError
 from okid.record import Record
 

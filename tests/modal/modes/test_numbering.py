@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from modal.identification.trust import frequency_text
-from modal.modes.numbering import numbered
+from modal.identification.words import frequency_text
+from modal.modes.mode import numbered
 from modal.recording.plan import planned
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.modes.mode import Mode
-from modal.modes.overlap import energies, overlap_matrix, pair_greatest_first, pulses, repeatability
+from modal.modes.shape_comparison import energies, overlap_matrix, pair_greatest_first, pulses, repeatability
 
 DT = 0.01
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.modes.uncertainty import Uncertainty
+from modal.modes.mode import Uncertainty
 from okid.errors import InvalidDataError
 
 

@@ -4,8 +4,8 @@ from signals import random_inputs, with_noise
 from systems import modal_system, random_chain, simulate
 
 import era
-from era.initial_state import estimate_initial_state
 from era.realisation import Realisation
+from era.simulation import estimate_initial_state
 from modal.preparation.steps import SHORTEST, prepare, split_at_input_gaps
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record

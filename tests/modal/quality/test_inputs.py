@@ -3,8 +3,7 @@ import pytest
 import scipy.signal
 
 from modal.quality.check import check_quality
-from modal.quality.hammer import hit_findings, hits_of, is_hammer, ring_findings
-from modal.quality.inputs import excitation_findings
+from modal.quality.inputs import excitation_findings, hit_findings, hits_of, is_hammer, ring_findings
 from okid.record import Record
 
 

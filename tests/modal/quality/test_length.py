@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from modal.quality import check_quality
-from modal.quality.length import length_findings
+from modal.quality.samples import length_findings
 from okid.record import Record
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from modal.quality.level import is_steady, level_findings, offset_findings
-from modal.quality.missing import gap_findings, missing_findings
+from modal.quality.samples import gap_findings, missing_findings
 from okid.record import Record
 
 

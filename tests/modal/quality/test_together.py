@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from modal.quality.copies import copy_findings
-from modal.quality.slow import drift_findings
-from modal.quality.timing import timing_findings
+from modal.quality.inputs import copy_findings, timing_findings
+from modal.quality.level import drift_findings
 from okid.record import Record
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from modal.recording import save_recording
-from modal.recording.blueprint import blueprint
-from modal.recording.evidence import gather
-from modal.recording.plan import planned
+from modal.recording.plan import gather, planned
+from modal.recording.stream import blueprint
 from okid.errors import InvalidDataError
 from okid.record import Record
 

@@ -10,9 +10,8 @@ import pytest
 from levels_by_hand import HARDENS, POLE, RESTS, VAGUE, with_levels
 
 from modal.recording import log_diagnosis, save_recording
-from modal.recording.discrepancy.discrepancy_plan import planned_diagnosis
-from modal.recording.discrepancy_blueprint import diagnosis_blueprint
-from modal.recording.stream import diagnosis_id
+from modal.recording.discrepancy.series import planned_diagnosis
+from modal.recording.stream import diagnosis_blueprint, diagnosis_id
 from okid.errors import InvalidDataError
 
 HOSTILE = ("<script>alert(1)</script>", "مرحبا |`*[x](http://y)\n#\u202e")

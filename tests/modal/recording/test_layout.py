@@ -6,10 +6,9 @@ import pytest
 
 import modal.recording
 from modal.recording import save_recording
-from modal.recording.axis import linear_axis, log_axis
-from modal.recording.blueprint import GLOBAL_AXIS, blueprint
-from modal.recording.evidence import gather
-from modal.recording.plan import planned
+from modal.recording.figure import linear_axis, log_axis
+from modal.recording.plan import gather, planned
+from modal.recording.stream import GLOBAL_AXIS, blueprint
 
 
 def views(container):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modal.recording.levels import (
+from modal.recording.series import (
     BYTES_PER_RECORDING,
     SAMPLES_PER_SERIES,
     bucket_length,

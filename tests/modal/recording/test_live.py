@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from modal.recording import viewer as under_test
-from modal.recording.live import live_recording, log_progress, log_records, log_result
-from modal.recording.relay import Relay
+from modal.recording import live as under_test
+from modal.recording.live import Relay, live_recording, log_progress, log_records, log_result
 from okid.errors import IdentificationWarning, InvalidDataError
 
 

@@ -1,6 +1,6 @@
 """Sentences in the pages: whole where they are ours, harmless and bounded whatever they hold."""
 
-from modal.recording.words import LONGEST_SENTENCE, bullets
+from modal.recording.tables import LONGEST_SENTENCE, bullets
 
 
 def test_a_long_sentence_is_not_cut_in_its_middle():

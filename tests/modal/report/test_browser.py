@@ -10,7 +10,7 @@ import pytest
 from modal.modes.response_synthesis import measured_frf
 from modal.plots import frequency_responses, order_fits, svg_text
 from modal.report.pages import html_text
-from modal.report.picture import Picture, readable
+from modal.report.pictures import Picture, readable
 from modal.sections.provenance import Provenance
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.report.discrepancy_machine import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json
+from modal.report.discrepancy_writing import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json
 from modal.sections.provenance import Provenance
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.identification.storage import load
-from modal.report import kept_result
-from modal.report.kept_result import keep_result, kept_size
+from modal.identification.result import load
+from modal.report import writing as kept_result
+from modal.report.writing import keep_result, kept_size
 
 
 def test_it_is_the_result(tmp_path, identification):

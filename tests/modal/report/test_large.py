@@ -7,10 +7,8 @@ import pytest
 from large_result import N_MODES, N_OUTPUTS, make_large
 
 from modal.geometry.sensors import Geometry, Sensor
-from modal.report.moving_shapes import moving_shapes
-from modal.report.pages import html_text, markdown_text
-from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, draw_pictures
-from modal.report.setting import Setting
+from modal.report.pages import html_text, markdown_text, moving_shapes
+from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, Setting, draw_pictures
 from modal.sections.provenance import Provenance
 
 BUDGET = 5_000_000

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from modal.geometry.sensors import Geometry, Sensor
-from modal.report import moving_shapes as module
-from modal.report.moving_shapes import SWING, moving_shapes
-from modal.report.setting import Setting
+from modal.report import pages as module
+from modal.report.pages import SWING, moving_shapes
+from modal.report.pictures import Setting
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
-from modal.report.pictures import draw_pictures
-from modal.report.setting import Setting
+from modal.report.pictures import Setting, draw_pictures
 from modal.sections.provenance import Provenance, SourceFile
 from okid.record import Record
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from modal.geometry.sensors import Geometry, Sensor
-from modal.report.pictures import _geometry_picture, _mode_pictures, _n_drawn, _order_pictures, draw_pictures
-from modal.report.setting import Setting
+from modal.report.pictures import Setting, _geometry_picture, _mode_pictures, _n_drawn, _order_pictures, draw_pictures
 
 
 @pytest.fixture

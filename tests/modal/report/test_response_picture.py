@@ -9,7 +9,7 @@ from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
 from modal.modes.response_synthesis import frf, measured_frf
 from modal.plots.responses import model_grid
-from modal.report.response_picture import response_pictures, synthesised_alone
+from modal.report.pictures import response_pictures, synthesised_alone
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_the_words_follow_what_is_drawn(believed):
 
 
 def test_only_the_strongest_pairs_of_many_are_drawn(believed, monkeypatch):
-    monkeypatch.setattr("modal.report.response_picture.MOST_PAIRS", 2)
+    monkeypatch.setattr("modal.report.pictures.MOST_PAIRS", 2)
     assert "The 2 strongest of 3 are shown." in response_pictures(believed)["responses"].caption
 
 

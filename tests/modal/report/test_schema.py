@@ -9,10 +9,8 @@ import pytest
 
 from modal.acceptance.limits import ModeForbidden
 from modal.acceptance.test_file import SensorNote, Specification
-from modal.modes.uncertainty import Uncertainty
-from modal.report.document_schema import document_schema, schema_text
-from modal.report.machine import json_text
-from modal.report.schema import schema_file, type_schema
+from modal.modes.mode import Uncertainty
+from modal.report.machine import document_schema, json_text, schema_file, schema_text, type_schema
 from modal.sections.provenance import Provenance, SourceFile
 
 

@@ -7,11 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from modal.modes.uncertainty import Uncertainty
-from modal.sections.limit_words import limits_class, limits_sentence, limits_short
+from modal.modes.mode import Uncertainty
 from modal.sections.provenance import Provenance
-from modal.sections.uncertainty_words import has_intervals, uncertainty_sentences
-from modal.sections.validation import coherence_sentence, gap_command, gap_sentence, validation_sentences
+from modal.sections.validation import (
+    coherence_sentence,
+    gap_command,
+    gap_sentence,
+    has_intervals,
+    uncertainty_sentences,
+    validation_sentences,
+)
+from modal.sections.words import limits_class, limits_sentence, limits_short
 
 
 def known(result, *, method="output error", dof=np.inf, std=0.01, fit=None):

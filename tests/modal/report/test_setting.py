@@ -3,8 +3,8 @@ import pytest
 from modal.acceptance.limits import FitAtLeast
 from modal.acceptance.test_file import Specification
 from modal.geometry.sensors import Geometry, Sensor
-from modal.report import setting as module
-from modal.report.setting import setting_of
+from modal.report import pictures as module
+from modal.report.pictures import setting_of
 
 
 def mast(height):
@@ -28,7 +28,7 @@ def test_the_data_are_looked_at_unless_somebody_has(identification, monkeypatch)
     quality = object()
     given = setting_of(identification, quality=quality)
     assert (given.quality, given.quality_of) == (quality, "as read")
-    monkeypatch.setattr("modal.report.setting.check_quality", lambda records: records)
+    monkeypatch.setattr("modal.report.pictures.check_quality", lambda records: records)
     found = setting_of(identification)
     assert (found.quality, found.quality_of) == (identification.records, "as used")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from levels_by_hand import HARDENS, LEVELS, POLE, RESTS, VAGUE, with_levels
 
-from modal.plots.discrepancy_levels import modes_against_level
-from modal.report.discrepancy_pictures import draw_diagnosis
-from modal.sections.discrepancy_levels import level_lines, telling
+from modal.plots.discrepancy import modes_against_level
+from modal.report.discrepancy_pages import draw_diagnosis
+from modal.sections.discrepancy_stages import level_lines, telling
 
 
 def test_a_mode_tells_something_when_it_is_known_to_move_or_to_stay():

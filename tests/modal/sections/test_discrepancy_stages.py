@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.sections.discrepancy_spectra import gap_density
-from modal.sections.discrepancy_stages import held_out_floor, rows_of, stages_of, worst_outputs
+from modal.sections.discrepancy_stages import gap_density, held_out_floor, rows_of, stages_of, worst_outputs
 
 
 def by_hand(diagnosis, step):

@@ -2,7 +2,7 @@ import datetime as dt
 from dataclasses import replace
 
 from modal.acceptance.test_file import SensorNote, Specification
-from modal.sections.setup_values import about_lines, channel_rows, sensor_columns
+from modal.sections.validation import about_lines, channel_rows, sensor_columns
 
 NOTES = (
     SensorNote(channel="floor_2", kind="accelerometer", calibrated=dt.date(2026, 1, 10)),

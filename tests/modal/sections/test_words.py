@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.identification.trust import (
+from modal.identification.words import (
     caution_sentence,
     damping_sentence,
     damping_text,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.simulation.banded import band_of, solve_band
+from modal.simulation.scheme import band_of, solve_band
 
 
 def by_loop(transitions, forcing):

@@ -5,8 +5,7 @@ import pytest
 from engine_plants import VALUES, some_records, two_masses, with_effects
 
 from modal.simulation.drive import drive_of
-from modal.simulation.force_line import force_line, port_rows
-from modal.simulation.port_motion import motion_at, one_on
+from modal.simulation.forces import force_line, motion_at, one_on, port_rows
 
 
 def line_of(key, path, smoothing=0.005):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from engine_plants import VALUES, imposed_motion, some_records, two_masses, with_effects
 
+from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import drive_of
-from modal.simulation.driven import drive_inputs
-from modal.simulation.linearisation import linearise
+from modal.simulation.linearisation import _inverse, linearise
 from modal.simulation.scheme import scheme_and_slopes
-from modal.simulation.step_dependence import _inverse
 
 SMOOTHING = 0.3
 """Wide, so that differences stay within the bends of the sharp laws."""

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.structure.continuous_time import ContinuousSystem
-from modal.structure.modal_form import in_modal_coordinates
+from modal.structure.continuous_time import ContinuousSystem, in_modal_coordinates
 
 
 def system_of(A: np.ndarray, rng: np.random.Generator) -> ContinuousSystem:

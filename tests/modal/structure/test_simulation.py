@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from engine_records import DT, held_noise, run
 
-from modal.structure.simulation import simulate
+from modal.structure.given import simulate
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record

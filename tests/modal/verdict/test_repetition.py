@@ -8,9 +8,9 @@ from era.balanced import decompose, realise
 from modal.estimation.cross_validation import markov_lags
 from modal.modes.extraction import extract_modes
 from modal.verdict.repeatability import repeat
+from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-from okid.recovery import recover_markov
 
 
 def a_record(seed, n_samples=1500, *, noise=0.03):

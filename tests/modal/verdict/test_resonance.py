@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from modal.modes.mode import Mode
-from modal.modes.overlap import overlap_matrix, pulses
-from modal.verdict.resonance import LARGEST_BAND, LEAST_BAND, SAME_SHAPE, group_overlaps, groups
+from modal.modes.shape_comparison import overlap_matrix, pulses
+from modal.verdict.judgement import LARGEST_BAND, LEAST_BAND, SAME_SHAPE, group_overlaps, groups
 
 DT, STEPS = 0.01, 300
 SHAPE = np.array([1.0, 0.6, -0.3])

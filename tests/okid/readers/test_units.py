@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from okid.readers.headers import split_header, unique_names
+from okid.readers.table import split_header, unique_names
 from okid.readers.units import convert_unit
 
 # NIST SP 811 (2008), appendix B.8: exact factors.

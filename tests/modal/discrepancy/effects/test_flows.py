@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion, Situation
+from modal.effects.memoryless import WALL
 from modal.effects.overflow import Overflow
 from modal.effects.power_law_flow import PowerLawFlow
-from modal.effects.stiff_step import WALL
 
 exponents = st.floats(0.06, 2.9)
 rates = st.floats(0.01, 100.0)

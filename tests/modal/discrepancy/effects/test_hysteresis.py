@@ -8,8 +8,7 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.bouc_wen_flow import bouc_wen_flow
-from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis, bouc_wen_flow
 from modal.effects.effect import Motion
 from modal.effects.rate_independent import stop_operator
 from modal.effects.slack_in_hysteresis import SlackInHysteresis

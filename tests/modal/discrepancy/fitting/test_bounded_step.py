@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.discrepancy.fitting.bounded_step import bounded_step
+from modal.discrepancy.fitting.estimation import bounded_step
 
 FAR, ZERO = np.full(3, np.inf), np.zeros(3)
 

@@ -15,9 +15,9 @@ from modal.discrepancy.fitting.estimation import (
     weighted_residual,
     weights_along,
 )
-from modal.discrepancy.selection.covariance import covariance
-from modal.simulation.budget import Budget
+from modal.discrepancy.selection.decision import covariance
 from modal.simulation.drive import drive_of
+from modal.simulation.scheme import Budget
 from modal.simulation.sensitivity import sensitivity
 
 KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.geometry.placement import placed
-from modal.recording.identification.modes_words import modes_text
+from modal.recording.identification.modes import modes_text
 from modal.recording.plan import planned
 
 

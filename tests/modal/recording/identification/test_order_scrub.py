@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.recording import save_recording
-from modal.recording.identification.order_scrub import order_text
+from modal.recording.identification.order import order_text
 
 PLOT = "/order/stabilisation/plot"
 

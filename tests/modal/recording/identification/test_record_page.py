@@ -9,11 +9,9 @@ from modal.modes.response_synthesis import MeasuredFrf
 from modal.quality import check_quality
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.recording import save_recording
-from modal.recording.blueprint import blueprint
-from modal.recording.evidence import gather
-from modal.recording.identification.quality_words import quality_text
-from modal.recording.identification.record import MOST_MARKS, _density_unit, marked
-from modal.recording.plan import planned
+from modal.recording.identification.record import MOST_MARKS, _density_unit, marked, quality_text
+from modal.recording.plan import gather, planned
+from modal.recording.stream import blueprint
 from okid.record import Record
 
 HOSTILE = "<script>alert(1)</script> |x| [y](http://z) \u202e"

@@ -9,7 +9,7 @@ from modal.geometry.placement import placed
 from modal.geometry.scene import envelope_of, scene_of
 from modal.geometry.sensors import Geometry
 from modal.recording import save_recording
-from modal.recording.identification.modes_blueprint import HALF_VIEW, modes_page
+from modal.recording.identification.modes import HALF_VIEW, modes_page
 from modal.recording.identification.shapes import FEWEST_FRAMES, FEWEST_PERIODS, FRAMES, MOST_POINTS, PERIODS, pace_of
 from modal.recording.plan import planned
 from okid.errors import InvalidDataError

@@ -7,10 +7,8 @@ import pytest
 
 from era.realisation import Realisation
 from modal.recording import save_recording
-from modal.recording.evidence import gather, response_of
-from modal.recording.identification.validation_panes import drawn_inputs, two_line_axis
-from modal.recording.identification.validation_words import validation_text
-from modal.recording.plan import planned
+from modal.recording.identification.validation import drawn_inputs, two_line_axis, validation_text
+from modal.recording.plan import gather, planned, response_of
 from okid.record import Record
 
 
