@@ -183,7 +183,6 @@ class Realisation:
 
     def to_control(self) -> "StateSpace":
         """As a discrete-time `control.StateSpace` with the same matrices and dt; the gain K is not part of it."""
-
         return to_control(self)
 
     @classmethod
@@ -193,7 +192,6 @@ class Realisation:
         Raises:
             InvalidDataError: a continuous-time system, or no time step.
         """
-
         return from_control(system)
 
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
-    from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint, load
+    from modal.identification.result import Identification, OrderEvidence, load
+    from modal.modes.choice import Choice, Fit
     from modal.modes.extraction import extract_modes
     from modal.modes.mode import ModalModel, Mode, Uncertainty
     from modal.quality import check_quality
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from modal.structure.model_file import read_model, write_model
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
+    from modal.verdict.stabilisation import StabilisationPoint
 
 __all__ = [
     "Choice",
@@ -67,9 +69,9 @@ __all__ = [
 ]
 
 _PLACES = {
-    "Choice": "modal.identification.result",
+    "Choice": "modal.modes.choice",
     "Element": "modal.structure.elements",
-    "Fit": "modal.identification.result",
+    "Fit": "modal.modes.choice",
     "Geometry": "modal.geometry.sensors",
     "Identification": "modal.identification.result",
     "ModalModel": "modal.modes.mode",
@@ -78,7 +80,7 @@ _PLACES = {
     "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.structure.plant_model",
     "Sensor": "modal.geometry.sensors",
-    "StabilisationPoint": "modal.identification.result",
+    "StabilisationPoint": "modal.verdict.stabilisation",
     "StructuralModel": "modal.structure.structural_model",
     "Uncertainty": "modal.modes.mode",
     "check_limits": "modal.acceptance.check",

@@ -21,10 +21,10 @@ import numpy.typing as npt
 from okid.errors import InvalidDataError
 
 __all__ = [
+    "TINY",
     "BoolArray",
     "ComplexArray",
     "FloatArray",
-    "TINY",
     "column_block",
     "frozen",
     "frozen_complex",

@@ -37,8 +37,8 @@ from okid.record import Record
 from okid.scaling import ChannelScaling
 
 __all__ = [
-    "CoefficientCovariance",
     "FEWEST_BLOCKS",
+    "CoefficientCovariance",
     "block_deviations",
     "block_grams",
     "coefficient_covariance",

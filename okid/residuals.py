@@ -23,8 +23,8 @@ from okid.record import Record
 from okid.rows import as_records, complete_rows, usable_rows
 
 __all__ = [
-    "CentredErrors",
     "NOT_WHITE",
+    "CentredErrors",
     "ResidualCheck",
     "Whiteness",
     "centred",

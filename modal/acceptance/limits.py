@@ -1,4 +1,6 @@
-"""The conditions that a result can be asked to meet, one type each; `modal.acceptance.check` weighs a result against them.
+"""The conditions that a result can be asked to meet, one type each.
+
+`modal.acceptance.check` weighs a result against them.
 
 The [[limits]] of a test file: each table becomes the condition that its `kind` names.
 

@@ -35,6 +35,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modal.acceptance.limits import Limit, Table, limits_of, quoted
+from modal.geometry.file import geometry_of_table, read_geometry
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -179,7 +180,6 @@ def _sensors(table: Table) -> tuple[SensorNote, ...]:
 def _geometry(table: Table, path: Path) -> "Geometry | None":
     if not table.has("geometry"):
         return None
-    from modal.geometry.file import geometry_of_table, read_geometry
 
     given = table.values["geometry"]
     if isinstance(given, str):

@@ -19,11 +19,11 @@ from modal.identification.words import trust_of
 from modal.wording.numbers import fit_text, hertz
 
 __all__ = [
-    "Answer",
     "MAYBE",
     "NO",
-    "Weighed",
     "YES",
+    "Answer",
+    "Weighed",
     "all_of",
     "any_of",
     "band_text",

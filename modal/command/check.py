@@ -31,7 +31,7 @@ from okid.record import Record
 if TYPE_CHECKING:
     from okid.record import Record
 
-__all__ = ["CheckJob", "EXAMPLES", "carry_out_check", "check", "check_status", "quality_json", "show_quality"]
+__all__ = ["EXAMPLES", "CheckJob", "carry_out_check", "check", "check_status", "quality_json", "show_quality"]
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
 _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}

@@ -16,14 +16,14 @@ from rich.table import Table
 
 from modal.command.options import Overwrite, Traceback, examples, faults
 from modal.command.terminal import listing, plain
-from modal.comparison import words as words
+from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift
 from modal.comparison.source import read_result
 from modal.report.comparison import ComparisonFiles, refuse_existing_comparison, write_comparison
 from modal.wording.numbers import hertz
 
-__all__ = ["DiffJob", "EXAMPLES", "carry_out_diff", "diff", "show_comparison_files", "show_difference"]
+__all__ = ["EXAMPLES", "DiffJob", "carry_out_diff", "diff", "show_comparison_files", "show_difference"]
 
 _ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
 _COLOURS = {

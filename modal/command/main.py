@@ -11,7 +11,6 @@ from typing import Annotated
 
 import typer
 
-import modal
 from modal.command import check, demo, diff, gap, run, view
 from modal.command.options import complain, spread_files
 from modal.report.folder import stop_no_more, stop_politely
@@ -69,7 +68,7 @@ def _with_help(text: str, arguments: list[str]) -> str:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"modal-report {installed_version()} (modal from {Path(modal.__file__ or '').parent})")
+        typer.echo(f"modal-report {installed_version()} (modal from {Path(__file__).parents[1]})")
         raise typer.Exit
 
 

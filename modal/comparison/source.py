@@ -10,8 +10,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from modal.identification.result import Choice, Identification, load
+from modal.identification.result import Identification, load
 from modal.identification.words import trust_of
+from modal.modes.choice import Choice
 from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError

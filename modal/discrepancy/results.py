@@ -18,6 +18,7 @@ from okid.arrays import FloatArray
 from okid.record import Record
 
 __all__ = [
+    "NOTHING",
     "Calibrated",
     "DetectionLimit",
     "Diagnosis",
@@ -25,7 +26,6 @@ __all__ = [
     "Finding",
     "Hypothesis",
     "LawCurve",
-    "NOTHING",
     "Parameter",
     "Step",
     "explained_shares",

@@ -19,8 +19,8 @@ from modal.discrepancy.validation.findings import circumstances_of
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.drive import drive_of, steps_per_sample
+from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
-from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record

@@ -44,8 +44,8 @@ from okid.errors import InvalidDataError
 
 __all__ = [
     "AMBIGUOUS",
-    "AmbiguityClass",
     "CATALOGUE",
+    "AmbiguityClass",
     "ambiguous_with",
     "check_effect",
     "composed_unit",

@@ -17,13 +17,13 @@ import numpy as np
 from okid.arrays import FloatArray
 
 __all__ = [
+    "N_PEAKS",
     "Effect",
     "Force",
     "ForceEffect",
     "InputEffect",
     "Memory",
     "Motion",
-    "N_PEAKS",
     "ParameterKind",
     "SensorEffect",
     "Situation",

@@ -43,8 +43,8 @@ from okid.rows import interleaved_folds, runs_of, whole_record_folds
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = [
-    "Ground",
     "LARGEST_PULSE",
+    "Ground",
     "Stretch",
     "Trial",
     "corner",

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
+from modal.estimation.cross_validation import Trial
 from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
-from modal.identification.order_search import Search
-from modal.identification.result import Fit
+from modal.modes.choice import Fit
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
@@ -87,9 +87,9 @@ def fit_of(measured: Sequence[Record], modelled: Sequence[Record]) -> FloatArray
     return fit
 
 
-def measure_fit(found: Search, runs: ModelRuns) -> Fit:
-    """All fits of the chosen model."""
-    squared, power = found.chosen.squared_errors, found.power
+def measure_fit(chosen: Trial, power: FloatArray, runs: ModelRuns) -> Fit:
+    """All fits of the chosen model; `power` is that of the outputs on the rows that its folds hold out."""
+    squared = chosen.squared_errors
     return Fit(
         cross_validated=1.0 - np.sqrt(squared.sum(axis=0) / power.sum(axis=0)),
         folds=(1.0 - np.sqrt(squared / power)).mean(axis=1),

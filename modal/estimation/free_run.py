@@ -1,8 +1,8 @@
 """How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
 
 The run from rest is one pass of block products (`modal.estimation.free_run`). The initial state and a constant level of
-each output come from the training samples of the same run by least squares (`modal.estimation.free_run`); an initial state
-fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
+each output come from the training samples of the same run by least squares (`modal.estimation.free_run`); an initial
+state fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
 
 Initial state and level of each output, by least squares on the training samples of a free run.
 

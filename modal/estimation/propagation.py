@@ -1,8 +1,8 @@
 """First-order propagation of an observer's uncertainty to modes and Markov parameters, by a Jacobian through ERA.
 
-How far each pair of blocks of rows pulls the observer's coefficients (`okid.coefficient_covariance`) is a direction dTheta; the
-squares of what all directions do to a number add up to its variance, whatever colour the residuals have. A direction
-goes the way of the data: through the recursion of the Markov parameters,
+How far each pair of blocks of rows pulls the observer's coefficients (`okid.coefficient_covariance`) is a direction
+dTheta; the squares of what all directions do to a number add up to its variance, whatever colour the residuals have. A
+direction goes the way of the data: through the recursion of the Markov parameters,
 
     dh[k] = dalpha_k + sum_i dbeta_i h[k-i] + sum_i beta_i dh[k-i],
 

@@ -28,6 +28,7 @@ from typing import Any, Final
 import numpy as np
 
 from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, dof_of, node_numbers
+from modal.geometry.uff import read_uff_geometry
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.guard import check_file, first_line
@@ -71,8 +72,6 @@ def read_geometry(path: str | Path) -> Geometry:
     path = Path(path)
     check_file(path)
     if _is_universal(path):
-        from modal.geometry.uff import read_uff_geometry
-
         return read_uff_geometry(path)
     name = shorten(visible(path.name), 80)
     if (size := path.stat().st_size) > MOST_TEXT:

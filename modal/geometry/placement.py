@@ -28,8 +28,8 @@ from okid.errors import InvalidDataError
 from okid.readers.units import convert_unit
 
 __all__ = [
-    "Placement",
     "SPACING",
+    "Placement",
     "at_rest",
     "best_phase",
     "derivatives_of",

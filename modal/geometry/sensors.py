@@ -45,12 +45,12 @@ from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError
 
 __all__ = [
+    "MOST_NODES",
+    "RESOLVED",
     "Dof",
     "Geometry",
-    "MOST_NODES",
     "Motion",
     "Motions",
-    "RESOLVED",
     "Sensor",
     "dof_of",
     "motion_of",
@@ -367,7 +367,8 @@ class Geometry:
         """Motion of every node in one shape; zero where no sensor saw it.
 
         Args:
-            shape: (n_outputs,) real or complex, components that can be compared (`modal.geometry.placement` makes them so).
+            shape: (n_outputs,) real or complex, components that can be compared (`modal.geometry.placement` makes them
+                so).
             output_names: of the channels.
 
         Returns:

@@ -150,7 +150,7 @@ def _identify(
     found, final = fit_all_rows(prepared, found)
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
-    fit = measure_fit(found, runs)
+    fit = measure_fit(found.chosen, found.power, runs)
     tell("identifying again with other halves, orders and ridges", 0.8)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     reruns = repeat(

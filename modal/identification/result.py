@@ -22,7 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from era.realisation import Realisation
+from modal.modes.choice import Choice, Fit
 from modal.modes.mode import ModalModel, Uncertainty
+from modal.verdict.stabilisation import StabilisationPoint
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.excitation import Excitation
@@ -32,79 +34,13 @@ from okid.record import Record
 from okid.residuals import ResidualCheck
 
 __all__ = [
-    "Choice",
+    "SCHEMA_VERSION",
     "Existing",
-    "Fit",
     "Identification",
     "OrderEvidence",
-    "SCHEMA_VERSION",
-    "StabilisationPoint",
     "load",
     "save",
 ]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Choice:
-    """One decision: what was chosen, and why, in words with numbers.
-
-    Attributes:
-        what: e.g. "observer order", "ridge", "model order", "frequency band".
-        value: as it reads in a report, e.g. "40" or "0 to 25 Hz".
-        reason: one sentence with its numbers.
-    """
-
-    what: str
-    value: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
-    """How well the model, fed with the inputs alone, repeats the outputs: 1 - |y - y_sim| / |y - mean(y)|.
-
-    Attributes:
-        cross_validated: (n_outputs,) on rows that the model was not fitted to (folds of interleaved blocks).
-        folds: (n_folds,) mean over outputs on each fold.
-        whole: (n_outputs,) of the final model on all rows: reported, never used to choose.
-        one_step: (n_outputs,) of the one-step prediction: looks perfect even for a bad model.
-    """
-
-    cross_validated: FloatArray
-    folds: FloatArray
-    whole: FloatArray
-    one_step: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("cross_validated", "folds", "whole", "one_step"):
-            object.__setattr__(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=(None,)))
-
-    @property
-    def mean(self) -> float:
-        """Cross-validated fit, mean over outputs."""
-        return float(self.cross_validated.mean())
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StabilisationPoint:
-    """One pole of the model of one order, compared with the model of the next lower order.
-
-    Attributes:
-        order: model order.
-        frequency: [Hz].
-        damping_ratio: [-].
-        overlap: closed-form overlap, in [0, 1], of its own pulse response with that of the pole it continues (0: new).
-        emac: extended modal amplitude coherence.
-        repeatability: mean overlap, in [0, 1], with its continuation in models of halves of the data and of another
-            observer; nan where unknown.
-    """
-
-    order: int
-    frequency: float
-    damping_ratio: float
-    overlap: float
-    emac: float
-    repeatability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -191,7 +127,6 @@ class Identification:
         Raises:
             InvalidDataError: the file exists and may not be replaced, or it cannot be written.
         """
-
         return save(self, path, existing=existing)
 
 

@@ -20,7 +20,8 @@ from era.gain import GainEstimate
 from modal.estimation.cross_validation import Trial, is_long, stretches_of
 from modal.identification.order_search import WITHIN, Search
 from modal.identification.refined_search import MOST_STEPS
-from modal.identification.result import Choice, Fit, Identification, OrderEvidence
+from modal.identification.result import Identification, OrderEvidence
+from modal.modes.choice import Choice, Fit
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.judgement import Reruns
 from modal.verdict.stabilisation import stabilisation

@@ -43,8 +43,8 @@ from okid.markov import MarkovParameters
 from okid.record import Record
 
 __all__ = [
-    "LevelFit",
     "NEGLIGIBLE",
+    "LevelFit",
     "Start",
     "decay_markov",
     "decay_start",

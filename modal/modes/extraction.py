@@ -1,6 +1,7 @@
 """From a realisation to its modes: continuous poles, shapes, participation and everything the data's SVD tells of them.
 
-The realisation alone cannot say whether a mode belongs to the system: that needs the records, see `modal.verdict.judgement`.
+The realisation alone cannot say whether a mode belongs to the system: that needs the records, see
+`modal.verdict.judgement`.
 """
 
 from dataclasses import replace

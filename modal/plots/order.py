@@ -5,11 +5,12 @@ from typing import Literal
 
 import numpy as np
 
-from modal.identification.result import OrderEvidence, StabilisationPoint
+from modal.identification.result import OrderEvidence
 from modal.modes.mode import ModalModel
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
+from modal.verdict.stabilisation import StabilisationPoint
 from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record

@@ -22,16 +22,16 @@ from numpy.typing import ArrayLike
 from okid.arrays import FloatArray
 
 __all__ = [
+    "COLOURS",
+    "NINETY_FIVE",
+    "STYLE",
     "Anchor",
     "Area",
-    "COLOURS",
     "Curve",
     "Dash",
     "Mark",
-    "NINETY_FIVE",
     "Panel",
     "Role",
-    "STYLE",
     "Scale",
     "Segments",
     "Tick",

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
-from modal.identification.result import Choice
+from modal.modes.choice import Choice
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.gram import LagGram, lag_gram

@@ -4,7 +4,8 @@ A free mass under a force, a tank, a heated block without losses: the response t
 model of the inputs can say so. But y = G(z) / (1 - z^-1) u is G(z) driven by the running sum of u, and G is stable. An
 output that does not integrate has a zero of G at z = 1 instead, so all inputs are summed alike. The unknown state of an
 integrator and the unknown mean of its input are a constant and a straight line in its output (two integrators: and a
-parabola); those are taken off the sums and off the outputs, which leaves their relation as it is (see `modal.preparation.drift`).
+parabola); those are taken off the sums and off the outputs, which leaves their relation as it is (see
+`modal.preparation.drift`).
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification.result import Choice
+from modal.modes.choice import Choice
 from modal.preparation.drift import FreedTrials, choose_drift, held_out_squares, is_significant, lasting_share
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError

@@ -16,14 +16,14 @@ from okid.record import Record
 from okid.scaling import ChannelScaling
 
 __all__ = [
+    "LEVELS",
+    "MOST_SPANS",
     "Channel",
     "ChannelQuality",
     "ChannelStatistics",
     "DataQuality",
     "Finding",
-    "LEVELS",
     "Level",
-    "MOST_SPANS",
     "Role",
     "Span",
     "channels_of",

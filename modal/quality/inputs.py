@@ -4,8 +4,8 @@ Two channels that are one signal: recorded twice, wired in parallel, or made fro
 
 An output that answers late, or before the input: channels of two recorders, or columns shifted against each other.
 
-The pulse response of a long observer says when an input begins to act (`modal.preparation.delay`). Every output is first made
-late by sixteen samples, so that one that runs ahead shows as well.
+The pulse response of a long observer says when an input begins to act (`modal.preparation.delay`). Every output is
+first made late by sixteen samples, so that one that runs ahead shows as well.
 
 Hammer tests: double hits, where the force spectrum ends, and whether the response has died out at the end.
 """

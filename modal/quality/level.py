@@ -2,8 +2,8 @@
 
 Slow drift of the outputs that no input causes.
 
-As the identification decides it (`modal.preparation.drift`), but with the pulse response of an observer in the place of a
-model: what the inputs do is taken off, once with a response fitted to the records as they are and once with one
+As the identification decides it (`modal.preparation.drift`), but with the pulse response of an observer in the place
+of a model: what the inputs do is taken off, once with a response fitted to the records as they are and once with one
 fitted to records without slow motion, and slow functions of time must predict held-out blocks of the rest clearly
 better.
 """

@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HOST",
-    "LiveRecording",
     "PATIENCE",
+    "LiveRecording",
     "Relay",
     "host_and_port",
     "listens",

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DATA",
+    "SHOWN_INPUTS",
+    "SHOWN_OUTPUTS",
     "DataPlan",
     "Gathered",
     "Plan",
-    "SHOWN_INPUTS",
-    "SHOWN_OUTPUTS",
     "cell",
     "drawable",
     "gather",

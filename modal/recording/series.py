@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BYTES_PER_RECORDING",
-    "Line",
     "SAMPLES_PER_SERIES",
+    "TIMELINE",
+    "Line",
     "Span",
     "StoredStretch",
-    "TIMELINE",
     "Tracks",
     "bucket_length",
     "laid_out",

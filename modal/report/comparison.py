@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from modal.comparison import words as words
+from modal.comparison import words
 from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import Shift
 from modal.comparison.source import ResultSummary

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from modal.quality import DataQuality
 
 __all__ = [
-    "DiagnosisFiles",
     "LARGEST_KEPT",
+    "DiagnosisFiles",
     "ReportFiles",
     "keep_result",
     "kept_size",

@@ -80,13 +80,13 @@ def stages_of(diagnosis: Diagnosis) -> tuple[Stage, ...]:
     """The model as given, calibrated, and as found, each with its gap; those that did not run through are left out."""
     last = len(diagnosis.steps) - 1
     chosen = {0: "before", last: "after"}
-    for number, step in enumerate(diagnosis.steps):
-        if step.name == "calibrated" and number not in chosen:
-            chosen[number] = "linear"
+    for index, step in enumerate(diagnosis.steps):
+        if step.name == "calibrated" and index not in chosen:
+            chosen[index] = "linear"
     return tuple(
-        Stage(name=_stage_name(diagnosis, number), kind=kind, step=number, gap=gap_of(diagnosis, step))  # type: ignore[arg-type]  # kind is one of the three words above
-        for number, kind in sorted(chosen.items())
-        if ran_through(step := diagnosis.steps[number])
+        Stage(name=_stage_name(diagnosis, index), kind=kind, step=index, gap=gap_of(diagnosis, step))  # type: ignore[arg-type]  # kind is one of the three words above
+        for index, kind in sorted(chosen.items())
+        if ran_through(step := diagnosis.steps[index])
     )
 
 

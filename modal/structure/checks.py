@@ -1,7 +1,7 @@
 """What must hold of the parts of a structural model; each check raises one sentence that says what to change."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +11,8 @@ from okid.arrays import FloatArray, frozen, real_number
 from okid.errors import InvalidDataError
 from okid.record import check_names, labels
 
-if TYPE_CHECKING:
-    from modal.structure.structural_model import SensorKind
-
 __all__ = [
+    "SensorKind",
     "as_column",
     "check_base_motion",
     "checked_matrices",
@@ -24,6 +22,9 @@ __all__ = [
     "sensor_kinds",
     "tolerance",
 ]
+
+SensorKind = Literal["displacement", "velocity", "acceleration"]
+"""What a sensor reads of the motion of the degrees of freedom."""
 
 _ROUNDING = 1e-9
 """Relative size below which an asymmetry or a negative eigenvalue is taken for rounding."""
@@ -100,8 +101,6 @@ def sensor_kinds(given: "str | Sequence[str]", n_outputs: int) -> "tuple[SensorK
     Raises:
         InvalidDataError: A word that is none, or not one an output.
     """
-    from modal.structure.structural_model import SensorKind
-
     words = (given,) * n_outputs if isinstance(given, str) else tuple(given)
     unknown = [word for word in words if word not in get_args(SensorKind)]
     if unknown:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,15 +11,17 @@ from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.plant import Plant
 from modal.structure.elements import relative_vector
 from modal.structure.placed import PlacedEffect
-from modal.structure.plant_model import PlantModel
-from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import structural_plant
 from okid.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from modal.structure.plant_model import PlantModel
+    from modal.structure.structural_model import StructuralModel
 
 __all__ = ["describe_effects", "equations_of_motion", "equations_of_plant", "linear_sum"]
 
 
-def equations_of_motion(model: StructuralModel, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+def equations_of_motion(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a degree of freedom, one an output, then each effect with its law and its numbers.
 
     Args:
@@ -60,7 +63,7 @@ def equations_of_motion(model: StructuralModel, *, catalogue: Mapping[str, Effec
     return "\n".join(lines + describe_effects(plant, model.effects, motions=motions, catalogue=catalogue))
 
 
-def equations_of_plant(model: PlantModel, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+def equations_of_plant(model: "PlantModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a state, one an output, then each effect with its law and its numbers.
 
     Args:
@@ -99,7 +102,7 @@ def equations_of_plant(model: PlantModel, *, catalogue: Mapping[str, Effect] = C
     return "\n".join(lines + describe_effects(plant, model.effects, motions=motions, catalogue=catalogue))
 
 
-def _reading(model: StructuralModel, output: int, positions: list[str]) -> str:
+def _reading(model: "StructuralModel", output: int, positions: list[str]) -> str:
     kind = model.sensor_kind[output]
     primes = {"displacement": "", "velocity": "'", "acceleration": "''"}[kind]
     coefficients = list(model.sensor_map[output])

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modal.discrepancy.fitting.estimation import Problem, simulate_at
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
@@ -21,10 +20,11 @@ from modal.simulation.drive import Drive, drive_of, steps_per_sample
 from modal.simulation.plant import Plant
 from modal.simulation.scheme import scheme_and_slopes
 from modal.simulation.trajectory import resting_states, simulate_states
+from modal.structure.checks import SensorKind
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel
 from modal.structure.state_space_plant import static_plant_of_records
-from modal.structure.structural_model import SensorKind, StructuralModel
+from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import structural_plant, updated_structure
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError
@@ -307,13 +307,14 @@ def simulate(
     drive = drive_of([blank], steps_per_sample(plant, given.linear, [blank]))
     initial = None if initial_state is None else _state(initial_state, plant.n_states)[np.newaxis]
     assembly, unknowns = placed_assembly(plant, given.linear, given.effects, drive, catalogue, initial=initial)
-    found = simulate_at(assembly, unknowns, Problem(drive=drive, floor=np.ones((1, plant.n_outputs))))
-    if found is None or not np.isfinite(found.trajectory.outputs).all():
+    scheme, _ = scheme_and_slopes(plant, unknowns.common[: assembly.n_linear], drive.dt)
+    found = simulate_states(assembly, unknowns, drive, scheme, resting_states(assembly, drive))
+    if found is None or not np.isfinite(found.outputs).all():
         raise NumericalError(
             "the model could not be simulated: its motion grows without bound under these inputs; lower the level, or "
             "check the signs of its effects"
         )
-    return replace(blank, outputs=found.trajectory.outputs)
+    return replace(blank, outputs=found.outputs)
 
 
 def _record(given: Record | npt.ArrayLike, dt: float | None, input_hold: InputHold) -> Record:

@@ -13,7 +13,7 @@ A plant with ports as plain values, and back: the part of a model file that `Pla
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -22,18 +22,23 @@ from modal.effects.effect import Effect
 from modal.simulation.plant import LinearParameter, Plant, Port
 from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
-from modal.structure.plant_model import PlantModel
-from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import place_name, structural_plant
 from okid.errors import InvalidDataError
 
-__all__ = ["CHANNELS", "check_table", "document_of", "model_of", "plant_document", "plant_of", "table_of"]
+if TYPE_CHECKING:
+    from modal.structure.plant_model import PlantModel
+    from modal.structure.structural_model import StructuralModel
+
+__all__ = ["CHANNELS", "KEPT", "check_table", "document_of", "model_of", "plant_document", "plant_of", "table_of"]
+
+KEPT: dict[str, Any] = {}
+"""The types of model that can be kept in a file, by name; each enters itself where it is defined."""
 
 CHANNELS = ("input_names", "output_names", "input_units", "output_units")
 """Keys that name the channels, in every kind of model file."""
 
 
-def plant_document(model: PlantModel) -> dict[str, Any]:
+def plant_document(model: "PlantModel") -> dict[str, Any]:
     """The plant of a model as a table; its arrays stay arrays."""
     plant = model.plant
     return {
@@ -47,7 +52,7 @@ def plant_document(model: PlantModel) -> dict[str, Any]:
     }
 
 
-def plant_of(given: Mapping[str, Any]) -> PlantModel:
+def plant_of(given: Mapping[str, Any]) -> "PlantModel":
     """The model that a table describes, without effects.
 
     Raises:
@@ -67,7 +72,7 @@ def plant_of(given: Mapping[str, Any]) -> PlantModel:
         **{name: tuple(given[name]) for name in CHANNELS},
     )
     _check_plant(plant)
-    return PlantModel(plant, linear=linear)
+    return cast("PlantModel", KEPT["PlantModel"](plant, linear=linear))
 
 
 def _port(one: Mapping[str, Any]) -> Port:
@@ -152,10 +157,10 @@ _GROUND = "ground"
 # --- to plain values -------------------------------------------------------------------------------------------------
 
 
-def document_of(model: StructuralModel | PlantModel) -> dict[str, Any]:
+def document_of(model: "StructuralModel | PlantModel") -> dict[str, Any]:
     """The model as a table of numbers, words, lists and tables; arrays stay arrays."""
-    if isinstance(model, PlantModel):
-        document = plant_document(model)
+    if hasattr(model, "plant"):
+        document = plant_document(cast("PlantModel", model))
     else:
         document = {name: getattr(model, name) for name in ("mass", "damping", "stiffness", "force_map", "sensor_map")}
         document |= {name: list(getattr(model, name)) for name in ("sensor_kind", *CHANNELS)}
@@ -189,7 +194,7 @@ def _effect_table(one: PlacedEffect) -> dict[str, Any]:
 
 def model_of(
     document: Mapping[str, Any], *, catalogue: Mapping[str, Effect] = CATALOGUE
-) -> StructuralModel | PlantModel:
+) -> "StructuralModel | PlantModel":
     """The model that a table of plain values describes.
 
     Args:
@@ -211,7 +216,7 @@ def model_of(
     effects = given.pop("effects", [])
     kind = _kind(given)
     _check_keys(kind, given)
-    builders: dict[str, Callable[[dict[str, Any]], StructuralModel | PlantModel]] = {
+    builders: dict[str, Callable[[dict[str, Any]], Any]] = {
         "a chain": _chain,
         "a structure": _structure,
         "a state space": _state_space,
@@ -220,7 +225,7 @@ def model_of(
     model = builders[kind](given)
     if not isinstance(effects, Sequence) or isinstance(effects, str):
         raise InvalidDataError(f"effects must be a list of tables, but is {effects!r}.")
-    plant = model.plant if isinstance(model, PlantModel) else structural_plant(model)
+    plant = model.plant if hasattr(model, "plant") else structural_plant(model)
     return replace(model, effects=tuple(_effect(model, plant, one, catalogue) for one in effects))
 
 
@@ -247,14 +252,16 @@ def _check_keys(kind: str, given: Mapping[str, Any]) -> None:
         raise InvalidDataError(f"{kind} needs {', '.join(_NEEDED[kind])}, but {', '.join(missing)} is missing.")
 
 
-def _chain(given: dict[str, Any]) -> StructuralModel:
-    return StructuralModel.chain(**given)
+def _chain(given: dict[str, Any]) -> "StructuralModel":
+    structure: type[StructuralModel] = KEPT["StructuralModel"]
+    return structure.chain(**given)
 
 
-def _structure(given: dict[str, Any]) -> StructuralModel:
+def _structure(given: dict[str, Any]) -> "StructuralModel":
     if "elements" in given:
         given["elements"] = tuple(_element(one) for one in given["elements"])
-    return StructuralModel(**given)
+    structure: type[StructuralModel] = KEPT["StructuralModel"]
+    return structure(**given)
 
 
 def _element(one: Any) -> Any:
@@ -268,7 +275,7 @@ def _element(one: Any) -> Any:
     raise InvalidDataError(f'an element is a table or a pair such as [0, 1] or [0, "ground"], but is {one!r}.')
 
 
-def _state_space(given: dict[str, Any]) -> PlantModel:
+def _state_space(given: dict[str, Any]) -> "PlantModel":
     D = np.atleast_2d(np.asarray(given.pop("D", 0.0), dtype=np.float64))
     A = np.asarray(given.pop("A", np.zeros((0, 0))), dtype=np.float64)
     B, C = given.pop("B", np.zeros((0, D.shape[1]))), given.pop("C", np.zeros((D.shape[0], 0)))
@@ -277,11 +284,12 @@ def _state_space(given: dict[str, Any]) -> PlantModel:
         raise InvalidDataError(
             "a state space needs sensor_kind, which says what its outputs are: displacement, velocity or acceleration."
         )
-    return PlantModel.from_state_space(system, sensor_kind=given.pop("sensor_kind", "displacement"), **given)
+    plant: type[PlantModel] = KEPT["PlantModel"]
+    return plant.from_state_space(system, sensor_kind=given.pop("sensor_kind", "displacement"), **given)
 
 
 def _effect(
-    model: StructuralModel | PlantModel, plant: Plant, one: Any, catalogue: Mapping[str, Effect]
+    model: "StructuralModel | PlantModel", plant: Plant, one: Any, catalogue: Mapping[str, Effect]
 ) -> PlacedEffect:
     keys = ("effect", "where", "values", "deviations", "direction")
     if not isinstance(one, Mapping) or not {"effect", "where", "values"} <= one.keys() or not one.keys() <= set(keys):
@@ -291,7 +299,7 @@ def _effect(
     return placed_effect(
         plant,
         catalogue.get(one["effect"], one["effect"]),
-        one["where"] if isinstance(model, PlantModel) else place_name(model, one["where"]),
+        one["where"] if hasattr(model, "plant") else place_name(model, one["where"]),
         one["values"],
         deviations=one.get("deviations"),
         direction=one.get("direction", ()),

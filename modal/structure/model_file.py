@@ -30,9 +30,7 @@ import numpy.typing as npt
 
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
-from modal.structure.model_document import document_of, model_of
-from modal.structure.plant_model import PlantModel
-from modal.structure.structural_model import StructuralModel
+from modal.structure.model_document import KEPT, document_of, model_of
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["KeptModel", "read_model", "write_model"]
@@ -101,9 +99,7 @@ def read_model(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE)
         ) from error
 
 
-def write_model(
-    model: StructuralModel | PlantModel, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse"
-) -> Path:
+def write_model(model: "KeptModel", path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
     """Write a model into a file that `read_model` reads, every number exactly.
 
     Args:
@@ -118,6 +114,7 @@ def write_model(
         InvalidDataError: No model, another ending, no folder, the file is there already, or it cannot be written.
     """
     _check_model(model)
+    kept: Any = model
     path = _path(path, InvalidDataError)
     if existing not in get_args(Literal["refuse", "replace"]):
         raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
@@ -131,7 +128,7 @@ def write_model(
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
-            writers[path.suffix.lower()](unfinished, document_of(model))
+            writers[path.suffix.lower()](unfinished, document_of(kept))
             unfinished.replace(path)
         finally:
             unfinished.unlink(missing_ok=True)
@@ -141,9 +138,9 @@ def write_model(
 
 
 def _check_model(model: object) -> None:
-    if isinstance(model, StructuralModel | PlantModel):
+    if isinstance(model, KeptModel):
         return
-    inner = isinstance(getattr(model, "model", None), StructuralModel | PlantModel)
+    inner = isinstance(getattr(model, "model", None), KeptModel)
     remedy = "pass its .model" if inner else "make one of them first"
     raise InvalidDataError(
         f"write_model keeps a StructuralModel or a PlantModel, but a {type(model).__name__} was given; {remedy}."
@@ -278,6 +275,10 @@ class KeptModel:
 
     __slots__ = ()
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        KEPT[cls.__name__] = cls
+
     def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
         """Write the model as TOML, JSON or NPZ, by the ending of the path; read it with `load`.
 
@@ -288,9 +289,7 @@ class KeptModel:
         Raises:
             InvalidDataError: Another ending, the file is there already, or it cannot be written.
         """
-
-        model: Any = self
-        return write_model(model, path, existing=existing)
+        return write_model(self, path, existing=existing)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -302,7 +301,6 @@ class KeptModel:
         Raises:
             UnreadableFileError: No such file, or one that holds no such model.
         """
-
         model = read_model(path)
         if not isinstance(model, cls):
             raise UnreadableFileError(

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
 from modal.simulation.plant import Plant, Port
 from okid.arrays import real_number
@@ -111,8 +112,6 @@ def placed_effect(
 
 
 def _effect(effect: str | Effect) -> Effect:
-    from modal.effects.catalogue import CATALOGUE  # the catalogue imports every effect
-
     if isinstance(effect, Effect):
         return effect
     if effect not in CATALOGUE:

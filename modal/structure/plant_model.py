@@ -7,16 +7,16 @@ names in a state space, stay those of the file.
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from modal.effects.effect import Effect
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
+from modal.structure.checks import SensorKind
+from modal.structure.equations import equations_of_plant
+from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.state_space_plant import state_space_plant
-from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray, frozen
-from okid.errors import UnreadableFileError
 from okid.record import InputHold, Record
 
 __all__ = ["PlantModel"]
@@ -26,7 +26,7 @@ _NOMINAL: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class PlantModel:
+class PlantModel(KeptModel):
     """A plant at given values of its linear parameters, with effects.
 
     Attributes:
@@ -137,40 +137,4 @@ class PlantModel:
 
     def equations(self) -> str:
         """The equations with numbers and units, effects included, in plain text."""
-        from modal.structure.equations import equations_of_plant
-
         return equations_of_plant(self)
-
-    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
-        """Write the model as JSON or NPZ, by the ending of the path; read it with `load`.
-
-        Args:
-            path: Of the file.
-            existing: "refuse" (an error when the file is there) or "replace".
-
-        Raises:
-            InvalidDataError: Another ending, the file is there already, or it cannot be written.
-        """
-        from modal.structure.model_file import write_model
-
-        return write_model(self, path, existing=existing)
-
-    @classmethod
-    def load(cls, path: str | Path) -> "PlantModel":
-        """Read a model from a file.
-
-        Args:
-            path: Of the file.
-
-        Raises:
-            UnreadableFileError: No such file, or one that holds another kind of model.
-        """
-        from modal.structure.model_file import read_model
-
-        model = read_model(path)
-        if not isinstance(model, cls):
-            raise UnreadableFileError(
-                f"{path} holds a {type(model).__name__}, not a model made from a state space; read it with "
-                "modal.read_model."
-            )
-        return model

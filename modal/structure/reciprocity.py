@@ -44,8 +44,8 @@ import scipy
 
 from modal.simulation.plant import LinearParameter
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
+from modal.structure.checks import SensorKind
 from modal.structure.continuous_time import ContinuousSystem
-from modal.structure.structural_model import SensorKind
 from okid.arrays import TINY, FloatArray
 from okid.errors import InvalidDataError
 

@@ -14,8 +14,8 @@ Where a displacement does not exist:
     - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
       first order: its port takes flows in any direction of the states; its displacement row is the output itself.
       Where no pole oscillates a displacement may also be the level of one of several tanks: further ports, "output_0
-      level" and "output_0 upstream", take flows (`modal.structure.state_space_plant`); where its unit is no length either,
-      the first port takes constant and periodic forces only.
+      level" and "output_0 upstream", take flows (`modal.structure.state_space_plant`); where its unit is no length
+      either, the first port takes constant and periodic forces only.
     - velocity sensors of a shaft that nothing holds, or of a mass that only a damper holds: a constant force gives a
       constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
     - an integrator needs its displacement measured: an acceleration does not show it.
@@ -57,7 +57,7 @@ import scipy
 from modal.effects.catalogue import composed_unit
 from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
 from modal.simulation.tolerances import ROUNDING
-from modal.structure.checks import matched_names, sensor_kinds, tolerance
+from modal.structure.checks import SensorKind, matched_names, sensor_kinds, tolerance
 from modal.structure.continuous_time import ContinuousSystem, continuous_system, in_modal_coordinates
 from modal.structure.reciprocity import (
     OutputMotion,
@@ -67,7 +67,6 @@ from modal.structure.reciprocity import (
     reciprocal_structure,
     symmetric_changes,
 )
-from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record, labels

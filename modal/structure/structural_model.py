@@ -9,12 +9,15 @@ Units are the user's as long as they fit together: the defaults are N, m, kg, s.
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from modal.effects.effect import Effect
+from modal.simulation.plant import split_matrices
 from modal.structure.checks import (
+    SensorKind,
     as_column,
     check_base_motion,
     checked_matrices,
@@ -25,17 +28,13 @@ from modal.structure.checks import (
     tolerance,
 )
 from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
+from modal.structure.equations import equations_of_motion
 from modal.structure.model_file import KeptModel
+from modal.structure.placed import PlacedEffect, placed_effect
+from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
 
-if TYPE_CHECKING:
-    from modal.effects.effect import Effect
-    from modal.structure.placed import PlacedEffect  # importing it here would import the package that imports us
-
-__all__ = ["SensorKind", "StructuralModel"]
-
-SensorKind = Literal["displacement", "velocity", "acceleration"]
-"""What a sensor reads of the motion of the degrees of freedom."""
+__all__ = ["StructuralModel"]
 
 _COUPLINGS: Any = None
 """Default of `elements`: those that stand in the matrices."""
@@ -274,23 +273,15 @@ class StructuralModel(KeptModel):
         Raises:
             InvalidDataError: No such effect or place, a parameter that is missing, unknown or out of its bounds.
         """
-        from modal.structure.placed import placed_effect
-        from modal.structure.structural_plant import place_name, structural_plant
-
         added = placed_effect(structural_plant(self), effect, place_name(self, where), values)
         return replace(self, effects=(*self.effects, added))
 
     def equations(self) -> str:
         """The equations of motion with numbers and units, effects included, in plain text."""
-        from modal.structure.equations import equations_of_motion
-
         return equations_of_motion(self)
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""
-        from modal.simulation.plant import split_matrices
-        from modal.structure.structural_plant import structural_plant
-
         plant = structural_plant(self)
         whole = plant.system[0] + np.tensordot(plant.nominal, plant.system[1:], axes=(0, 0))
         poles = np.linalg.eigvals(split_matrices(plant, whole).A).astype(np.complex128)

@@ -15,6 +15,7 @@ as right: a common factor on M, C, K is an input gain, and one on M alone is one
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -22,8 +23,10 @@ import scipy
 from modal.simulation.plant import LinearParameter, Plant, Port
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.elements import relative_vector
-from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from modal.structure.structural_model import StructuralModel
 
 __all__ = ["Change", "changes_of", "place_name", "structural_plant", "updated_structure"]
 
@@ -46,12 +49,12 @@ class Change:
     stiffness: FloatArray | None = None
 
 
-def changes_of(model: StructuralModel) -> tuple[Change, ...]:
+def changes_of(model: "StructuralModel") -> tuple[Change, ...]:
     """The linear parameters: stiffnesses first, then dampings."""
     return _stiffness_changes(model) + _damping_changes(model)
 
 
-def updated_structure(model: StructuralModel, linear: FloatArray) -> StructuralModel:
+def updated_structure(model: "StructuralModel", linear: FloatArray) -> "StructuralModel":
     """The model with its stiffnesses and dampings at other values of its linear parameters; effects stay.
 
     Args:
@@ -82,7 +85,7 @@ def updated_structure(model: StructuralModel, linear: FloatArray) -> StructuralM
     return replace(model, stiffness=stiffness, damping=damping, elements=elements)
 
 
-def _stiffness_changes(model: StructuralModel) -> tuple[Change, ...]:
+def _stiffness_changes(model: "StructuralModel") -> tuple[Change, ...]:
     by_element = [relative_vector(element.ends, model.n_dofs) for element in model.elements]
     sizes = [element.stiffness for element in model.elements]
     unit = f"{model.force_unit}/{model.length_unit}"
@@ -112,7 +115,7 @@ def _stiffness_changes(model: StructuralModel) -> tuple[Change, ...]:
     )
 
 
-def _damping_changes(model: StructuralModel) -> tuple[Change, ...]:
+def _damping_changes(model: "StructuralModel") -> tuple[Change, ...]:
     by_element = [relative_vector(element.ends, model.n_dofs) for element in model.elements]
     sizes = [element.damping for element in model.elements]
     unit = f"{model.force_unit} s/{model.length_unit}"
@@ -138,7 +141,7 @@ def _damping_changes(model: StructuralModel) -> tuple[Change, ...]:
     return tuple(changes)
 
 
-def _springs_make_up(model: StructuralModel) -> bool:
+def _springs_make_up(model: "StructuralModel") -> bool:
     vectors = [relative_vector(element.ends, model.n_dofs) for element in model.elements]
     return _make_up(model.stiffness, vectors, [element.stiffness for element in model.elements])
 
@@ -176,7 +179,7 @@ def _damping_parameter(
     )
 
 
-def structural_plant(model: StructuralModel) -> Plant:
+def structural_plant(model: "StructuralModel") -> Plant:
     """The plant of a structural model, without its effects.
 
     Ports are its elements and its DOFs ("dof_0", ...; where an element joins the DOF and the ground, the two are one
@@ -231,7 +234,7 @@ def structural_plant(model: StructuralModel) -> Plant:
 # --- matrices --------------------------------------------------------------------------------------------------------
 
 
-def _kept_displacements(model: StructuralModel) -> tuple[int, ...]:
+def _kept_displacements(model: "StructuralModel") -> tuple[int, ...]:
     """DOFs whose displacement is a state."""
     read = np.zeros(model.n_dofs, dtype=np.bool_)
     for row, kind in zip(model.sensor_map, model.sensor_kind, strict=True):
@@ -241,7 +244,7 @@ def _kept_displacements(model: StructuralModel) -> tuple[int, ...]:
 
 
 def _assemble(
-    model: StructuralModel, kept: tuple[int, ...], *, damping: FloatArray, stiffness: FloatArray, joins: FloatArray
+    model: "StructuralModel", kept: tuple[int, ...], *, damping: FloatArray, stiffness: FloatArray, joins: FloatArray
 ) -> FloatArray:
     """[[A, B, E], [C, D, G]] for the given C and K."""
     n_kept, n_dofs, n_inputs = len(kept), model.n_dofs, model.n_inputs
@@ -263,7 +266,7 @@ def _assemble(
 
 
 def _restoring(
-    model: StructuralModel,
+    model: "StructuralModel",
     kept: tuple[int, ...],
     *,
     damping: FloatArray,
@@ -284,7 +287,7 @@ def _restoring(
 # --- ports -----------------------------------------------------------------------------------------------------------
 
 
-def place_name(model: StructuralModel, where: str) -> str:
+def place_name(model: "StructuralModel", where: str) -> str:
     """The name of a place as the plant has it: that of the element where "dof_i" is the moving end of a grounded one.
 
     Example:
@@ -295,14 +298,14 @@ def place_name(model: StructuralModel, where: str) -> str:
     return {f"dof_{one.start}": one.name for one in model.elements if one.end is None}.get(where, where)
 
 
-def _places(model: StructuralModel) -> list[tuple[str, tuple[int, ...]]]:
+def _places(model: "StructuralModel") -> list[tuple[str, tuple[int, ...]]]:
     """Name and ends of each port: the elements, then the DOFs that no element joins to the ground."""
     grounded = {element.start for element in model.elements if element.end is None}
     elements = [(element.name, element.ends) for element in model.elements]
     return elements + [(f"dof_{i}", (i,)) for i in range(model.n_dofs) if i not in grounded]
 
 
-def _port(model: StructuralModel, kept: tuple[int, ...], index: int, name: str, ends: tuple[int, ...]) -> Port:
+def _port(model: "StructuralModel", kept: tuple[int, ...], index: int, name: str, ends: tuple[int, ...]) -> Port:
     n_states = len(kept) + model.n_dofs
     join = relative_vector(ends, model.n_dofs)
     displacement, velocity = np.zeros(n_states + model.n_inputs), np.zeros(n_states + model.n_inputs)

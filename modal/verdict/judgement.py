@@ -5,8 +5,8 @@ the observer, not the data. Repeatability asks the data: identify again with hal
 and ridge, with other model orders, and take the mean overlap of the mode's pulse response with its continuation
 (`modal.modes.shape_comparison`). The three kinds of change have equal weight, however many runs each has.
 
-Found again is not enough: hum is, and so is what describes coloured noise. `modal.verdict.probability` weighs r together with
-how much of the outputs the mode's answer to the inputs explains.
+Found again is not enough: hum is, and so is what describes coloured noise. `modal.verdict.probability` weighs r
+together with how much of the outputs the mode's answer to the inputs explains.
 
 A line that the input does not drive (hum), and a pole in the edge of a decimation filter, are never more than doubtful.
 
@@ -147,8 +147,8 @@ class Rerun:
         label: for a reader, e.g. "first half", "observer order 80, ridge 0.01", "order 14".
         change: what was changed.
         modes: what was found.
-        gain: (n_modes,) gain of each of them on the rows that this run did not see (`modal.verdict.excitation`), None where all rows
-            were used.
+        gain: (n_modes,) gain of each of them on the rows that this run did not see (`modal.verdict.excitation`), None
+            where all rows were used.
     """
 
     label: str
@@ -192,9 +192,9 @@ def judge(
 
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for p
     >= 0.8 where no kind of change leaves less than 0.42, "noise" for p < 0.05, else "doubtful". At most doubtful are:
-    a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of `modal.verdict.probability` or
-    `modal.verdict.excitation`. Poles side by side that share one resonance are judged together (`modal.verdict.judgement`). A real pole is
-    judged like the others but named as what it is.
+    a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of
+    `modal.verdict.probability` or `modal.verdict.excitation`. Poles side by side that share one resonance are judged
+    together (`modal.verdict.judgement`). A real pole is judged like the others but named as what it is.
 
     Whether the damping of an oscillatory mode is resolved: see `modal.verdict.probability`.
 
@@ -207,7 +207,8 @@ def judge(
         refinement_steps: output-error refinement steps made after the observer fit.
         duration: of the longest record [s]; nan where unknown: undamped lines are then not looked for.
         excitation: what the inputs allow; None without inputs.
-        gain: (n_modes,) share of the free-run error that each mode removes (`modal.verdict.excitation`); None where unknown.
+        gain: (n_modes,) share of the free-run error that each mode removes (`modal.verdict.excitation`); None where
+            unknown.
         n_values: measured values, rows times outputs, that the gain was taken on.
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
 

@@ -1,8 +1,8 @@
 """The probability that a mode belongs to the system, from two pieces of evidence.
 
-Found again: the repeatability r (`modal.verdict.judgement`). Driven: how much of the outputs the mode's answer to the inputs
-explains for the k numbers that the mode brings; with g its gain (`modal.verdict.excitation`) on N measured values,
-F = (N / k) g / (1 - g), the ratio that analysis of variance would test.
+Found again: the repeatability r (`modal.verdict.judgement`). Driven: how much of the outputs the mode's answer to the
+inputs explains for the k numbers that the mode brings; with g its gain (`modal.verdict.excitation`) on N measured
+values, F = (N / k) g / (1 - g), the ratio that analysis of variance would test.
 
     p = 1 / (1 + exp(11.5 - 14.1 r - 0.95 log10 F)),   F clipped to [0.1, 1e6]
 

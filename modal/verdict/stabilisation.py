@@ -11,26 +11,49 @@ poles of all orders then stand in one modal basis, their vectors filled up with 
 is asked of them (EMAC, energies, overlaps with a rerun) is asked in one product.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification.result import StabilisationPoint
 from modal.modes.indicators import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
 from modal.modes.shape_comparison import Pulses, energies, inner_products, pair_greatest_first, pulses
 from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray, whole_number
 
-__all__ = ["stabilisation"]
+__all__ = ["StabilisationPoint", "stabilisation"]
 
 FREE_RUN_STEPS = 200
 """Length of the pulse responses that are compared where no Hankel factors tell it."""
 ASKED: tuple[Change, ...] = ("data", "observer")
 """Changes that the diagram's colour asks about, each with equal weight. The third one of the verdict, other model
 orders, is the diagram's own vertical axis."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StabilisationPoint:
+    """One pole of the model of one order, compared with the model of the next lower order.
+
+    Attributes:
+        order: model order.
+        frequency: [Hz].
+        damping_ratio: [-].
+        overlap: closed-form overlap, in [0, 1], of its own pulse response with that of the pole it continues (0: new).
+        emac: extended modal amplitude coherence.
+        repeatability: mean overlap, in [0, 1], with its continuation in models of halves of the data and of another
+            observer; nan where unknown.
+    """
+
+    order: int
+    frequency: float
+    damping_ratio: float
+    overlap: float
+    emac: float
+    repeatability: float = math.nan
 
 
 def stabilisation(

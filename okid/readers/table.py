@@ -109,7 +109,6 @@ def _plain(name: str) -> str:
 
 
 def _may_be_time(column: Column) -> bool:
-    from okid.readers.units import convert_unit
 
     if not column.unit:
         return column.name != "T"

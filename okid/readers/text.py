@@ -29,7 +29,7 @@ from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.table import Column, Table, looks_like_unit, split_header, unique_names
 
-__all__ = ["Dialect", "MISSING", "TextLayout", "find_layout", "is_missing", "is_number", "read_text", "split_cells"]
+__all__ = ["MISSING", "Dialect", "TextLayout", "find_layout", "is_missing", "is_number", "read_text", "split_cells"]
 
 MISSING = (
     *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),

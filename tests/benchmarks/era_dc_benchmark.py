@@ -32,10 +32,7 @@ from systems import markov, random_system, simulate  # noqa: E402  # the path is
 
 from era.balanced import realise  # noqa: E402
 from era.data_correlation import realise_data_correlation  # noqa: E402
-from okid.markov import (
-    MarkovParameters,  # noqa: E402
-    recover_markov,  # noqa: E402
-)
+from okid.markov import MarkovParameters, recover_markov  # noqa: E402
 from okid.observer import fit_observer  # noqa: E402
 from okid.record import Record  # noqa: E402
 

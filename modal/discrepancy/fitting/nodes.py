@@ -29,9 +29,9 @@ from okid.arrays import FloatArray
 
 __all__ = [
     "FINE_STEPS",
-    "Node",
     "SMALLEST_FALL",
     "SMALLEST_GAIN",
+    "Node",
     "Task",
     "calibrated_node",
     "counts",

@@ -15,7 +15,6 @@ import numpy as np
 
 from era.realisation import Realisation
 from era.simulation import simulate
-from modal.discrepancy.diagnosis import diagnosis_of
 from modal.discrepancy.noise.floor import NoiseFloor, noise_floor
 from modal.discrepancy.programs.corrected import CorrectedCallable, along_plant
 from modal.discrepancy.programs.program import (
@@ -34,6 +33,7 @@ from modal.discrepancy.selection.decision import Decision, decide_nodes
 from modal.discrepancy.setup import Progress, prepare_setup, roots, simulated_outputs, with_uncovered_floor
 from modal.discrepancy.validation.cautions import doubted_units
 from modal.discrepancy.validation.findings import circumstances_of
+from modal.discrepancy.validation.summary import diagnosis_of
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
 from modal.localisation.evidence import Location, locate
@@ -41,9 +41,9 @@ from modal.localisation.gap import measure_gap
 from modal.localisation.levels import level_modes
 from modal.localisation.lines import measure_lines
 from modal.simulation.tolerances import NEAR_FLOOR
+from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model
 from modal.structure.plant_model import PlantModel
-from modal.structure.structural_model import SensorKind
 from modal.wording.numbers import times_floor_text
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError

@@ -23,6 +23,7 @@ from modal.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.trajectory import SHARP
+from modal.structure.equations import equations_of_plant
 from modal.structure.given import placed_assembly
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel
@@ -127,8 +128,6 @@ class CorrectedCallable:
 
     def equations(self) -> str:
         """The equations of the correction with numbers and units, in plain text."""
-        from modal.structure.equations import equations_of_plant
-
         model = self.correction or (None if self.linear is None else replace(self.linear, effects=self.effects))
         return "" if model is None else f"Linear part of {self!r}\n{equations_of_plant(model)}"
 

@@ -36,10 +36,10 @@ from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = [
+    "N_GRID",
     "LawAt",
     "LawGrid",
     "LawTask",
-    "N_GRID",
     "input_law_curve",
     "law_curve",
     "law_curves",

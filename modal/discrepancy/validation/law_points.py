@@ -39,8 +39,8 @@ from modal.simulation.tolerances import ROUNDING
 from okid.arrays import TINY, FloatArray
 
 __all__ = [
-    "Bins",
     "N_BINS",
+    "Bins",
     "Told",
     "bins_of",
     "derivatives",

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     import rerun
 
 __all__ = [
+    "STAGE_COLOURS",
     "DiscrepancyPlan",
     "NumberTable",
-    "STAGE_COLOURS",
     "diagnosis_tables",
     "log_histories",
     "log_tables",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from era.realisation import Realisation
-from modal.identification.result import Identification, OrderEvidence, StabilisationPoint
+from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.recording.figure import (
     BLUE,
@@ -32,6 +32,7 @@ from modal.recording.figure import (
 from modal.recording.plan import Gathered, Plan
 from modal.recording.series import TIMELINE
 from modal.recording.tables import UNKNOWN, log_table, table
+from modal.verdict.stabilisation import StabilisationPoint
 from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 

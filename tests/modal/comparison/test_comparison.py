@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import random_system, simulate
 
-from modal.comparison import words as words
+from modal.comparison import words
 from modal.comparison.changes import compare_results
 from modal.comparison.shifts import TOO_FAR, holm, match_modes, pair_costs
 from modal.comparison.source import read_result, summary_of

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from era.realisation import Realisation
-from modal.identification.result import Choice, Fit, Identification, OrderEvidence, StabilisationPoint
+from modal.identification.result import Identification, OrderEvidence
+from modal.modes.choice import Choice, Fit
 from modal.modes.mode import ModalModel, Mode
+from modal.verdict.stabilisation import StabilisationPoint
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

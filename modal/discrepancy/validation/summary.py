@@ -1,0 +1,178 @@
+"""A diagnosis put together from what the search found: steps, closed share, findings, limits, and what must be said."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.results import Calibrated, Diagnosis, Step
+from modal.discrepancy.selection.decision import Decision, covariance
+from modal.discrepancy.setup import (
+    Setup,
+    simulated_outputs,
+)
+from modal.discrepancy.stages import calibrated_parameters
+from modal.discrepancy.validation.cautions import grid_error
+from modal.discrepancy.validation.findings import advise, detection_limits, findings_of, hypothesis_of
+from modal.discrepancy.validation.law_curves import law_curves
+from modal.discrepancy.validation.other_hold import (
+    half_a_sample,
+)
+from modal.effects.ambiguity import Circumstance
+from modal.effects.catalogue import effect_name
+from modal.localisation.evidence import Location
+from modal.simulation.plant import Plant
+from modal.structure.given import returned_model
+from modal.wording.numbers import listed, quantity
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["diagnosis_of"]
+
+
+def diagnosis_of(
+    setup: Setup,
+    as_given: Node,
+    nodes: Sequence[Node],
+    decision: Decision,
+    *,
+    location: Location,
+    circumstances: frozenset[Any],
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """Put a decision into words, numbers and an updated model.
+
+    Args:
+        setup: Model, records and floor.
+        as_given: The model as given along the records.
+        nodes: All models that were fitted, the calibrated one first.
+        decision: What was decided.
+        location: Where the two disagree.
+        circumstances: For the table of ambiguities.
+        notes: What the reader must know of the records.
+
+    Returns:
+        The diagnosis.
+    """
+    root, best, task = nodes[0], decision.node, setup.task
+    circumstances = circumstances | _of_the_delay(best, setup.fit[0].dt)
+    problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
+    spread = covariance(best.fitted, problem)
+    chance = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
+    deviations = np.hypot(chance, grid_error(best))
+    calibrated = calibrated_parameters(best.fitted, deviations)
+    hits = tuple(item.name for item in calibrated if item.at_bound)
+    found = nodes if any(node is best for node in nodes) else [*nodes, best]
+    ranked = sorted(found, key=lambda node: node.held_out_level)
+    before, after = _rmse(as_given, setup), _rmse(best, setup)
+    return Diagnosis(
+        status=decision.status,
+        findings=findings_of(
+            decision, root, task, setup.given.plant, deviations=deviations, circumstances=circumstances
+        ),
+        model=returned_model(setup.given, best.fitted.assembly, best.fitted.unknowns, deviations),
+        noise_floor=setup.floor,
+        gap_before=before,
+        gap_after=after,
+        closed=_closed(as_given, best),
+        calibrated=calibrated,
+        bounds_hit=hits,
+        detection_limits=detection_limits(best.coarse, task, setup.given.plant),
+        advice=advise(decision, setup.fit, circumstances),
+        location=location,
+        steps=_steps(as_given, root, nodes, best, setup.held_out),
+        hypotheses=tuple(hypothesis_of(node, root, task) for node in ranked),
+        laws=law_curves(best.fitted, problem, setup.given.plant, spread),
+        fit=setup.fit,
+        held_out=setup.held_out,
+        warnings=(
+            *notes,
+            *_bound_words(hits),
+            *_beyond_words(calibrated, setup.given.plant),
+            *_gain_words(decision, circumstances),
+            *decision.reasons,
+        ),
+    )
+
+
+def _beyond_words(calibrated: Sequence[Calibrated], plant: Plant) -> tuple[str, ...]:
+    """Linear parameters that came out beyond the tolerance of the model that was given."""
+    beyond = [
+        f"{one.name} ({quantity(one.nominal, one.unit)} given, {quantity(one.value, one.unit)} found)"
+        for one, given in zip(calibrated, plant.parameters, strict=True)
+        if not given.lower <= one.value <= given.upper
+    ]
+    if not beyond:
+        return ()
+    return (f"{listed(beyond)} lies beyond the tolerance of the model that was given: check the nominal values",)
+
+
+def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
+    """What a delay that was found adds to the circumstances."""
+    assembly, common = best.coarse.assembly, best.coarse.unknowns.common
+    delays = [
+        common[assembly.common_of(i).start]
+        for i, item in enumerate(assembly.placements)
+        if item.effect.key == "input_delay"
+    ]
+    return frozenset({"half_a_sample"}) if any(half_a_sample(delay, dt) for delay in delays) else frozenset()
+
+
+def _gain_words(decision: Decision, circumstances: frozenset[Any]) -> tuple[str, ...]:
+    """A gain that stands for the scale of the whole model scales every force found beside it."""
+    gains = [key for key, _ in decision.node.effects if key in {"input_gain", "sensor_gain"}]
+    if not gains or "one_dof" not in circumstances:
+        return ()
+    words = (
+        f"{effect_name(gains[0])} cannot be told from a wrong mass or inertia: forces and stiffnesses found beside it "
+        "are right only up to that factor; check the mass"
+    )
+    return (words,)
+
+
+def _bound_words(hits: tuple[str, ...]) -> tuple[str, ...]:
+    if not hits:
+        return ()
+    words = (
+        f"{', '.join(hits)} sits on its bound: the model that was given is further off than its tolerances allow, or "
+        "what is missing is not in the catalogue; check the nominal values"
+    )
+    return (words,)
+
+
+def _rmse(node: Node, setup: Setup) -> FloatArray:
+    floor = setup.floor.variance[len(setup.fit) :]
+    if node.held_out is None:
+        return np.full(floor.shape, np.inf)
+    return np.asarray(np.sqrt(node.held_out.mean_square * floor))
+
+
+def _closed(before: Node, after: Node) -> float:
+    """Share of the held-out mean square above the floor that is gone."""
+    if before.held_out is None or after.held_out is None:
+        return 1.0 if after.held_out is not None else 0.0
+    gap = float(np.nansum(np.maximum(before.held_out.mean_square - 1.0, 0.0)))
+    left = float(np.nansum(np.maximum(after.held_out.mean_square - 1.0, 0.0)))
+    return 1.0 - left / gap if gap > 0.0 else 0.0
+
+
+def _steps(
+    as_given: Node, root: Node, nodes: Sequence[Node], best: Node, held_out: Sequence[Record]
+) -> tuple[Step, ...]:
+    path = [("as given", as_given), ("calibrated", root)]
+    known = len(root.effects)
+    for count in range(known + 1, len(best.effects) + 1):
+        wanted = best.effects[:count]
+        node = best if count == len(best.effects) else next((one for one in nodes if one.effects == wanted), None)
+        if node is not None:
+            path.append((f"{wanted[-1][0]} at {wanted[-1][1]}", node))
+    return tuple(
+        Step(
+            name=name,
+            fit_level=node.fit_level,
+            held_out_level=node.held_out_level,
+            simulated=() if node.held_out is None else simulated_outputs(node.held_out, held_out),
+        )
+        for name, node in path
+    )
