@@ -90,7 +90,6 @@ def test_public_names_that_the_pages_speak_of_exist(repository):
     assert n_names > 10
 
 
-@pytest.mark.xfail(reason="the folders of the plan are not there yet", strict=True)
 def test_folders_that_the_pages_speak_of_exist(repository):
     for page in pages_of(repository):
         for name in re.findall(r"`((?:okid|era|modal|tests)/[\w/]*)`", page.read_text(encoding="utf-8")):
