@@ -22,7 +22,7 @@ from modal.command.main import _status, app
 from modal.command.options import plain_name, spread_files
 
 COMMAND = [sys.executable, "-c", "from modal.command.main import main; main()"]
-HERE = Path(modal.identification.pipeline.__file__).parents[1]
+HERE = Path(modal.identification.pipeline.__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 

@@ -6,7 +6,6 @@ from systems import initial_state, modal_system, simulate
 from era.realisation import Realisation
 from modal.estimation.cross_validation import Trial
 from modal.estimation.fits import fit_of, measure_fit, model_runs
-from modal.identification.order_search import search_limits
 from okid.errors import NumericalError
 from okid.record import Record
 
@@ -139,7 +138,6 @@ def test_measure_fit_takes_the_held_out_errors_of_the_chosen_trial():
     chosen = Trial(
         observer_order=4, ridge=0.0, model_order=4, squared_errors=squared, block_errors=np.ones(9), error=0.2
     )
-    search_limits(records, observer_order=4, ridge=0.0, model_order=4)
     runs = model_runs(model_of(system), records)
     fit = measure_fit(chosen, power, runs)
     np.testing.assert_allclose(fit.cross_validated, [1 - np.sqrt(5 / 125), 1 - np.sqrt(5 / 500), 1 - np.sqrt(9 / 25)])
