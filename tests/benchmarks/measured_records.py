@@ -40,9 +40,13 @@ def measured_problems(folder):
         about = json.loads(about_path.read_text())
         name = about_path.parent.name
         channels = about if "inputs" in about else next(iter(about.get("channel_sets", {}).values()), {})
-        files = [file for file, entry in about["files"].items() if isinstance(entry, dict)]
+        files = [
+            file
+            for file, entry in about["files"].items()
+            if isinstance(entry, dict) and isinstance(entry.get("columns"), list)
+        ]
         if not channels.get("inputs") or not files:
-            left_out[name] = "no input is stated, so there is no free run"
+            left_out[name] = "no input is stated, or no file with named columns, so there is no free run"
             continue
         for case, members in groups(name, files).items():
             records = [_read(about_path.parent / file, about["files"][file], channels) for file in members]
