@@ -27,9 +27,9 @@ from era.hankel import block_sizes
 from era.realisation import Realisation
 from modal.estimation.free_run import (
     ModalForm,
+    block_errors,
     driven_by_outputs,
     filled,
-    free_run,
     modal_form,
     modal_form_of,
     one_step_predictor,
@@ -405,17 +405,8 @@ def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_orde
     form = _form(decomposition, model_order)
     if form is None:
         return None
-    errors = []
-    for record, trained, held_out, edges in zip(
-        ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
-    ):
-        if edges:
-            missed = record.outputs - free_run(form, record, trained).outputs
-            missed[~held_out] = 0.0
-            np.square(missed, out=missed)
-            # what lies between two blocks is a segment, too, and left out
-            errors.append(np.add.reduceat(missed, np.ravel(edges)[: None if edges[-1][1] < len(missed) else -1])[::2])
-    return np.concatenate(errors)
+    each = zip(ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True)
+    return np.concatenate([block_errors(form, *one) for one in each if one[-1]])
 
 
 def _form(decomposition: HankelDecomposition, order: int) -> ModalForm | None:

@@ -38,6 +38,7 @@ __all__ = [
     "ModalForm",
     "ModalRecursion",
     "TrainingPattern",
+    "block_errors",
     "driven_by_outputs",
     "filled",
     "fit_initial_state",
@@ -188,11 +189,17 @@ class ModalRecursion:
             forced=forced.reshape(BLOCK * n_inputs, BLOCK * n_outputs),
         )
 
+    @classmethod
+    def of_model(cls, model: "ModalForm") -> "ModalRecursion":
+        """The products of a model in modal form."""
+        return cls.of(model.poles, model.participations, model.weights * model.shapes, model.feedthrough)
+
     def from_rest(self, inputs: FloatArray) -> FloatArray:
         """(n_samples, n_outputs) outputs for (n_samples, n_inputs) inputs."""
         blocks = _in_blocks(inputs)
         starts = _starts(_as_complex(blocks @ self.reach), self.steps)
-        outputs = np.hstack([blocks, _as_reals(starts)]) @ np.vstack([self.forced, self.free])
+        outputs = blocks @ self.forced
+        outputs += _as_reals(starts) @ self.free
         return outputs.reshape(blocks.shape[0] * BLOCK, -1)[: inputs.shape[0]]
 
     def n_alive(self, n_samples: int) -> int:
@@ -355,23 +362,64 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
         >>> run.outputs.ravel().round(6).tolist(), run.level.round(6).tolist()
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
-    shapes = model.weights * model.shapes
-    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough)
+    recursion = ModalRecursion.of_model(model)
     outputs = recursion.from_rest(record.inputs)
-    left = record.outputs - outputs
-    left[~training] = 0.0
+    state, level = _start_and_level(model, recursion, record.outputs - outputs, training)
     n_alive = recursion.n_alive(record.n_samples)
-    state, level = fit_initial_state(
-        model.poles,
-        shapes,
-        recursion.products(left[:n_alive]),
-        left.sum(axis=0),
-        patterns=_patterns(training, record.n_outputs),
-        n_samples=record.n_samples,
-    )
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
     return FreeRun(outputs=outputs, level=level, state=state)
+
+
+def block_errors(
+    model: ModalForm, record: Record, training: BoolArray, held_out: BoolArray, blocks: Sequence[tuple[int, int]]
+) -> FloatArray:
+    """(n_blocks, n_outputs) squared error of the free run on the held-out rows of each block.
+
+    Args:
+        model: from `modal_form`.
+        record: nothing missing (see `filled`).
+        training: (n_samples,) rows that the initial state may look at.
+        held_out: (n_samples,) rows that count.
+        blocks: (first, one past last) row of each; none of their rows trains.
+    """
+    recursion = ModalRecursion.of_model(model)
+    left = record.outputs - recursion.from_rest(record.inputs)
+    scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
+    state, level = _start_and_level(model, recursion, left, training)
+    n_alive = recursion.n_alive(record.n_samples)
+    free = recursion.free_response(state, n_alive)
+    errors = np.empty((len(blocks), record.n_outputs))
+    for i, ((first, last), missed) in enumerate(zip(blocks, scored, strict=True)):
+        alive = free[first:last]
+        missed[: len(alive)] -= alive
+        np.subtract(missed, level, out=missed)
+        counted = held_out[first:last]
+        kept = missed if counted.all() else missed[counted]
+        errors[i] = np.einsum("ij,ij->j", kept, kept)
+    return errors
+
+
+def _start_and_level(
+    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Initial state and level of each output from what the run from rest leaves, which is overwritten."""
+    n_samples, n_outputs = left.shape
+    patterns = _patterns(training, n_outputs)
+    if len(patterns) == 1:
+        edges = [0, *(edge for run in patterns[0][1] for edge in run), n_samples]
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            left[first:last] = 0.0
+    else:
+        left[~training] = 0.0
+    return fit_initial_state(
+        model.poles,
+        model.weights * model.shapes,
+        recursion.products(left[: recursion.n_alive(n_samples)]),
+        np.ones(n_samples) @ left,
+        patterns=patterns,
+        n_samples=n_samples,
+    )
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
@@ -388,8 +436,7 @@ def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
 
 def run_from_rest(model: ModalForm, inputs: FloatArray) -> FloatArray:
     """(n_samples, n_outputs) response to (n_samples, n_inputs) inputs, none missing."""
-    shapes = model.weights * model.shapes
-    return ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough).from_rest(inputs)
+    return ModalRecursion.of_model(model).from_rest(inputs)
 
 
 def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:

@@ -19,8 +19,8 @@ import numpy as np
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
 from modal.estimation.cross_validation import corner, decompose_coefficients
-from modal.estimation.free_run import ModalForm, free_run
-from modal.estimation.modal_states import ModalParameters, free_runs
+from modal.estimation.free_run import ModalForm, ModalRecursion, free_run
+from modal.estimation.modal_states import ModalParameters
 from modal.estimation.output_error import NONE, OutputError, Step, evaluate
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, ComplexArray, FloatArray
@@ -171,9 +171,16 @@ def with_weak_mode(step: Step, data: OutputError, *, held_out: int = NONE) -> St
 def errors_of(step: Step, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
     """(n_samples, n_outputs) a record: errors of the free run, NaN on rows that do not count."""
     errors = []
-    runs = free_runs(step.parameters, step.linear.coefficients, data.records)
-    for index, (record, run, rows) in enumerate(zip(data.records, runs, data.rows, strict=True)):
-        error = record.outputs - run
+    parameters, coefficients = step.parameters, step.linear.coefficients
+    n_states, n_linear = 2 * step.layout.n_poles, 2 * step.layout.n_poles + step.layout.n_inputs
+    recursion = ModalRecursion.of(
+        parameters.poles, parameters.inputs, step.linear.shapes, coefficients[n_states:n_linear].T
+    )
+    for index, (record, state, rows) in enumerate(zip(data.records, parameters.states, data.rows, strict=True)):
+        error = record.outputs - recursion.from_rest(record.inputs)
+        n_alive = recursion.n_alive(record.n_samples)
+        error[:n_alive] -= recursion.free_response(state, n_alive)
+        error -= coefficients[n_linear + index]
         error[~rows] = np.nan
         for block in data.blocks:
             if block.record == index and block.label == held_out:

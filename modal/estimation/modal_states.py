@@ -32,7 +32,6 @@ __all__ = [
     "SignalLayout",
     "block_grams",
     "blocks_of",
-    "free_runs",
     "one_blas_thread",
     "whole_gram",
 ]
@@ -273,17 +272,6 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         flat = s.reshape(-1, n_rows)
         one = np.ones((1, n_rows))
         yield first, np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs.T]).T
-
-
-def free_runs(parameters: ModalParameters, coefficients: FloatArray, records: Sequence[Record]) -> Iterator[FloatArray]:
-    """(n_samples, n_outputs) outputs of the model in each record, given the coefficients of its regressors."""
-    n = 2 * parameters.poles.size + records[0].n_inputs
-    for index, record in enumerate(records):
-        run = np.empty((record.n_samples, record.n_outputs))
-        own = np.vstack([coefficients[:n], coefficients[[n + index]]])
-        for first, signals in _signals(parameters, index, record):
-            run[first : first + signals.shape[0]] = signals[:, : n + 1] @ own
-        yield run
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

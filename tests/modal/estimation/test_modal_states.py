@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textbook_output_error import (
     differences,
-    loop_run,
     loop_sensitivities,
     loop_signals,
     loop_states,
@@ -16,7 +15,7 @@ from textbook_output_error import (
 )
 
 from modal.estimation import modal_states
-from modal.estimation.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, free_runs, whole_gram
+from modal.estimation.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, whole_gram
 from okid.record import Record
 
 
@@ -97,16 +96,6 @@ def test_the_loop_sensitivities_are_slopes_of_the_loop_states(seed):
 
 def states_of(i, r, inputs, model):
     return loop_states(model, r, inputs)[:, i]
-
-
-@pytest.mark.parametrize("chunk", [9, 8192])
-def test_free_runs_are_the_loop(monkeypatch, chunk):
-    monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
-    model, records, _ = a_case(2, lengths=(100, 3, 60), n_outputs=3)
-    coefficients = np.vstack([model.c.real.T, -model.c.imag.T, model.D.T, model.levels])
-    runs = list(free_runs(parameters_of(model), coefficients, records))
-    for r, (run, record) in enumerate(zip(runs, records, strict=True)):
-        np.testing.assert_allclose(run, loop_run(model, r, record.inputs), rtol=0, atol=1e-11)
 
 
 def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
