@@ -300,10 +300,6 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
     return a * n_outputs, b * n_channels
 
 
-GAIN = 0.99
-"""Leave larger models of an observer out after some in a row that do not bring the error below this share."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trial:
     """One candidate that was fitted and scored.
@@ -336,8 +332,6 @@ def make_trials(
     ridge: float,
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
-    *,
-    patience: int | None = None,
 ) -> list[Trial]:
     """Fit every observer order with one ridge and score its models; what was done before is not done again.
 
@@ -347,22 +341,15 @@ def make_trials(
         ridge: of the fits.
         model_orders: rising.
         fold_indices: folds to score on.
-        patience: model orders in a row that do not bring an observer's error below `GAIN` of its best, after which its
-            larger ones are left out; None scores all.
     """
     trials = []
     power = ground.power[list(fold_indices)]
     for p in observer_orders:
-        best, without_gain = np.inf, 0
         for n in model_orders:
             blocks = [_scored(ground, (p, ridge, n, i), max(model_orders)) for i in fold_indices]
             whole = [errors for errors in blocks if errors is not None]
             if len(whole) == len(blocks):
                 trials.append(trial_of(p, ridge, n, whole, power))
-                without_gain = 0 if trials[-1].error < GAIN * best else without_gain + 1
-                best = min(best, trials[-1].error)
-            if without_gain == patience:
-                break
     return trials
 
 

@@ -94,8 +94,6 @@ def untried_neighbours(
 RIDGE_RATIOS = (10.0, 3.0, 3.0, 3.0)
 """Between the ridges of neighbours, in each round of the search."""
 COARSE_MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 40)
-PATIENCE = 2
-"""Leave an observer's larger models out after so many coarse orders without gain, until two observers are left."""
 SEMIFINALISTS = 9
 """Observers that a scout sends to a second fold."""
 FINALISTS = 4
@@ -254,10 +252,10 @@ def search(
     coarse = tuple(n for n in limits.model_orders if n in COARSE_MODEL_ORDERS) or limits.model_orders
     scout: list[Trial] = []
     for i, candidate in enumerate(limits.ridges):
-        scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted, patience=PATIENCE)
+        scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted)
         progress(0.5 * (i + 1) / len(limits.ridges))
     if len(scouted) < len(every_fold):
-        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2], patience=PATIENCE)
+        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2])
     tried = _finals(ground, scout, coarse, every_fold)
     seen = {(p, ridge) for p in limits.observer_orders for ridge in limits.ridges}
     for i, ratio in enumerate(RIDGE_RATIOS):
@@ -297,14 +295,8 @@ def _trials(
     observers: Sequence[tuple[int, float]],
     model_orders: Sequence[int],
     fold_indices: Sequence[int],
-    *,
-    patience: int | None = None,
 ) -> list[Trial]:
-    return [
-        trial
-        for p, ridge in observers
-        for trial in make_trials(ground, [p], ridge, model_orders, fold_indices, patience=patience)
-    ]
+    return [trial for p, ridge in observers for trial in make_trials(ground, [p], ridge, model_orders, fold_indices)]
 
 
 def _finals(
@@ -335,7 +327,7 @@ def _first_stable(
     """Trials of the first so many observers that are stable on every fold."""
     found: list[Trial] = []
     for observer in ranked:
-        own = _trials(ground, [observer], model_orders, every_fold, patience=PATIENCE)
+        own = _trials(ground, [observer], model_orders, every_fold)
         found += own
         count -= bool(own)
         if count == 0:
