@@ -44,6 +44,7 @@ __all__ = [
     "fit_initial_state",
     "free_run",
     "free_runs",
+    "initial_state",
     "modal_form",
     "modal_form_of",
     "one_step_predictor",
@@ -305,12 +306,10 @@ class FreeRun:
     Attributes:
         outputs: (n_samples, n_outputs) simulated, the constant level included.
         level: (n_outputs,) constant that was added to each output.
-        state: (n_poles,) modal state at the first sample.
     """
 
     outputs: FloatArray
     level: FloatArray
-    state: ComplexArray
 
 
 def modal_form(realisation: Realisation) -> ModalForm | None:
@@ -368,7 +367,7 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
     n_alive = recursion.n_alive(record.n_samples)
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
-    return FreeRun(outputs=outputs, level=level, state=state)
+    return FreeRun(outputs=outputs, level=level)
 
 
 def block_errors(
@@ -420,6 +419,12 @@ def _start_and_level(
         patterns=patterns,
         n_samples=n_samples,
     )
+
+
+def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
+    """(n_poles,) modal state at the first sample that `free_run` would start from."""
+    recursion = ModalRecursion.of_model(model)
+    return _start_and_level(model, recursion, record.outputs - recursion.from_rest(record.inputs), training)[0]
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:

@@ -19,7 +19,7 @@ import numpy as np
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
 from modal.estimation.cross_validation import corner, decompose_coefficients
-from modal.estimation.free_run import ModalForm, ModalRecursion, free_run
+from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
 from modal.estimation.modal_states import ModalParameters
 from modal.estimation.output_error import NONE, OutputError, Step, evaluate
 from modal.modes.modal_form import modal_basis
@@ -117,7 +117,7 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
     for block in data.blocks:
         if block.label == held_out:
             training[block.record][block.first : block.last] = False
-    states = [free_run(form, record, rows).state for record, rows in zip(data.records, training, strict=True)]
+    states = [initial_state(form, record, rows) for record, rows in zip(data.records, training, strict=True)]
     start = ModalParameters(
         poles=form.poles,
         is_pair=basis.is_pair,

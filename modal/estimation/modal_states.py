@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from era.state_recursion import PoleRecursion
+from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -248,8 +249,9 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
     recursion = PoleRecursion.of(poles, min(record.n_samples, LONGEST_CHUNK))
-    powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
-    np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
+    powers = powers_of(poles, min(record.n_samples, LONGEST_CHUNK))
+    with np.errstate(divide="ignore"):
+        alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
     driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
     slope_memory = np.zeros(n_poles, dtype=np.complex128)
     free_memory = np.ones(n_poles, dtype=np.complex128)
@@ -262,7 +264,9 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         for j in range(n_inputs):
             s[1 + j], driven_memory[j] = recursion.run(inputs[[j]], driven_memory[j])
         s[-1] = (powers[:n_rows] * free_memory).T
-        s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
+        for response, n_alive in zip(s[-1], alive - first, strict=True):
+            if n_alive < n_rows:
+                response[max(0, int(n_alive)) :] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
