@@ -1,19 +1,13 @@
 """What every candidate is fitted to and scored on, and what the fits made so far can give again.
 
 A candidate is fitted on the rows outside a fold: the Gram matrix of these rows serves all ridges of an observer order,
-the decomposition of its Hankel matrix all model orders.
-
-Which rows are held out, and which stretches of long records are run freely to score a candidate.
+the decomposition of its Hankel matrix all model orders. Its model runs freely, and the squared error counts on the
+fold's rows only. Without inputs the one-step prediction of the reduced model takes the place of the free run.
 
 Every row counts in the fit. A free run through a million samples for each of a thousand candidates would take hours and
 say no more than one through thirty thousand, so long records are scored on stretches spread evenly over them. Each
 stretch holds ten blocks; its first block never counts in the score, so that the initial state, which is fitted there
 too, is known before the first row that does.
-
-One candidate: fitted on the rows outside a fold, reduced to every model order by one SVD, run freely and scored.
-
-The squared error of the run counts on the fold's rows only. Without inputs there is no free run to score: the one-step
-prediction of the reduced model takes its place.
 """
 
 import itertools
@@ -43,7 +37,10 @@ from okid.rows import interleaved_folds, runs_of, whole_record_folds
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = [
+    "FIRST_RIDGE",
+    "GAIN",
     "LARGEST_PULSE",
+    "WITHIN",
     "Ground",
     "Stretch",
     "Trial",
@@ -156,6 +153,12 @@ def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
     return tuple(pieces[i] for i in kept)
 
 
+WITHIN = 1.02
+"""Take the smaller of two models where its error is at most this many times that of the larger."""
+GAIN = 0.99
+"""Go on to larger models or another round only where the error falls below this share of the best so far."""
+FIRST_RIDGE = 1e-4
+"""Fit with this ridge where no search chooses one: a first model of the records, or of what a model leaves."""
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 

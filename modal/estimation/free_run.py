@@ -1,15 +1,4 @@
-"""How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
-
-The run from rest is one pass of block products (`modal.estimation.free_run`). The initial state and a constant level of
-each output come from the training samples of the same run by least squares (`modal.estimation.free_run`); an initial
-state fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
-
-Initial state and level of each output, by least squares on the training samples of a free run.
-
-With x = a + j b per pole the free response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
-sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows, and these have a closed form.
-
-The free run of a model in modal form by matrix products over blocks of samples.
+"""The free run of a model in modal form, and how well it repeats held-out rows: the score by which all is chosen.
 
     x(k+1) = lambda x(k) + b' u(k),   y(k) = Re(c (w x(k))) + D u(k)
 
@@ -19,6 +8,10 @@ solved by pairing blocks until one is left. Rounding errors are those of the eig
 
 An initial state shows in the starts of blocks as lambda^(L i) x(0), so its response, and the product of that response
 with anything else, are one product each and no power of a pole is taken sample by sample.
+
+That state and a constant level of each output come from the training samples by least squares; fitted on the scored
+rows they would favour models that are too large. With x = a + j b per pole the free response is Re(w c lambda^k x), so
+all sums follow from those of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k, which have a closed form.
 """
 
 from collections.abc import Sequence

@@ -31,9 +31,9 @@ __all__ = [
     "Block",
     "ModalParameters",
     "SignalLayout",
-    "block_grams",
     "blocks_of",
     "one_blas_thread",
+    "signal_grams",
     "whole_gram",
 ]
 
@@ -180,7 +180,7 @@ def _places(n_poles: int, n_inputs: int, n_outputs: int, n_records: int, record:
     return places
 
 
-def block_grams(
+def signal_grams(
     parameters: ModalParameters, records: Sequence[Record], rows: Sequence[BoolArray], blocks: Sequence[Block]
 ) -> tuple[SignalLayout, FloatArray]:
     """Gram matrices of all signals over the counted rows of each block.
@@ -215,7 +215,7 @@ def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block],
 
     Args:
         layout: of all signals.
-        grams: of each block's own signals, from `block_grams`.
+        grams: of each block's own signals, from `signal_grams`.
         blocks: of the Gram matrices.
         chosen: indices of blocks.
     """

@@ -23,6 +23,7 @@ from okid.record import Record
 
 __all__ = [
     "CANDIDATES",
+    "SIGNIFICANT",
     "Drift",
     "FreedTrials",
     "choose_drift",
@@ -47,7 +48,7 @@ N_FOLDS = 5
 HELD_OUT = 4
 """Blocks side by side that are held out together."""
 SIGNIFICANT = 4.0
-"""Standard errors by which the held-out error must fall for a drift to be believed."""
+"""Believe in a drift, or an integrator, where the held-out error falls by so many standard errors."""
 AS_GOOD = 2.0
 """Standard errors within which fewer functions stand in for the best number."""
 LEAST_SHARE = 0.01
