@@ -53,6 +53,7 @@ __all__ = [
     "make_trials",
     "markov_lags",
     "prepare_ground",
+    "scaled_model",
     "scaled_record",
     "stretches_of",
     "training_decomposition",
@@ -221,6 +222,20 @@ def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
         record,
         inputs=(record.inputs - scaling.input_mean) / scaling.input_scale,
         outputs=(record.outputs - scaling.output_mean) / scaling.output_scale,
+    )
+
+
+def scaled_model(realisation: Realisation, scaling: ChannelScaling) -> Realisation:
+    """The model of channels at unit standard deviation, without Hankel factors."""
+    into, out = scaling.input_scale, scaling.output_scale[:, np.newaxis]
+    K = realisation.K
+    return Realisation(
+        realisation.A,
+        realisation.B * into,
+        realisation.C / out,
+        realisation.D * into / out,
+        realisation.dt,
+        K=None if K is None else K * scaling.output_scale,
     )
 
 

@@ -30,18 +30,10 @@ from okid.least_squares import solve
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["errors_of", "in_units", "scaled_model", "starting_parameters", "with_weak_mode"]
+__all__ = ["errors_of", "in_units", "starting_parameters", "with_weak_mode"]
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
-
-
-def scaled_model(realisation: Realisation, scaling: ChannelScaling) -> Realisation:
-    """The model of the scaled channels, without gain and factors."""
-    into, out = scaling.input_scale, scaling.output_scale[:, np.newaxis]
-    return Realisation(
-        realisation.A, realisation.B * into, realisation.C / out, realisation.D * into / out, realisation.dt
-    )
 
 
 def in_units(step: RefinementStep, start: Realisation, scaling: ChannelScaling) -> Realisation:

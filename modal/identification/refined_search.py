@@ -25,12 +25,13 @@ from modal.estimation.cross_validation import (
     Ground,
     Trial,
     corner,
+    scaled_model,
     scaled_record,
     training_decomposition,
     trial_of,
 )
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import errors_of, in_units, scaled_model, starting_parameters, with_weak_mode
+from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine
 from modal.identification.order_search import Search, as_good, significantly_worse
