@@ -30,7 +30,7 @@ from era.innovation_form import information, inverse
 from era.kalman import kalman_filter
 from era.realisation import Realisation
 from era.simulation import check_channels, filled_inputs, unknown_after
-from era.state_recursion import checked_state, free_run
+from era.state_recursion import checked_state, run_from
 from okid.arrays import FloatArray, frozen, real_number, whole_number
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
@@ -124,7 +124,7 @@ def by_recursion(model: Realisation, gain: FloatArray) -> SteadyRun:
     D = np.hstack([model.D, np.zeros((model.n_outputs, model.n_outputs))])
 
     def run(inputs: FloatArray, outputs: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return free_run(A, B, model.C, D, np.hstack([inputs, outputs]), state=state)
+        return run_from(A, B, model.C, D, np.hstack([inputs, outputs]), state=state)
 
     return run
 

@@ -20,7 +20,7 @@ from era.simulation import check_channels, predict
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
-from okid.residuals import NOT_WHITE, ResidualCheck, centred, check_enough_for_lags, input_correlation, whiteness
+from okid.residuals import NOT_WHITE, WHITENESS_LAGS, ResidualCheck, centred, residual_check
 from okid.rows import as_records
 
 __all__ = ["check_innovations", "innovations", "kalman_filter"]
@@ -92,9 +92,6 @@ def kalman_filter(realisation: Realisation) -> Any:
     return result
 
 
-LAGS = 20
-
-
 def check_innovations(
     realisation: Realisation, records: Record | Sequence[Record], *, n_lags: int | None = None
 ) -> ResidualCheck:
@@ -148,27 +145,18 @@ def check_innovations(
     fitted = model.order * model.n_outputs if model.K.any() else 0
     least = fitted // model.n_outputs**2 + 1
     lags = (
-        max(least, min(least + LAGS, errors.n_rows // 2))
+        max(least, min(least + WHITENESS_LAGS, errors.n_rows // 2))
         if n_lags is None
         else whole_number(n_lags, name="n_lags (n_outputs^2 n_lags above the numbers of the gain)", least=least)
     )
-    check_enough_for_lags(errors, lags)
-    white = whiteness(errors, n_lags=lags, n_fitted=fitted)
-    input_ratio = np.nan
-    messages: tuple[str, ...] = (
-        "the innovations of at least one output are at the level of rounding: there is nothing to test.",
-    )
-    if white.inverse_root is not None:
-        inputs = [record.inputs for record in several]
-        input_ratio = input_correlation(errors, white.inverse_root, inputs, first_lag=0, last_lag=lags)
-        messages = _messages(white.ratio, white.p_value, input_ratio, lags)
-    return ResidualCheck(
-        autocorrelation=white.autocorrelation,
-        whiteness_ratio=white.ratio,
-        whiteness_p_value=white.p_value,
-        input_correlation_ratio=input_ratio,
-        confidence_limit=white.confidence_limit,
-        messages=messages,
+    return residual_check(
+        errors,
+        [record.inputs for record in several],
+        n_lags=lags,
+        n_fitted=fitted,
+        first_lag=0,
+        what="the innovations of at least one output are",
+        words=lambda ratio, p_value, input_ratio: _messages(ratio, p_value, input_ratio, lags),
     )
 
 

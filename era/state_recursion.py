@@ -33,10 +33,10 @@ __all__ = [
     "backward_states",
     "checked_state",
     "finite_gramian",
-    "free_run",
     "innovation_run",
     "lifted",
     "one_step",
+    "run_from",
     "simulate_array",
 ]
 
@@ -75,10 +75,10 @@ def simulate_array(
         >>> simulate_array(0.5 * one, one, one, 0 * one, np.ones((4, 1))).ravel()
         array([0.  , 1.  , 1.5 , 1.75])
     """
-    return free_run(A, B, C, D, inputs, state=checked_state(A.shape[0], initial_state))[0]
+    return run_from(A, B, C, D, inputs, state=checked_state(A.shape[0], initial_state))[0]
 
 
-def free_run(
+def run_from(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, inputs: FloatArray, *, state: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """As `simulate_array`, returning the outputs and the state after the last sample."""
@@ -396,7 +396,7 @@ def one_step(
             rows = slice(done, start)
             predicted[rows], state = _sample_by_sample((A, B, C, D, K), inputs[rows], outputs[rows], state)
             both = np.hstack([inputs[start:stop], outputs[start:stop]])
-            predicted[start:stop], state = free_run(closed, feed, C, through, both, state=state)
+            predicted[start:stop], state = run_from(closed, feed, C, through, both, state=state)
             done = stop
     return predicted, state
 
@@ -423,7 +423,7 @@ def backward_states(A: FloatArray, C: FloatArray, K: FloatArray, weighted: Float
     reversed_time = np.ascontiguousarray(weighted[::-1])
     none = np.zeros((order, C.shape[0]))
     with np.errstate(over="ignore", invalid="ignore"):
-        states, first = free_run((A - K @ C).T, C.T, np.eye(order), none, reversed_time, state=np.zeros(order))
+        states, first = run_from((A - K @ C).T, C.T, np.eye(order), none, reversed_time, state=np.zeros(order))
     return states[::-1], first
 
 

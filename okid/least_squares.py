@@ -326,7 +326,7 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
     _check_ridge(ridge)
     system = normal_equations(gram, ridge)
     norm = scipy.linalg.lapack.dlange("1", system.matrix)
-    factor = cholesky(system.matrix.copy(order="F") if source is None else system.matrix)
+    factor = cholesky(system.matrix)
     if factor is not None:
         reciprocal, _ = scipy.linalg.lapack.dpocon(factor, norm, uplo="L")
         condition = float(np.sqrt(1.0 / max(reciprocal, _EPS**2)))
@@ -334,12 +334,11 @@ def solve(gram: LagGram, ridge: float, *, source: RegressionRows | None = None) 
         squares = _residual_squares(system, solution)
         if _rounding_is_negligible(system, squares, condition) or (source is None and condition < 0.01 * _EPS**-0.5):
             return _observer(system, solution, squares, method="cholesky", condition=condition, rank=solution.shape[0])
-    if source is None:
-        return _solve_eigh(system)[1]
     size = system.right.shape[0] + gram.n_outputs
-    if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:
+    if source is not None and 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:
         return _solve_rows(system, source)
-    return _solve_refined(normal_equations(gram, ridge), source)
+    system = normal_equations(gram, ridge)  # afresh: the factorisation overwrote its matrix
+    return _solve_eigh(system)[1] if source is None else _solve_refined(system, source)
 
 
 def _residual_squares(system: NormalEquations, solution: FloatArray) -> FloatArray:

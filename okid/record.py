@@ -69,13 +69,12 @@ def detrended(array: FloatArray, degree: int) -> FloatArray:
     """
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(array)), degree)
     result = np.array(array, order="C")
-    there = ~np.isnan(result)
-    complete = there.all(axis=0)
-    if complete.any():
-        coefficients, *_ = np.linalg.lstsq(basis, result[:, complete], rcond=None)
-        result[:, complete] -= basis @ coefficients
-    for index in np.flatnonzero(~complete):
-        rows = there[:, index]
+    complete = ~np.isnan(result.sum(axis=0))
+    if complete.all():
+        result -= basis @ np.linalg.lstsq(basis.T @ basis, basis.T @ result, rcond=None)[0]
+        return result
+    for index in range(array.shape[1]):
+        rows = ~np.isnan(result[:, index])
         coefficients, *_ = np.linalg.lstsq(basis[rows], result[rows, index], rcond=None)
         result[rows, index] -= basis[rows] @ coefficients
     return result
@@ -164,7 +163,9 @@ def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> Non
     """Raise if a channel is missing in every sample; a mapped file is read only as far as needed."""
     seen = np.zeros(array.shape[1], dtype=np.bool_)
     for rows in row_chunks(*array.shape):
-        seen |= ~np.isnan(array[rows]).all(axis=0)
+        chunk = array[rows]
+        seen |= ~np.isnan(chunk[0])  # mostly the first sample tells
+        seen |= seen.all() or ~np.isnan(chunk).all(axis=0)
         if seen.all():
             return
     empty = ", ".join(repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number)
@@ -294,7 +295,10 @@ class Record:
         """(n_samples,) True where no channel is missing; made in chunks, so a mapped file stays on disk."""
         complete = np.empty(self.n_samples, dtype=np.bool_)
         for rows in row_chunks(self.n_samples, self.n_inputs + self.n_outputs):
-            complete[rows] = ~(np.isnan(self.inputs[rows]).any(axis=1) | np.isnan(self.outputs[rows]).any(axis=1))
+            inputs, outputs = self.inputs[rows], self.outputs[rows]
+            complete[rows] = True
+            if np.isnan(inputs.sum() + outputs.sum()):  # one NaN anywhere makes it NaN
+                complete[rows] = ~(np.isnan(inputs).any(axis=1) | np.isnan(outputs).any(axis=1))
         return complete
 
     def samples(self, start: int = 0, stop: int | None = None) -> "Record":

@@ -1,7 +1,5 @@
 """After the fit: is what the observer leaves over white, and free of the input?
 
-Is a series of one-step errors white, and free of the input? The arithmetic behind the residual tests.
-
 Hosking's portmanteau statistic of errors e with lagged covariances C_l, and its kin for the inputs,
 
     Q = N^2 sum_{l=1..L} tr(C_l' C_0^-1 C_l C_0^-1) / (N - l),   Q_u = N sum_l |C_0^(-1/2) C_l(e, u) C_0(u)^(-1/2)|^2
@@ -10,7 +8,7 @@ each over its degrees of freedom: 1 for errors that are white and free of the in
 p-value, which rejects too often for models that are truncated or were fitted to the same data.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,19 +22,21 @@ from okid.rows import as_records, complete_rows, usable_rows
 
 __all__ = [
     "NOT_WHITE",
+    "WHITENESS_LAGS",
     "CentredErrors",
     "ResidualCheck",
     "Whiteness",
     "centred",
-    "check_enough_for_lags",
     "check_residuals",
-    "input_correlation",
     "one_step_residuals",
+    "residual_check",
     "whiteness",
 ]
 
 NOT_WHITE = 2.0
 """Statistic over degrees of freedom from which errors are called coloured."""
+WHITENESS_LAGS = 20
+"""Test so many lags beyond those that the fitted numbers take up."""
 ROUND_OFF = 1e-8
 """Error relative to its output below which it is the rounding of the data, not noise."""
 
@@ -112,8 +112,26 @@ def centred(errors: Sequence[FloatArray]) -> CentredErrors:
     return CentredErrors(records=records, n_rows=n_rows)
 
 
-def check_enough_for_lags(errors: CentredErrors, n_lags: int) -> None:
-    """Refuse to test more lags than half the errors.
+def residual_check(
+    errors: CentredErrors,
+    inputs: Sequence[FloatArray],
+    *,
+    n_lags: int,
+    n_fitted: int,
+    first_lag: int,
+    what: str,
+    words: Callable[[float, float, float], tuple[str, ...]],
+) -> ResidualCheck:
+    """Both tests of one-step errors, and what they say.
+
+    Args:
+        errors: in units of their outputs.
+        inputs: (n_samples, n_inputs) a record, NaN where missing.
+        n_lags: of both tests.
+        n_fitted: see `whiteness`.
+        first_lag: smallest lag at which the inputs are asked.
+        what: begins the sentence on errors that are nothing but rounding.
+        words: messages from whiteness ratio, p-value and input correlation ratio.
 
     Raises:
         InsufficientDataError: fewer complete rows than twice the lags.
@@ -123,6 +141,20 @@ def check_enough_for_lags(errors: CentredErrors, n_lags: int) -> None:
             f"testing {n_lags} lags needs at least {2 * n_lags} residuals, but {errors.n_rows} are left; use fewer "
             "lags or more data."
         )
+    white = whiteness(errors, n_lags=n_lags, n_fitted=n_fitted)
+    input_ratio = np.nan
+    messages: tuple[str, ...] = (f"{what} at the level of rounding: there is nothing to test.",)
+    if white.inverse_root is not None:
+        input_ratio = input_correlation(errors, white.inverse_root, inputs, first_lag=first_lag, last_lag=n_lags)
+        messages = words(white.ratio, white.p_value, input_ratio)
+    return ResidualCheck(
+        autocorrelation=white.autocorrelation,
+        whiteness_ratio=white.ratio,
+        whiteness_p_value=white.p_value,
+        input_correlation_ratio=input_ratio,
+        confidence_limit=white.confidence_limit,
+        messages=messages,
+    )
 
 
 def whiteness(errors: CentredErrors, *, n_lags: int, n_fitted: int) -> Whiteness:
@@ -324,28 +356,17 @@ def check_residuals(
     order = observer.order
     errors = centred([one_step_residuals(observer, record) / observer.output_scale for record in several])
     if n_lags is None:
-        lags = max(order + 1, min(order + max(20, order // 2), errors.n_rows // 2))
+        lags = max(order + 1, min(order + max(WHITENESS_LAGS, order // 2), errors.n_rows // 2))
     else:
         lags = whole_number(n_lags, name=f"n_lags (above the observer order {order})", least=order + 1)
-    check_enough_for_lags(errors, lags)
-    white = whiteness(errors, n_lags=lags, n_fitted=order * observer.n_outputs**2)
-    if white.inverse_root is None:
-        input_ratio = np.nan
-        messages: tuple[str, ...] = (
-            "the residual of at least one output is at the level of rounding: there is nothing to test.",
-        )
-    else:
-        input_ratio = input_correlation(
-            errors, white.inverse_root, [record.inputs for record in several], first_lag=order + 1, last_lag=lags
-        )
-        messages = _messages(white.ratio, white.p_value, input_ratio, lags, order)
-    return ResidualCheck(
-        autocorrelation=white.autocorrelation,
-        whiteness_ratio=white.ratio,
-        whiteness_p_value=white.p_value,
-        input_correlation_ratio=input_ratio,
-        confidence_limit=white.confidence_limit,
-        messages=messages,
+    return residual_check(
+        errors,
+        [record.inputs for record in several],
+        n_lags=lags,
+        n_fitted=order * observer.n_outputs**2,
+        first_lag=order + 1,
+        what="the residual of at least one output is",
+        words=lambda ratio, p_value, input_ratio: _messages(ratio, p_value, input_ratio, lags, order),
     )
 
 

@@ -1,19 +1,13 @@
 """What every candidate is fitted to and scored on, and what the fits made so far can give again.
 
 A candidate is fitted on the rows outside a fold: the Gram matrix of these rows serves all ridges of an observer order,
-the decomposition of its Hankel matrix all model orders.
-
-Which rows are held out, and which stretches of long records are run freely to score a candidate.
+the decomposition of its Hankel matrix all model orders. Its model runs freely, and the squared error counts on the
+fold's rows only. Without inputs the one-step prediction of the reduced model takes the place of the free run.
 
 Every row counts in the fit. A free run through a million samples for each of a thousand candidates would take hours and
 say no more than one through thirty thousand, so long records are scored on stretches spread evenly over them. Each
 stretch holds ten blocks; its first block never counts in the score, so that the initial state, which is fitted there
 too, is known before the first row that does.
-
-One candidate: fitted on the rows outside a fold, reduced to every model order by one SVD, run freely and scored.
-
-The squared error of the run counts on the fold's rows only. Without inputs there is no free run to score: the one-step
-prediction of the reduced model takes its place.
 """
 
 import itertools
@@ -27,9 +21,9 @@ from era.hankel import block_sizes
 from era.realisation import Realisation
 from modal.estimation.free_run import (
     ModalForm,
+    block_errors,
     driven_by_outputs,
     filled,
-    free_run,
     modal_form,
     modal_form_of,
     one_step_predictor,
@@ -43,7 +37,10 @@ from okid.rows import interleaved_folds, runs_of, whole_record_folds
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = [
+    "FIRST_RIDGE",
+    "GAIN",
     "LARGEST_PULSE",
+    "WITHIN",
     "Ground",
     "Stretch",
     "Trial",
@@ -56,6 +53,7 @@ __all__ = [
     "make_trials",
     "markov_lags",
     "prepare_ground",
+    "scaled_model",
     "scaled_record",
     "stretches_of",
     "training_decomposition",
@@ -156,6 +154,12 @@ def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
     return tuple(pieces[i] for i in kept)
 
 
+WITHIN = 1.02
+"""Take the smaller of two models where its error is at most this many times that of the larger."""
+GAIN = 0.99
+"""Go on to larger models or another round only where the error falls below this share of the best so far."""
+FIRST_RIDGE = 1e-4
+"""Fit with this ridge where no search chooses one: a first model of the records, or of what a model leaves."""
 LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 
@@ -218,6 +222,20 @@ def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
         record,
         inputs=(record.inputs - scaling.input_mean) / scaling.input_scale,
         outputs=(record.outputs - scaling.output_mean) / scaling.output_scale,
+    )
+
+
+def scaled_model(realisation: Realisation, scaling: ChannelScaling) -> Realisation:
+    """The model of channels at unit standard deviation, without Hankel factors."""
+    into, out = scaling.input_scale, scaling.output_scale[:, np.newaxis]
+    K = realisation.K
+    return Realisation(
+        realisation.A,
+        realisation.B * into,
+        realisation.C / out,
+        realisation.D * into / out,
+        realisation.dt,
+        K=None if K is None else K * scaling.output_scale,
     )
 
 
@@ -392,17 +410,8 @@ def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_orde
     form = _form(decomposition, model_order)
     if form is None:
         return None
-    errors = []
-    for record, trained, held_out, edges in zip(
-        ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True
-    ):
-        if edges:
-            missed = record.outputs - free_run(form, record, trained).outputs
-            missed[~held_out] = 0.0
-            np.square(missed, out=missed)
-            # what lies between two blocks is a segment, too, and left out
-            errors.append(np.add.reduceat(missed, np.ravel(edges)[: None if edges[-1][1] < len(missed) else -1])[::2])
-    return np.concatenate(errors)
+    each = zip(ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True)
+    return np.concatenate([block_errors(form, *one) for one in each if one[-1]])
 
 
 def _form(decomposition: HankelDecomposition, order: int) -> ModalForm | None:

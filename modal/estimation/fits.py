@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Trial
+from modal.estimation.cross_validation import Trial, scaled_model
 from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
 from modal.modes.choice import Fit
 from okid.arrays import BoolArray, FloatArray
@@ -46,9 +46,10 @@ def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns
         NumericalError: the model cannot run freely: it is unstable, or its eigenvectors are nearly dependent.
     """
     scaling = channel_scaling(records)
-    scaled_model = _scaled(realisation, scaling.input_scale, scaling.output_scale)
-    predictor = _predictor(scaled_model)
-    runner = modal_form(scaled_model) if records[0].n_inputs else predictor
+    model = scaled_model(realisation, scaling)
+    # None, too, where it is unstable, or deadbeat (noise-free data) and so without independent eigenvectors
+    predictor = None if model.K is None else modal_form(one_step_predictor(model))
+    runner = modal_form(model) if records[0].n_inputs else predictor
     if runner is None:
         raise NumericalError(
             f"a free run needs a stable model with independent eigenvectors, which this one of order "
@@ -96,26 +97,6 @@ def measure_fit(chosen: Trial, power: FloatArray, runs: ModelRuns) -> Fit:
         whole=fit_of(runs.records, runs.simulated),
         one_step=fit_of(runs.records, runs.predicted),
     )
-
-
-def _scaled(realisation: Realisation, input_scale: FloatArray, output_scale: FloatArray) -> Realisation:
-    K = realisation.K
-    return Realisation(
-        realisation.A,
-        realisation.B * input_scale,
-        realisation.C / output_scale[:, np.newaxis],
-        realisation.D * input_scale / output_scale[:, np.newaxis],
-        realisation.dt,
-        K=None if K is None else K * output_scale,
-    )
-
-
-def _predictor(realisation: Realisation) -> ModalForm | None:
-    """The one-step predictor driven by [inputs, outputs], None where there is no gain.
-
-    It is None, too, where it is unstable, or deadbeat (noise-free data) and so without independent eigenvectors.
-    """
-    return None if realisation.K is None else modal_form(one_step_predictor(realisation))
 
 
 def _run(model: ModalForm, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -1,15 +1,4 @@
-"""How well a model repeats held-out rows when it sees the inputs alone: the score by which everything is chosen.
-
-The run from rest is one pass of block products (`modal.estimation.free_run`). The initial state and a constant level of
-each output come from the training samples of the same run by least squares (`modal.estimation.free_run`); an initial
-state fitted on the scored rows would favour models that are too large. Outputs may be missing sample by sample.
-
-Initial state and level of each output, by least squares on the training samples of a free run.
-
-With x = a + j b per pole the free response is Re(w c lambda^k x), so every sum over rows and outputs follows from the
-sums of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k over the rows, and these have a closed form.
-
-The free run of a model in modal form by matrix products over blocks of samples.
+"""The free run of a model in modal form, and how well it repeats held-out rows: the score by which all is chosen.
 
     x(k+1) = lambda x(k) + b' u(k),   y(k) = Re(c (w x(k))) + D u(k)
 
@@ -19,6 +8,10 @@ solved by pairing blocks until one is left. Rounding errors are those of the eig
 
 An initial state shows in the starts of blocks as lambda^(L i) x(0), so its response, and the product of that response
 with anything else, are one product each and no power of a pole is taken sample by sample.
+
+That state and a constant level of each output come from the training samples by least squares; fitted on the scored
+rows they would favour models that are too large. With x = a + j b per pole the free response is Re(w c lambda^k x), so
+all sums follow from those of lambda_i^k lambda_j^k and conj(lambda_i)^k lambda_j^k, which have a closed form.
 """
 
 from collections.abc import Sequence
@@ -38,11 +31,13 @@ __all__ = [
     "ModalForm",
     "ModalRecursion",
     "TrainingPattern",
+    "block_errors",
     "driven_by_outputs",
     "filled",
     "fit_initial_state",
     "free_run",
     "free_runs",
+    "initial_state",
     "modal_form",
     "modal_form_of",
     "one_step_predictor",
@@ -188,11 +183,17 @@ class ModalRecursion:
             forced=forced.reshape(BLOCK * n_inputs, BLOCK * n_outputs),
         )
 
+    @classmethod
+    def of_model(cls, model: "ModalForm") -> "ModalRecursion":
+        """The products of a model in modal form."""
+        return cls.of(model.poles, model.participations, model.weights * model.shapes, model.feedthrough)
+
     def from_rest(self, inputs: FloatArray) -> FloatArray:
         """(n_samples, n_outputs) outputs for (n_samples, n_inputs) inputs."""
         blocks = _in_blocks(inputs)
         starts = _starts(_as_complex(blocks @ self.reach), self.steps)
-        outputs = np.hstack([blocks, _as_reals(starts)]) @ np.vstack([self.forced, self.free])
+        outputs = blocks @ self.forced
+        outputs += _as_reals(starts) @ self.free
         return outputs.reshape(blocks.shape[0] * BLOCK, -1)[: inputs.shape[0]]
 
     def n_alive(self, n_samples: int) -> int:
@@ -298,12 +299,10 @@ class FreeRun:
     Attributes:
         outputs: (n_samples, n_outputs) simulated, the constant level included.
         level: (n_outputs,) constant that was added to each output.
-        state: (n_poles,) modal state at the first sample.
     """
 
     outputs: FloatArray
     level: FloatArray
-    state: ComplexArray
 
 
 def modal_form(realisation: Realisation) -> ModalForm | None:
@@ -355,23 +354,70 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
         >>> run.outputs.ravel().round(6).tolist(), run.level.round(6).tolist()
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
-    shapes = model.weights * model.shapes
-    recursion = ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough)
+    recursion = ModalRecursion.of_model(model)
     outputs = recursion.from_rest(record.inputs)
-    left = record.outputs - outputs
-    left[~training] = 0.0
+    state, level = _start_and_level(model, recursion, record.outputs - outputs, training)
     n_alive = recursion.n_alive(record.n_samples)
-    state, level = fit_initial_state(
-        model.poles,
-        shapes,
-        recursion.products(left[:n_alive]),
-        left.sum(axis=0),
-        patterns=_patterns(training, record.n_outputs),
-        n_samples=record.n_samples,
-    )
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
-    return FreeRun(outputs=outputs, level=level, state=state)
+    return FreeRun(outputs=outputs, level=level)
+
+
+def block_errors(
+    model: ModalForm, record: Record, training: BoolArray, held_out: BoolArray, blocks: Sequence[tuple[int, int]]
+) -> FloatArray:
+    """(n_blocks, n_outputs) squared error of the free run on the held-out rows of each block.
+
+    Args:
+        model: from `modal_form`.
+        record: nothing missing (see `filled`).
+        training: (n_samples,) rows that the initial state may look at.
+        held_out: (n_samples,) rows that count.
+        blocks: (first, one past last) row of each; none of their rows trains.
+    """
+    recursion = ModalRecursion.of_model(model)
+    left = record.outputs - recursion.from_rest(record.inputs)
+    scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
+    state, level = _start_and_level(model, recursion, left, training)
+    n_alive = recursion.n_alive(record.n_samples)
+    free = recursion.free_response(state, n_alive)
+    errors = np.empty((len(blocks), record.n_outputs))
+    for i, ((first, last), missed) in enumerate(zip(blocks, scored, strict=True)):
+        alive = free[first:last]
+        missed[: len(alive)] -= alive
+        np.subtract(missed, level, out=missed)
+        counted = held_out[first:last]
+        kept = missed if counted.all() else missed[counted]
+        errors[i] = np.einsum("ij,ij->j", kept, kept)
+    return errors
+
+
+def _start_and_level(
+    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Initial state and level of each output from what the run from rest leaves, which is overwritten."""
+    n_samples, n_outputs = left.shape
+    patterns = _patterns(training, n_outputs)
+    if len(patterns) == 1:
+        edges = [0, *(edge for run in patterns[0][1] for edge in run), n_samples]
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            left[first:last] = 0.0
+    else:
+        left[~training] = 0.0
+    return fit_initial_state(
+        model.poles,
+        model.weights * model.shapes,
+        recursion.products(left[: recursion.n_alive(n_samples)]),
+        np.ones(n_samples) @ left,
+        patterns=patterns,
+        n_samples=n_samples,
+    )
+
+
+def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
+    """(n_poles,) modal state at the first sample that `free_run` would start from."""
+    recursion = ModalRecursion.of_model(model)
+    return _start_and_level(model, recursion, record.outputs - recursion.from_rest(record.inputs), training)[0]
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
@@ -388,8 +434,7 @@ def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
 
 def run_from_rest(model: ModalForm, inputs: FloatArray) -> FloatArray:
     """(n_samples, n_outputs) response to (n_samples, n_inputs) inputs, none missing."""
-    shapes = model.weights * model.shapes
-    return ModalRecursion.of(model.poles, model.participations, shapes, model.feedthrough).from_rest(inputs)
+    return ModalRecursion.of_model(model).from_rest(inputs)
 
 
 def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:

@@ -18,10 +18,10 @@ import numpy as np
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.estimation.cross_validation import corner, decompose_coefficients
-from modal.estimation.free_run import ModalForm, free_run
-from modal.estimation.modal_states import ModalParameters, free_runs
-from modal.estimation.output_error import NONE, OutputError, Step, evaluate
+from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
+from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
+from modal.estimation.modal_states import ModalParameters
+from modal.estimation.output_error import NONE, OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.errors import IdentificationError
@@ -30,21 +30,13 @@ from okid.least_squares import solve
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["errors_of", "in_units", "scaled_model", "starting_parameters", "with_weak_mode"]
+__all__ = ["errors_of", "in_units", "starting_parameters", "with_weak_mode"]
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
 
 
-def scaled_model(realisation: Realisation, scaling: ChannelScaling) -> Realisation:
-    """The model of the scaled channels, without gain and factors."""
-    into, out = scaling.input_scale, scaling.output_scale[:, np.newaxis]
-    return Realisation(
-        realisation.A, realisation.B * into, realisation.C / out, realisation.D * into / out, realisation.dt
-    )
-
-
-def in_units(step: Step, start: Realisation, scaling: ChannelScaling) -> Realisation:
+def in_units(step: RefinementStep, start: Realisation, scaling: ChannelScaling) -> Realisation:
     """The refined model in the units of the records and, where they fit, in the state coordinates of the data."""
     A, B, C = _real_modal_form(step)
     n = step.layout.n_poles
@@ -64,7 +56,7 @@ def in_units(step: Step, start: Realisation, scaling: ChannelScaling) -> Realisa
     )
 
 
-def _real_modal_form(step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _real_modal_form(step: RefinementStep) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, B, C with one state for a real pole and two, real and imaginary part, for a pair."""
     parameters, c = step.parameters, step.linear.shapes
     order = int(np.where(parameters.is_pair, 2, 1).sum())
@@ -95,7 +87,7 @@ def _data_coordinates(A: FloatArray, C: FloatArray, factors: HankelFactors) -> F
     return T if np.linalg.cond(T) < WORST_COORDINATES else None
 
 
-def starting_parameters(realisation: Realisation, data: OutputError, *, held_out: int = NONE) -> Step | None:
+def starting_parameters(realisation: Realisation, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
     """Modal form of a stable model with initial states fitted to the training rows.
 
     None where it is unstable, or where all its poles are zero: a pulse response that ends is left to the observer.
@@ -117,14 +109,14 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
     for block in data.blocks:
         if block.label == held_out:
             training[block.record][block.first : block.last] = False
-    states = [free_run(form, record, rows).state for record, rows in zip(data.records, training, strict=True)]
+    states = [initial_state(form, record, rows) for record, rows in zip(data.records, training, strict=True)]
     start = ModalParameters(
         poles=form.poles,
         is_pair=basis.is_pair,
         inputs=_real_unless(form.participations, basis.is_pair[:, np.newaxis]),
         states=_real_unless(np.array(states), basis.is_pair),
     )
-    return evaluate(start, data, held_out=held_out)
+    return step_at(start, data, held_out=held_out)
 
 
 def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
@@ -136,13 +128,11 @@ CANDIDATE_ORDER = 8
 LONGEST_OBSERVER = 64
 ROWS_AN_UNKNOWN = 8
 """Rows for each unknown of that observer."""
-RIDGE = 1e-4
-"""Of the observer of the error, which is nearly all noise."""
 LARGEST_POLE = 0.9999
 N_LAGS = 200
 
 
-def with_weak_mode(step: Step, data: OutputError, *, held_out: int = NONE) -> Step | None:
+def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
     Args:
@@ -164,16 +154,23 @@ def with_weak_mode(step: Step, data: OutputError, *, held_out: int = NONE) -> St
     alone = [_chosen(parameters, i) for i in vibrating.tolist()]
     if not alone:
         return None
-    best = min(alone, key=lambda one: evaluate(one, left, held_out=held_out).error)
-    return evaluate(_joined(step.parameters, best), data, held_out=held_out)
+    best = min(alone, key=lambda one: step_at(one, left, held_out=held_out).error)
+    return step_at(_joined(step.parameters, best), data, held_out=held_out)
 
 
-def errors_of(step: Step, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
+def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
     """(n_samples, n_outputs) a record: errors of the free run, NaN on rows that do not count."""
     errors = []
-    runs = free_runs(step.parameters, step.linear.coefficients, data.records)
-    for index, (record, run, rows) in enumerate(zip(data.records, runs, data.rows, strict=True)):
-        error = record.outputs - run
+    parameters, coefficients = step.parameters, step.linear.coefficients
+    n_states, n_linear = 2 * step.layout.n_poles, 2 * step.layout.n_poles + step.layout.n_inputs
+    recursion = ModalRecursion.of(
+        parameters.poles, parameters.inputs, step.linear.shapes, coefficients[n_states:n_linear].T
+    )
+    for index, (record, state, rows) in enumerate(zip(data.records, parameters.states, data.rows, strict=True)):
+        error = record.outputs - recursion.from_rest(record.inputs)
+        n_alive = recursion.n_alive(record.n_samples)
+        error[:n_alive] -= recursion.free_response(state, n_alive)
+        error -= coefficients[n_linear + index]
         error[~rows] = np.nan
         for block in data.blocks:
             if block.record == index and block.label == held_out:
@@ -189,7 +186,7 @@ def _model_of_error(records: tuple[Record, ...]) -> Realisation | None:
     longest = max(1, min(LONGEST_OBSERVER, n_samples // (ROWS_AN_UNKNOWN * n_channels)))
     try:
         gram = lag_gram(records, longest, scaling=scaling)
-        coefficients = solve(gram, RIDGE)
+        coefficients = solve(gram, FIRST_RIDGE)
     except IdentificationError:
         return None
     found = decompose_coefficients(coefficients, N_LAGS, records[0].dt, CANDIDATE_ORDER)

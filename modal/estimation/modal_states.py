@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from era.state_recursion import PoleRecursion
+from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -30,10 +31,9 @@ __all__ = [
     "Block",
     "ModalParameters",
     "SignalLayout",
-    "block_grams",
     "blocks_of",
-    "free_runs",
     "one_blas_thread",
+    "signal_grams",
     "whole_gram",
 ]
 
@@ -180,7 +180,7 @@ def _places(n_poles: int, n_inputs: int, n_outputs: int, n_records: int, record:
     return places
 
 
-def block_grams(
+def signal_grams(
     parameters: ModalParameters, records: Sequence[Record], rows: Sequence[BoolArray], blocks: Sequence[Block]
 ) -> tuple[SignalLayout, FloatArray]:
     """Gram matrices of all signals over the counted rows of each block.
@@ -215,7 +215,7 @@ def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block],
 
     Args:
         layout: of all signals.
-        grams: of each block's own signals, from `block_grams`.
+        grams: of each block's own signals, from `signal_grams`.
         blocks: of the Gram matrices.
         chosen: indices of blocks.
     """
@@ -249,8 +249,9 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
     recursion = PoleRecursion.of(poles, min(record.n_samples, LONGEST_CHUNK))
-    powers = np.ones((min(record.n_samples, LONGEST_CHUNK), n_poles), dtype=np.complex128)
-    np.multiply.accumulate(np.broadcast_to(poles, (powers.shape[0] - 1, n_poles)), axis=0, out=powers[1:])
+    powers = powers_of(poles, min(record.n_samples, LONGEST_CHUNK))
+    with np.errstate(divide="ignore"):
+        alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
     driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
     slope_memory = np.zeros(n_poles, dtype=np.complex128)
     free_memory = np.ones(n_poles, dtype=np.complex128)
@@ -263,7 +264,9 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         for j in range(n_inputs):
             s[1 + j], driven_memory[j] = recursion.run(inputs[[j]], driven_memory[j])
         s[-1] = (powers[:n_rows] * free_memory).T
-        s[-1][np.abs(s[-1]) < DIED_OUT] = 0.0
+        for response, n_alive in zip(s[-1], alive - first, strict=True):
+            if n_alive < n_rows:
+                response[max(0, int(n_alive)) :] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
@@ -273,17 +276,6 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         flat = s.reshape(-1, n_rows)
         one = np.ones((1, n_rows))
         yield first, np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs.T]).T
-
-
-def free_runs(parameters: ModalParameters, coefficients: FloatArray, records: Sequence[Record]) -> Iterator[FloatArray]:
-    """(n_samples, n_outputs) outputs of the model in each record, given the coefficients of its regressors."""
-    n = 2 * parameters.poles.size + records[0].n_inputs
-    for index, record in enumerate(records):
-        run = np.empty((record.n_samples, record.n_outputs))
-        own = np.vstack([coefficients[:n], coefficients[[n + index]]])
-        for first, signals in _signals(parameters, index, record):
-            run[first : first + signals.shape[0]] = signals[:, : n + 1] @ own
-        yield run
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, block_grams, whole_gram
+from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, signal_grams, whole_gram
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["LinearPart", "Normal", "OutputError", "Step", "linear_part", "normal_equations", "refine"]
+__all__ = ["LinearPart", "Normal", "OutputError", "RefinementStep", "linear_part", "refine", "step_equations"]
 
 NONE = -2
 """Label of no block: nothing is held out."""
@@ -88,7 +88,7 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Step:
+class RefinementStep:
     """The model after one accepted step.
 
     Attributes:
@@ -128,18 +128,18 @@ class Step:
 
 
 def refine(
-    start: Step,
+    start: RefinementStep,
     data: OutputError,
     *,
     held_out: int = NONE,
     n_steps: int,
     least_gain: float = SMALLEST_GAIN,
     weights: FloatArray | None = None,
-) -> list[Step]:
+) -> list[RefinementStep]:
     """Models after 0, 1, ... at most `n_steps` accepted Levenberg-Marquardt steps.
 
     Args:
-        start: the model to refine, from `evaluate`.
+        start: the model to refine, from `step_at`.
         data: what is fitted.
         held_out: blocks with this label do not count.
         n_steps: most steps.
@@ -156,12 +156,12 @@ def refine(
     done = [current]
     damping, growth = FIRST_DAMPING, 2.0
     while len(done) <= n_steps and damping < LARGEST_DAMPING:
-        normal = normal_equations(current, data, held_out=held_out, weights=weights)
+        normal = step_equations(current, data, held_out=held_out, weights=weights)
         diagonal = np.maximum(np.diag(normal.matrix), 0.0)
         while damping < LARGEST_DAMPING:
             size = diagonal + ROUND_OFF * diagonal.max(initial=0.0) + np.finfo(np.float64).tiny
             step = _solve(normal.matrix, normal.gradient, damping * size)
-            trial = evaluate(moved(current, normal.free, step), data, held_out=held_out, weights=weights)
+            trial = step_at(moved(current, normal.free, step), data, held_out=held_out, weights=weights)
             predicted = float(step @ (normal.gradient + damping * size * step))
             gain = current.error - trial.error
             if predicted > 0.0 and gain > 0.0:
@@ -181,14 +181,14 @@ def refine(
     return done
 
 
-def evaluate(
+def step_at(
     parameters: ModalParameters, data: OutputError, *, held_out: int = NONE, weights: FloatArray | None = None
-) -> Step:
+) -> RefinementStep:
     """Run the model through the records and solve for its linear part."""
     weights = np.ones(data.records[0].n_outputs) if weights is None else weights
-    layout, grams = block_grams(parameters, data.records, data.rows, data.blocks)
-    linear = linear_part(layout, training_gram(layout, grams, data.blocks, held_out))
-    return Step(
+    layout, grams = signal_grams(parameters, data.records, data.rows, data.blocks)
+    linear = linear_part(layout, gram_of_training(layout, grams, data.blocks, held_out))
+    return RefinementStep(
         parameters=parameters,
         linear=linear,
         layout=layout,
@@ -198,7 +198,7 @@ def evaluate(
     )
 
 
-def training_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], held_out: int) -> FloatArray:
+def gram_of_training(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], held_out: int) -> FloatArray:
     """(size, size) sum over the blocks that are not held out."""
     return whole_gram(layout, grams, blocks, [i for i, block in enumerate(blocks) if block.label != held_out])
 
@@ -228,10 +228,10 @@ def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
     )
 
 
-def normal_equations(step: Step, data: OutputError, *, held_out: int, weights: FloatArray) -> Normal:
+def step_equations(step: RefinementStep, data: OutputError, *, held_out: int, weights: FloatArray) -> Normal:
     """J'J and J'e in the free parameters, the linear part projected out."""
     layout, linear = step.layout, step.linear
-    gram = training_gram(layout, step.grams, data.blocks, held_out)
+    gram = gram_of_training(layout, step.grams, data.blocks, held_out)
     n, phi, out = layout.n_sensitivities, layout.regressors, layout.outputs
     both = slice(layout.real.start, layout.imaginary.stop)
     projected = linear.inverse_factor @ gram[phi, both]
@@ -267,7 +267,7 @@ def free_parameters(parameters: ModalParameters) -> np.ndarray:
     return np.flatnonzero(np.concatenate([moves.ravel(), imaginary.ravel()]))
 
 
-def moved(step: Step, free: np.ndarray, change: FloatArray) -> ModalParameters:
+def moved(step: RefinementStep, free: np.ndarray, change: FloatArray) -> ModalParameters:
     """The parameters after a change, poles kept inside the unit circle and off the real axis."""
     old, layout = step.parameters, step.layout
     whole = np.zeros(2 * layout.n_sensitivities)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.estimation.output_error import NONE, LinearPart, normal_equations, training_gram
+from modal.estimation.output_error import NONE, LinearPart, gram_of_training, step_equations
 from modal.estimation.propagation import propagated
 from modal.identification.final_model import FinalModel
 from modal.identification.refined_search import RefinedModel
@@ -88,10 +88,10 @@ def output_error_uncertainty(model: RefinedModel, modes: Sequence[Mode], *, n_la
 def _white(model: RefinedModel) -> _Loadings:
     step, data, weights = model.step, model.data, model.weights
     n_rows = sum(int(rows.sum()) for rows in data.rows)
-    normal = normal_equations(step, data, held_out=NONE, weights=weights)
+    normal = step_equations(step, data, held_out=NONE, weights=weights)
     fitted = step.layout.n_regressors + normal.free.size / step.layout.n_outputs
     variance = step.linear.squared_errors / max(1.0, n_rows - fitted)
-    meat = normal_equations(step, data, held_out=NONE, weights=weights**2 * variance).matrix
+    meat = step_equations(step, data, held_out=NONE, weights=weights**2 * variance).matrix
     values, vectors = np.linalg.eigh(meat)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     theta = (_inverse(normal.matrix) @ root).T
@@ -110,7 +110,7 @@ def _white(model: RefinedModel) -> _Loadings:
 def _of_blocks(model: RefinedModel) -> _Loadings:
     step, data, weights = model.step, model.data, model.weights
     layout, linear = step.layout, step.linear
-    normal = normal_equations(step, data, held_out=NONE, weights=weights)
+    normal = step_equations(step, data, held_out=NONE, weights=weights)
     inverse = linear.inverse_factor.T @ linear.inverse_factor
     slopes = _slopes(model, normal.free)
     scores = _scores(model, normal.free)
@@ -168,7 +168,7 @@ def _outputs_of(model: RefinedModel, free: np.ndarray, real: FloatArray, imag: F
 def _slopes(model: RefinedModel, free: np.ndarray) -> FloatArray:
     """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
     layout = model.step.layout
-    gram = training_gram(layout, model.step.grams, model.data.blocks, NONE)
+    gram = gram_of_training(layout, model.step.grams, model.data.blocks, NONE)
     phi = layout.regressors
     products = _outputs_of(
         model, free, gram[layout.real, phi][:, :, np.newaxis], gram[layout.imaginary, phi][:, :, np.newaxis]

@@ -8,8 +8,6 @@ free run to score: the one-step prediction of the reduced model takes its place.
 The search is coarse to fine. A scout looks at a coarse grid on one fold; the most promising candidates go on to all
 folds; the neighbours of the best are scouted and, where they are promising too, go on as well, until no neighbour is
 better (so a grid that ends too early extends). Model orders are coarse until two observers are left.
-
-The candidates of the automatic choice: the coarse grid that the records can carry, and the neighbours of a trial.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.estimation.cross_validation import Ground, Trial, hankel_shape, make_trials, prepare_ground
+from modal.estimation.cross_validation import WITHIN, Ground, Trial, hankel_shape, make_trials, prepare_ground
 from modal.preparation.steps import checked_parts
 from okid.arrays import FloatArray, real_number, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
@@ -103,8 +101,6 @@ NEAR = 1.1
 """Ratio to the best error of an observer from which on a coarse model order is not refined."""
 SHORT = 4000
 """Samples up to which a fold is too short to scout alone, and all of them are cheap."""
-WITHIN = 1.02
-"""Largest ratio to the best error of a smaller model that may stand in for it."""
 ROUND_OFF = 1e-14
 """Relative squared errors below this are equal: noise-free data."""
 

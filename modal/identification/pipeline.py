@@ -5,7 +5,7 @@ realise -> modes -> judge by repeatability -> say in words what the data do not 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.modal_states import one_blas_thread
 from modal.identification.covariance import with_deviations
 from modal.identification.final_model import fit_all_rows
-from modal.identification.order_search import choose_orders, given_orders
+from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.result import Identification
 from modal.identification.words import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
@@ -96,55 +96,37 @@ def identify(
     given_orders(observer_order, ridge, order)
     if refinement not in ("auto", "none"):
         raise InvalidDataError(f'refinement must be "auto" or "none", but is {refinement!r}.')
-    settings = _Settings(
-        observer_order=observer_order,
-        ridge=ridge,
-        order=order,
-        decimation=decimation
-        if decimation == "auto"
-        else whole_number(decimation, name="decimation", least=1, otherwise='or "auto"'),
-        refinement=refinement,
-    )
+    if decimation != "auto":
+        decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
     several = as_records(records)
     with one_blas_thread():
         tell = progress or (lambda _what, _share: None)
         tell("looking at the data", 0.0)
         preparation = prepare(
             several,
-            decimation=settings.decimation,
+            decimation=decimation,
             missing=missing,
             integrators=integrators,
             input_delay=input_delay,
             drift=drift,
         )
-        return _identify(several, preparation, settings, tell)
+        found = choose_orders(
+            preparation.records,
+            observer_order=observer_order,
+            ridge=ridge,
+            order=order,
+            progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * done),
+        ).evidence
+        if refinement == "auto" and several[0].n_inputs:
+            found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.35 + 0.35 * done))
+        return _identified(several, preparation, found, tell)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Settings:
-    observer_order: int | Literal["auto"]
-    ridge: float | Literal["auto"]
-    order: int | Literal["auto"]
-    decimation: int | Literal["auto"]
-    refinement: Literal["auto", "none"]
-
-
-def _identify(
-    records: Sequence[Record],
-    preparation: Preparation,
-    settings: _Settings,
-    tell: Callable[[str, float], None],
+def _identified(
+    records: Sequence[Record], preparation: Preparation, found: Search, tell: Callable[[str, float], None]
 ) -> Identification:
+    """All rows fitted by what was chosen, the modes judged, and all of it said in words."""
     prepared = preparation.records
-    found = choose_orders(
-        prepared,
-        observer_order=settings.observer_order,
-        ridge=settings.ridge,
-        order=settings.order,
-        progress=lambda share: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * share),
-    ).evidence
-    if settings.refinement == "auto" and prepared[0].n_inputs:
-        found = refined_search(found, progress=lambda share: tell("refining on held-out rows", 0.35 + 0.35 * share))
     tell("fitting all rows", 0.7)
     wanted = found.chosen
     found, final = fit_all_rows(prepared, found)

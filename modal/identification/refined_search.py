@@ -20,15 +20,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Ground, Trial, corner, scaled_record, training_decomposition, trial_of
+from modal.estimation.cross_validation import (
+    GAIN,
+    Ground,
+    Trial,
+    corner,
+    scaled_model,
+    scaled_record,
+    training_decomposition,
+    trial_of,
+)
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import errors_of, in_units, scaled_model, starting_parameters, with_weak_mode
+from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import SMALLEST_GAIN, OutputError, Step, refine
+from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
 from okid.record import Record
-from okid.residuals import centred, whiteness
+from okid.residuals import WHITENESS_LAGS, centred, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["MOST_STEPS", "RefinedModel", "output_error_data", "refined_model", "refined_search"]
@@ -42,10 +51,8 @@ ORDER_SHARES = (0.2, 0.3, 0.45, 0.7, 1.0, 1.3)
 """Of the model order that was best without refinement: mostly smaller ones."""
 HOPELESS = 1.5
 """Error after the first steps, relative to the best so far, from which on a candidate is given up."""
-GAIN = 0.99
-"""A larger order must bring the error below this share of the best so far,"""
 PATIENCE = 2
-"""or the search ends after so many, once refinement has paid or the order chosen without it is passed."""
+"""End after so many orders without gain, once refinement has paid or the order chosen without it is passed."""
 MOST_WEAK_MODES = 4
 """Modes that are looked for in what the chosen model leaves."""
 ROUNDS_BETWEEN = 3
@@ -61,7 +68,7 @@ class _Workshop:
     ground: Ground
     data: OutputError
     largest_order: int
-    steps: dict[tuple[int, float, int, int], list[Step]] = field(default_factory=dict)
+    steps: dict[tuple[int, float, int, int], list[RefinementStep]] = field(default_factory=dict)
     errors: dict[tuple[int, float, int, int], list[FloatArray]] = field(default_factory=dict)
     still: set[tuple[int, float, int, int]] = field(default_factory=set)
 
@@ -216,7 +223,7 @@ def _fold_errors(shop: _Workshop, candidate: tuple[int, float, int], fold: int, 
     return shop.errors[key]
 
 
-def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Step | None:
+def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> RefinementStep | None:
     p, ridge, n = candidate
     found = training_decomposition(shop.ground, p, ridge, fold, shop.largest_order)
     realisation = None if found is None else corner(found, n)
@@ -249,7 +256,6 @@ N_BLOCKS = 40
 """Blocks of rows whose sums are kept apart, for a covariance that holds for noise of any colour."""
 WHITE = 1.3
 """Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
-WHITENESS_LAGS = 20
 WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
 SMALLEST_NOISE = 1e-3
@@ -272,7 +278,7 @@ class RefinedModel:
     """
 
     realisation: Realisation
-    step: Step
+    step: RefinementStep
     data: OutputError
     scaling: ChannelScaling
     weights: FloatArray
@@ -343,7 +349,7 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
     return [fold]
 
 
-def _weighted(step: Step, data: OutputError, least_gain: float) -> tuple[Step, FloatArray]:
+def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tuple[RefinementStep, FloatArray]:
     """Refined with each output weighted by the inverse of its own noise, and the weights, settled in a few rounds.
 
     An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
@@ -360,5 +366,5 @@ def _weighted(step: Step, data: OutputError, least_gain: float) -> tuple[Step, F
     return step, weights
 
 
-def _whiteness_ratio(step: Step, data: OutputError) -> float:
+def _whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
     return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

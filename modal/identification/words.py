@@ -17,8 +17,8 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
-from modal.estimation.cross_validation import Trial, is_long, stretches_of
-from modal.identification.order_search import WITHIN, Search
+from modal.estimation.cross_validation import WITHIN, Trial, is_long, stretches_of
+from modal.identification.order_search import Search
 from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.choice import Choice, Fit

@@ -129,9 +129,9 @@ def _spectra(records: Sequence[Record], n_segment: int) -> tuple[ComplexArray, i
             rows = slice(start, start + n_segment)
             if not complete[rows].all():
                 continue
-            segment = np.hstack([record.inputs[rows], record.outputs[rows]])
-            segment = (segment - segment.mean(axis=0)) * window[:, np.newaxis]
-            lines = np.fft.rfft(segment, axis=0)
+            segment = np.vstack([record.inputs[rows].T, record.outputs[rows].T])
+            segment = (segment - segment.mean(axis=1, keepdims=True)) * window
+            lines = np.fft.rfft(segment).T
             total += lines[:, :, np.newaxis] * lines[:, np.newaxis, :].conj()
             n_averages += 1
     return total / max(1, n_averages), n_averages

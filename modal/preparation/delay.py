@@ -14,6 +14,7 @@ import scipy
 
 from era.realisation import Realisation
 from modal.modes.choice import Choice
+from modal.preparation.quick_model import observer_order
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.gram import LagGram, lag_gram
@@ -24,13 +25,8 @@ from okid.scaling import channel_scaling
 
 __all__ = ["InputDelay", "choose_input_delay", "given_input_delay", "late_inputs", "with_input_delay"]
 
-LONGEST_OBSERVER = 128
-"""Order of the observer whose pulse response is looked at; longer delays are found by shifting and looking again."""
 LONGEST_SHARE = 0.1
 """Of the longest record: a delay beyond it is not looked for."""
-ROWS_PER_UNKNOWN = 4
-MOST_UNKNOWNS = 600
-"""An output's equation has no more, so that many channels cost no more than few."""
 RIDGE = 1e-8
 """Only keeps the covariance finite where inputs do not tell neighbouring lags apart."""
 CHANCE = 1e-4
@@ -195,7 +191,7 @@ def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realis
 
 def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
     """(n_inputs,) leading lags that are empty, order + 1 where all are; and the order that was looked at."""
-    order = _order(records)
+    order = observer_order(records)
     scaling = channel_scaling(records)
     gram = lag_gram(records, order, scaling=scaling)
     n_inputs, n_outputs = gram.n_inputs, gram.n_outputs
@@ -223,14 +219,6 @@ def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
         hidden = (upper > EMPTY * sizes[:, j].max())[:n_empty].any()
         empty[j] = 0 if hidden and n_empty <= order else n_empty
     return empty, order
-
-
-def _order(records: Sequence[Record]) -> int:
-    n_channels = records[0].n_inputs + records[0].n_outputs
-    n_samples = sum(record.n_samples for record in records)
-    longest = max(record.n_samples for record in records)
-    rows = n_samples // ROWS_PER_UNKNOWN
-    return max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
 
 
 def _places(gram: LagGram, channel: int) -> np.ndarray:

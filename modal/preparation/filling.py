@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.estimation.cross_validation import scaled_record
+from modal.estimation.cross_validation import GAIN, scaled_record
 from modal.estimation.free_run import free_runs
 from modal.modes.choice import Choice
 from modal.preparation.quick_model import best_model, observer_markov
@@ -32,8 +32,6 @@ PULSE_LAGS = 128
 """Most lags of the first model's pulse response."""
 FIRST_RIDGE = 1e-3
 ROUNDS = 8
-GAIN = 0.99
-"""Ratio of errors above which another round is not worth its cost."""
 NEIGHBOURS = 6
 """Measured samples on either side that a missing one is interpolated from."""
 NUGGET = 0.02

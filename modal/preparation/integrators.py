@@ -15,7 +15,14 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.modes.choice import Choice
-from modal.preparation.drift import FreedTrials, choose_drift, held_out_squares, is_significant, lasting_share
+from modal.preparation.drift import (
+    SIGNIFICANT,
+    FreedTrials,
+    choose_drift,
+    held_out_squares,
+    is_significant,
+    lasting_share,
+)
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -24,8 +31,6 @@ __all__ = ["Integrators", "choose_integrators", "given_integrators", "with_integ
 
 MOST = 2
 """Force to position is the most that mechanics asks for."""
-SIGNIFICANT = 4.0
-"""Standard errors by which an integrator must lower the held-out error of slow motion."""
 AS_GOOD = 2.0
 """Ratio to what a stable model leaves beside a drift of more functions, up to which an integrator is preferred."""
 LEAST_GAIN = 0.2

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.balanced import decompose, realise_from
-from modal.estimation.cross_validation import LARGEST_PULSE, hankel_limits, markov_lags, stretches_of
+from modal.estimation.cross_validation import (
+    FIRST_RIDGE,
+    LARGEST_PULSE,
+    WITHIN,
+    hankel_limits,
+    markov_lags,
+    stretches_of,
+)
 from modal.estimation.free_run import ModalForm, free_runs, modal_form
 from okid.gram import lag_gram
 from okid.least_squares import solve
@@ -19,16 +26,15 @@ from okid.markov import MarkovParameters, recover_system
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-__all__ = ["QuickModel", "best_model", "observer_markov", "quick_model"]
+__all__ = ["QuickModel", "best_model", "observer_markov", "observer_order", "quick_model"]
 
 LONGEST_OBSERVER = 128
+"""Look back no further than this many samples: longer memories do not decide what preparation asks."""
 MOST_UNKNOWNS = 600
-"""An output's equation has no more, so that many channels cost no more than few."""
+"""Give an output's equation no more unknowns, so that many channels cost no more than few,"""
 ROWS_PER_UNKNOWN = 4
-RIDGE = 1e-4
+"""and each unknown at least so many rows."""
 MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 40)
-WITHIN = 1.02
-"""A smaller model stands in for one whose error is at most this much smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -62,20 +68,24 @@ def quick_model(records: Sequence[Record]) -> QuickModel | None:
     return None if markov is None else best_model(markov, records)
 
 
+def observer_order(records: Sequence[Record]) -> int:
+    """The longest observer that the records carry and that a first look can afford."""
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    rows = sum(record.n_samples for record in records) // ROWS_PER_UNKNOWN
+    longest = max(record.n_samples for record in records)
+    return max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
+
+
 def observer_markov(records: Sequence[Record]) -> MarkovParameters | None:
     """Markov parameters of one observer; None where they diverge or too few rows are whole."""
-    n_channels = records[0].n_inputs + records[0].n_outputs
-    n_samples = sum(record.n_samples for record in records)
-    longest = max(record.n_samples for record in records)
-    rows = n_samples // ROWS_PER_UNKNOWN
-    order = max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
+    order = observer_order(records)
     scaling = channel_scaling(records)
     if scaling.constant_inputs or scaling.constant_outputs:
         return None
     gram = lag_gram(records, order, scaling=scaling)
     if gram.n_rows <= gram.matrix.shape[0]:
         return None
-    fit = solve(gram, RIDGE)
+    fit = solve(gram, FIRST_RIDGE)
     n_lags = markov_lags(records[0].n_inputs, records[0].n_outputs)
     with np.errstate(over="ignore", invalid="ignore"):
         pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, n_lags)

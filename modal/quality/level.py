@@ -21,6 +21,7 @@ from modal.preparation.drift import (
     held_out_squares,
     is_significant,
     slow_functions,
+    slow_motion,
     without_drift,
 )
 from modal.quality.coherence import best_pulse, predicted_outputs
@@ -245,16 +246,17 @@ def _drift_share(record: Record) -> float:
         return 0.0
     settled = record.n_samples // 10  # the answer to what came before the record has died out, about
     left = (plain.outputs - predicted_outputs(freed[0], plain.inputs))[settled:]
-    errors = {n: held_out_squares([left], n) for n in most}
+    errors = {n: held_out_squares(slow_motion([left]), n) for n in most}
     best = min(most, key=lambda n: float(errors[n].sum()))
     without = errors[0]
     if own is not None:
-        explained = held_out_squares([(plain.outputs - predicted_outputs(own[0], plain.inputs))[settled:]], 0)
+        missed = (plain.outputs - predicted_outputs(own[0], plain.inputs))[settled:]
+        explained = held_out_squares(slow_motion([missed]), 0)
         without = explained if explained.sum() < without.sum() else without
     gain = without - errors[best]
     if best == 0 or not is_significant(gain, SIGNIFICANT) or gain.sum() < LEAST_GAIN * without.sum():
         return 0.0
-    moved = [held_out_squares([plain.outputs[settled:]], n).sum() for n in (0, best)]
+    moved = [held_out_squares(slow_motion([plain.outputs[settled:]]), n).sum() for n in (0, best)]
     if gain.sum() < MOSTLY * (moved[0] - moved[1]):
         return 0.0
     functions = slow_functions(len(left), best)

@@ -12,10 +12,10 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
-from modal.estimation.cross_validation import hankel_limits, markov_lags, scaled_record
+from modal.estimation.cross_validation import hankel_limits, markov_lags, scaled_model, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import in_units, scaled_model, starting_parameters
+from modal.estimation.modal_parameters import in_units, starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import NONE, OutputError, refine
 from modal.modes.extraction import extract_modes

@@ -8,7 +8,7 @@ from types import ModuleType
 
 from okid.errors import UnreadableFileError
 
-__all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", "first_line", "require"]
+__all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", "first_line", "optional_package"]
 
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
@@ -80,7 +80,7 @@ def first_line(error: Exception) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
 
 
-def require(module: str, path: Path) -> ModuleType:
+def optional_package(module: str, path: Path) -> ModuleType:
     """Import an optional library, or say which command installs it.
 
     Raises:

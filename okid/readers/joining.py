@@ -20,7 +20,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, column_block
 from okid.errors import InvalidDataError
-from okid.readers.table import Column, Table, stated_step, time_step
+from okid.readers.table import Column, Table, stated_step, table_time_step
 from okid.readers.units import UnitConversion, convert_unit
 from okid.record import InputHold, Record
 
@@ -132,11 +132,11 @@ def to_record(
     """The record that the chosen channels of a table make up, in SI.
 
     Raises:
-        InvalidDataError: as `choose_channels`, `time_step` and `Record` say, with the file's name before it.
+        InvalidDataError: as `choose_channels`, `table_time_step` and `Record` say, with the file's name before it.
     """
     into, out = choose_channels(table, inputs, outputs)
     _check_orientation(table, into, out)
-    step, start_time = time_step(table, dt)
+    step, start_time = table_time_step(table, dt)
     input_units = [_conversion(table, index) for index in into]
     output_units = [_conversion(table, index) for index in out]
     try:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from okid.errors import UnreadableFileError
 from okid.readers.arrays import Content, table_from_arrays
-from okid.readers.guard import check_memory, first_line, require
+from okid.readers.guard import check_memory, first_line, optional_package
 from okid.readers.table import Table
 
 __all__ = ["read_mat"]
@@ -92,7 +92,7 @@ def _is_text(cell: Any) -> bool:
 
 
 def _read_hdf5(path: Path) -> dict[str, Content]:
-    h5py = require("h5py", path)
+    h5py = optional_package("h5py", path)
     contents: dict[str, Content] = {}
     try:
         with h5py.File(path, "r") as file:

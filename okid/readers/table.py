@@ -17,7 +17,16 @@ from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.readers.units import convert_unit
 
-__all__ = ["Column", "LeftOut", "Table", "looks_like_unit", "split_header", "stated_step", "time_step", "unique_names"]
+__all__ = [
+    "Column",
+    "LeftOut",
+    "Table",
+    "looks_like_unit",
+    "split_header",
+    "stated_step",
+    "table_time_step",
+    "unique_names",
+]
 
 TIME_NAMES = frozenset(["time", "t", "timestamp", "time stamp", "elapsed time"])
 COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row", "no", "no.", "#"])
@@ -186,7 +195,7 @@ CONTRADICTION = 1e-3
 """Relative difference above which a given time step contradicts that of the file."""
 
 
-def time_step(table: Table, dt: float | None) -> tuple[float, float]:
+def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
     """Time step and time of the first sample [s].
 
     Args:
@@ -223,7 +232,7 @@ def time_step(table: Table, dt: float | None) -> tuple[float, float]:
 
 
 def stated_step(table: Table) -> tuple[float | None, float]:
-    """Time step (None if the file gives none) and time of the first sample [s]; as `time_step` raises."""
+    """Time step (None if the file gives none) and time of the first sample [s]; as `table_time_step` raises."""
     index = table.time_column()
     if index is None:
         if table.dt is not None and not (np.isfinite(table.dt) and table.dt > 0):

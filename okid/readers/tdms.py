@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line, require
+from okid.readers.guard import check_channel_count, check_memory, first_line, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
 __all__ = ["read_tdms"]
@@ -18,7 +18,7 @@ def read_tdms(path: Path) -> Table:
     Raises:
         UnreadableFileError: damaged, no channel of numbers, or channels of different length or time step.
     """
-    nptdms = require("nptdms", path)
+    nptdms = optional_package("nptdms", path)
     check_memory(path, 3.0 * path.stat().st_size)
     try:
         found = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]

@@ -13,7 +13,7 @@ import numpy as np
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line, require
+from okid.readers.guard import check_channel_count, check_memory, first_line, optional_package
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
@@ -54,7 +54,7 @@ def read_uff(path: Path) -> Table:
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
     """
-    pyuff = require("pyuff", path)
+    pyuff = optional_package("pyuff", path)
     check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
     _check_end(path)
     file = _guarded(path, lambda: pyuff.UFF(str(path)))

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textbook_output_error import (
     differences,
-    loop_run,
     loop_sensitivities,
     loop_signals,
     loop_states,
@@ -16,7 +15,7 @@ from textbook_output_error import (
 )
 
 from modal.estimation import modal_states
-from modal.estimation.modal_states import ModalParameters, SignalLayout, block_grams, blocks_of, free_runs, whole_gram
+from modal.estimation.modal_states import ModalParameters, SignalLayout, blocks_of, signal_grams, whole_gram
 from okid.record import Record
 
 
@@ -62,7 +61,7 @@ def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, ch
     monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
-    layout, grams = block_grams(parameters_of(model), records, rows, blocks)
+    layout, grams = signal_grams(parameters_of(model), records, rows, blocks)
     assert grams.shape == (len(blocks), layout.alone.size, layout.alone.size)
     signals = [loop_signals(model, r, record.inputs, record.outputs) for r, record in enumerate(records)]
     for i, block in enumerate(blocks):
@@ -99,16 +98,6 @@ def states_of(i, r, inputs, model):
     return loop_states(model, r, inputs)[:, i]
 
 
-@pytest.mark.parametrize("chunk", [9, 8192])
-def test_free_runs_are_the_loop(monkeypatch, chunk):
-    monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
-    model, records, _ = a_case(2, lengths=(100, 3, 60), n_outputs=3)
-    coefficients = np.vstack([model.c.real.T, -model.c.imag.T, model.D.T, model.levels])
-    runs = list(free_runs(parameters_of(model), coefficients, records))
-    for r, (run, record) in enumerate(zip(runs, records, strict=True)):
-        np.testing.assert_allclose(run, loop_run(model, r, record.inputs), rtol=0, atol=1e-11)
-
-
 def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
     parameters = ModalParameters(
         poles=np.array([1e-3 + 0j, 0.9 + 0j]),
@@ -118,7 +107,7 @@ def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
     )
     record = Record(np.zeros((400, 1)), np.zeros((400, 1)), 0.1)
     rows = [np.arange(400) >= 50]
-    layout, grams = block_grams(parameters, [record], rows, blocks_of([record], []))
+    layout, grams = signal_grams(parameters, [record], rows, blocks_of([record], []))
     start = layout.real.start + 2 * 2
     assert grams[0, start, start] == 0.0
     np.testing.assert_allclose(grams[0, start + 1, start + 1], 0.9**100 / (1 - 0.81), rtol=1e-12)
@@ -135,7 +124,7 @@ def test_a_hundred_thousand_samples_lose_no_digits():
     )
     n = 100_000
     record = Record(np.zeros((n, 1)), np.zeros((n, 1)), 0.1)
-    _, grams = block_grams(parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []))
+    _, grams = signal_grams(parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []))
     plain, conjugate = (1 - pole ** (2 * n)) / (1 - pole**2), (1 - abs(pole) ** (2 * n)) / (1 - abs(pole) ** 2)
     expected = 0.5 * np.array([[conjugate + plain.real, plain.imag], [plain.imag, conjugate - plain.real]])
     np.testing.assert_allclose(grams[0, :2, :2], expected, rtol=0, atol=1e-10 * conjugate)

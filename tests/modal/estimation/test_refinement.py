@@ -22,7 +22,7 @@ from textbook_output_error import (
 )
 
 from modal.estimation.modal_states import ModalParameters, blocks_of
-from modal.estimation.output_error import NONE, OutputError, evaluate, moved, normal_equations, refine
+from modal.estimation.output_error import NONE, OutputError, moved, refine, step_at, step_equations
 from okid.record import Record
 
 
@@ -94,7 +94,7 @@ def held_out_runs(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_error_and_linear_part_are_those_of_least_squares_on_a_loop(kind):
     rng, model, data = a_problem(1, kind, noise=0.1, missing=0.1, held_out=held_out_runs(kind))
-    step = evaluate(parameters_of(disturbed(rng, model, 0.02)), data, held_out=0)
+    step = step_at(parameters_of(disturbed(rng, model, 0.02)), data, held_out=0)
     loop = replace(model, poles=step.parameters.poles, b=step.parameters.inputs, starts=step.parameters.states)
     expected = projected_errors(loop, *arrays_of(data, 0))
     np.testing.assert_allclose(step.linear.squared_errors, expected, rtol=1e-9)
@@ -114,8 +114,8 @@ def test_gradient_is_that_of_the_projected_error(kind):
     rng, model, data = a_problem(2, kind, noise=0.2, missing=0.1, held_out=held_out_runs(kind))
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
-    step = evaluate(parameters_of(model), data, held_out=0, weights=weights)
-    found = normal_equations(step, data, held_out=0, weights=weights)
+    step = step_at(parameters_of(model), data, held_out=0, weights=weights)
+    found = step_equations(step, data, held_out=0, weights=weights)
     arrays = arrays_of(data, 0)
     slopes = differences(lambda one: weights @ projected_errors(one, *arrays), model, free_places(model), step=3e-4)
     assert found.gradient.shape == slopes.shape
@@ -127,8 +127,8 @@ def test_normal_matrix_is_that_of_the_projected_jacobian(kind):
     rng, model, data = a_problem(3, kind, noise=0.2, missing=0.1, held_out=held_out_runs(kind))
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
-    step = evaluate(parameters_of(model), data, held_out=0, weights=weights)
-    found = normal_equations(step, data, held_out=0, weights=weights)
+    step = step_at(parameters_of(model), data, held_out=0, weights=weights)
+    found = step_equations(step, data, held_out=0, weights=weights)
     inputs, _, rows = arrays_of(data, 0)
     model = replace(model, c=step.linear.shapes)
     phi = np.vstack([block[there] for block, there in zip(regressors(model, inputs), rows, strict=True)])
@@ -167,8 +167,8 @@ def jacobian(model, r, inputs, output):
 
 def test_a_move_changes_each_parameter_by_what_it_says():
     rng, model, data = a_problem(4, "two inputs, two records, real pole", noise=0.1)
-    step = evaluate(parameters_of(model), data)
-    free = normal_equations(step, data, held_out=NONE, weights=np.ones(2)).free
+    step = step_at(parameters_of(model), data)
+    free = step_equations(step, data, held_out=NONE, weights=np.ones(2)).free
     for i, place in enumerate(free_places(model)):
         expected = changed(model, place, 0.01)
         found = moved(step, free, np.where(np.arange(free.size) == i, 0.01, 0.0))
@@ -190,7 +190,7 @@ def test_a_move_changes_each_parameter_by_what_it_says():
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_free_data_give_the_truth_back(kind, missing):
     rng, truth, data = a_problem(5, kind, missing=missing)
-    steps = refine(evaluate(parameters_of(disturbed(rng, truth, 0.02)), data), data, n_steps=40)
+    steps = refine(step_at(parameters_of(disturbed(rng, truth, 0.02)), data), data, n_steps=40)
     last = steps[-1]
     power = sum(np.square(record.outputs).sum() for record in data.records)
     # the error is a difference of sums: rounding of 1e-16 of the power is 1e-8 of the amplitude
@@ -226,7 +226,7 @@ def test_the_end_is_that_of_a_general_least_squares_solver(seed):
     truth = random_loop_model(rng, n_pairs=1, n_real=1, n_inputs=2, n_outputs=2)
     data = problem(rng, truth, (150,), noise=0.3)
     weights = np.array([1.0, 4.0])
-    start = evaluate(parameters_of(disturbed(rng, truth, 0.01)), data, weights=weights)
+    start = step_at(parameters_of(disturbed(rng, truth, 0.01)), data, weights=weights)
     last = refine(start, data, n_steps=60, least_gain=1e-15, weights=weights)[-1]
     places, (u,), (y,) = free_places(truth), *arrays_of(data)[:2]
 
@@ -258,14 +258,14 @@ def test_held_out_rows_do_not_count(kind):
         other.append(replace(record, outputs=outputs))
     start = parameters_of(disturbed(rng, model, 0.02))
     both = [data, replace(data, records=tuple(other))]
-    first, second = (refine(evaluate(start, one, held_out=0), one, held_out=0, n_steps=5)[-1] for one in both)
+    first, second = (refine(step_at(start, one, held_out=0), one, held_out=0, n_steps=5)[-1] for one in both)
     np.testing.assert_array_equal(first.parameters.poles, second.parameters.poles)
     np.testing.assert_array_equal(first.linear.coefficients, second.linear.coefficients)
     assert first.error == second.error
     scored = [i for i, block in enumerate(data.blocks) if block.label == 0]
     assert np.all(second.block_errors(scored) > 10 * first.block_errors(scored))
     # and without holding out they do
-    third = refine(evaluate(start, both[1]), both[1], n_steps=5)[-1]
+    third = refine(step_at(start, both[1]), both[1], n_steps=5)[-1]
     assert np.abs(third.parameters.poles - first.parameters.poles).max() > 1e-6
 
 
@@ -286,7 +286,7 @@ def test_never_unstable_and_never_worse_whatever_the_data(seed):
     records = tuple(Record(rng.standard_normal((n, 2)), y + 0.01 * r, 0.1) for r in range(n_records))
     rows = tuple(np.ones(n, dtype=bool) for _ in records)
     data = OutputError(records=records, rows=rows, blocks=blocks_of(records, []))
-    steps = refine(evaluate(parameters_of(start), data), data, n_steps=25)
+    steps = refine(step_at(parameters_of(start), data), data, n_steps=25)
     assert len(steps) > 1
     for step in steps:
         assert np.all(np.abs(step.parameters.poles) < 1)
@@ -297,11 +297,11 @@ def test_never_unstable_and_never_worse_whatever_the_data(seed):
 
 def test_no_step_is_made_where_none_helps():
     rng, model, data = a_problem(7, "one channel each", noise=0.1)
-    done = refine(evaluate(parameters_of(model), data), data, n_steps=60, least_gain=1e-13)
+    done = refine(step_at(parameters_of(model), data), data, n_steps=60, least_gain=1e-13)
     again = refine(done[-1], data, n_steps=10)
     assert len(again) <= 2
     assert again[0].error == pytest.approx(done[-1].error, rel=1e-12)
-    start = evaluate(parameters_of(disturbed(rng, model, 0.05)), data)
+    start = step_at(parameters_of(disturbed(rng, model, 0.05)), data)
     assert len(refine(start, data, n_steps=2)) == 3
     steps = refine(start, data, n_steps=30, least_gain=0.1)
     gains = [1 - later.error / earlier.error for earlier, later in pairwise(steps)]
@@ -313,7 +313,7 @@ def test_no_step_is_made_where_none_helps():
 
 
 def refined(model, data, weights=None):
-    return refine(evaluate(parameters_of(model), data, weights=weights), data, n_steps=40, weights=weights)[-1]
+    return refine(step_at(parameters_of(model), data, weights=weights), data, n_steps=40, weights=weights)[-1]
 
 
 def test_exchanged_channels_and_records_exchange():

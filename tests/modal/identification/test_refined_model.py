@@ -8,9 +8,9 @@ from systems import initial_state, markov, modal_system, simulate
 
 from era.balanced import realise
 from era.realisation import Realisation
-from modal.estimation.cross_validation import scaled_record
+from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import scaled_model, starting_parameters
+from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from modal.identification.pipeline import identify

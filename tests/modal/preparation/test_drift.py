@@ -3,7 +3,14 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
-from modal.preparation.drift import CANDIDATES, choose_drift, held_out_squares, slow_functions, without_drift
+from modal.preparation.drift import (
+    CANDIDATES,
+    choose_drift,
+    held_out_squares,
+    slow_functions,
+    slow_motion,
+    without_drift,
+)
 from okid.record import Record
 
 N = 3000
@@ -85,6 +92,6 @@ def test_short_records_get_fewer_functions():
 def test_hundreds_of_short_records_leave_groups_to_compare(lengths):
     """Two at least: a standard error needs as many."""
     rng = np.random.default_rng(8)
-    left = [rng.standard_normal((length, 2)) for length in lengths]
+    left = slow_motion([rng.standard_normal((length, 2)) for length in lengths])
     assert held_out_squares(left, 1).size >= 2
     assert held_out_squares(left, 0).sum() > 0.0
