@@ -8,11 +8,9 @@ import hidden_cases
 import numpy as np
 import pytest
 import scipy
-from hidden_cases import cases, hidden_case
-from hidden_guards import bounded, contact_reached, gap_beyond_linear, repeatable
+from hidden_cases import bounded, cases, contact_reached, gap_beyond_linear, hidden_case, repeatable
 from hidden_kinds import FAMILIES, KINDS, PAIRS, STRUCTURE
-from hidden_plants import TrueChain
-from hidden_truth import Experiment, Truth, clean_outputs
+from hidden_truth import Experiment, TrueChain, Truth, clean_outputs
 from hidden_types import HiddenEffect, NominalChain, NominalMotor, NominalStateSpace
 
 FOLDER = Path(__file__).parent
