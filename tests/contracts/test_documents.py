@@ -131,6 +131,16 @@ def test_the_page_on_the_house_draws_the_layers_as_they_are(repository):
     assert drawn == layers(repository)
 
 
+def test_the_functions_of_the_walk_are_where_the_page_says(repository):
+    page = (repository / "modal" / "docs" / "house.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \w+ \| `([\w/]+)` \| ((?:`\w+`(?:, )?)+) \|", page, re.MULTILINE)
+    assert len(rows) > 14
+    for folder, names in rows:
+        text = "\n".join(file.read_text(encoding="utf-8") for file in (repository / folder).glob("*.py"))
+        for name in re.findall(r"\w+", names):
+            assert re.search(rf"^def {name}\(", text, re.MULTILINE), f"{folder}: {name}"
+
+
 def test_what_the_pages_link_to_exists(repository):
     assert len(pages_of(repository)) > 10
     for page in pages_of(repository):
