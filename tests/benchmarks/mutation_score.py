@@ -43,6 +43,7 @@ EQUIVALENT = {
     ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
         "one lag more than needed meets no row and column"
     ),
+    ("era/hankel.py", "best = 1 << (least - 1).bit_length()", "Sub to Add"): "a higher bound, the same least",
     ("era/balanced.py", "order: int = self.A.shape[0]", "one more"): "A is square",
     ("era/balanced.py", "largest = found.singular_values[0] if found.singular_values.size else 0.0", "a tenth more"): (
         "without singular values the sentence says 0 of nothing"
