@@ -98,7 +98,7 @@ def fit_observer(
     records: Record | Sequence[Record],
     *,
     order: int,
-    ridge: float = 0.0,
+    ridge: float | None = None,
 ) -> ObserverFit:
     """Fit the observer equation to one record or to several of one system.
 
@@ -109,7 +109,7 @@ def fit_observer(
         records: with the same channels, units and time step.
         order: number of past samples, at least (number of states) / n_outputs; `modal.choose_orders` chooses it, and
             the ridge with it, by the error of a free run on held-out rows.
-        ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag).
+        ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag); None adds nothing.
 
     Raises:
         InvalidDataError: an order or ridge that is none, or records that do not belong together.
@@ -139,7 +139,7 @@ def fit_observer(
     gram = lag_gram(several, order, scaling=scaling)
     check_rows_left(several, order, gram.n_rows)
     source = RegressionRows(records=several, scaling=scaling)
-    coefficients = solve(gram, ridge, source=source)
+    coefficients = solve(gram, 0.0 if ridge is None else ridge, source=source)
     _warn_where_poor(coefficients, gram, several[0])
     return observer_fit(coefficients, scaling, several[0].dt)
 

@@ -142,6 +142,7 @@ class Uncertainty:
             shapes normalised as `Mode.shape`: the largest component is 1 and has none.
         markov_std: (n_lags + 1, n_outputs, n_inputs) of the system Markov parameters, in their unit.
         degrees_of_freedom: of the residuals that the noise was estimated from; infinite where it is known.
+        found: (n_modes,) share of replicas in which the mode was found again; 1 for methods without replicas.
 
     Raises:
         InvalidDataError: arrays that do not fit together, or no positive number of degrees of freedom.
@@ -159,6 +160,7 @@ class Uncertainty:
     shape_std: FloatArray
     markov_std: FloatArray
     degrees_of_freedom: float = np.inf
+    found: FloatArray = None  # type: ignore[assignment]  # ones once constructed
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -171,6 +173,7 @@ class Uncertainty:
         }
         for name, shape in shapes.items():
             set_(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=shape))
+        set_(self, "found", _found(self.found, n_modes))
         if not self.degrees_of_freedom > 0:
             raise InvalidDataError(f"degrees_of_freedom must be positive, but is {self.degrees_of_freedom}.")
 
@@ -189,6 +192,10 @@ class Uncertainty:
         if np.isinf(self.degrees_of_freedom):
             return float(scipy.special.ndtri(tail))
         return float(scipy.special.stdtrit(self.degrees_of_freedom, tail))
+
+
+def _found(values: FloatArray | None, n_modes: int) -> FloatArray:
+    return frozen_with_gaps(np.ones(n_modes) if values is None else values, name="found", shape=(n_modes,))
 
 
 _RANK = {"system": 0, "doubtful": 1, "noise": 2}

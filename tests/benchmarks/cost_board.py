@@ -7,8 +7,7 @@
   the outputs in memory to its result, covariance driven, ordmax 50, hard and soft criteria (MPC, MPD, stability labels)
   as they default, once with 50 block rows, once with 20 as its default. Ours: observer of order 50, 100 Markov
   parameters (50 block rows), one decomposition, then `realise_from` and `extract_modes` (every indicator) for each
-  order; and the same without the observer, from Markov parameters in memory. Another comparison, both fed with one and
-  the same Hankel matrix, is `stabilisation_benchmark.py`.
+  order; and the same without the observer, from Markov parameters in memory.
 """
 
 import json

@@ -8,7 +8,7 @@ case in `DIR/<kind>.jsonl`; lines that are there are not made again (`--restart`
 run goes on. `--report-only` prints the tables of what is there; `--write-docs` puts them into
 modal/docs/discrepancy_confusion.md. Seeds of a figure are never the seeds of building: below 1000 is for building.
 
-Goals, and what each word means, are in `hidden_tables.GOALS` and `hidden_scoring`. Seconds are CPU time of the
+Goals, and what each word means, are in `hidden_scoring` (`GOALS`). Seconds are CPU time of the
 diagnosis alone, one BLAS thread, on a machine that may be shared.
 """
 
@@ -31,9 +31,7 @@ for folder in (ROOT, ROOT / "tests" / "hidden_effects", ROOT / "tests" / "benchm
 
 from hidden_cases import hidden_case  # noqa: E402 - after the path is set
 from hidden_kinds import KINDS  # noqa: E402
-from hidden_products import model_of, options_of, records_of  # noqa: E402
-from hidden_scoring import describe, outcome  # noqa: E402
-from hidden_tables import report  # noqa: E402
+from hidden_scoring import describe, model_of, options_of, outcome, records_of, report  # noqa: E402
 from stamps import write_figures  # noqa: E402
 
 DOCUMENT = ROOT / "modal" / "docs" / "discrepancy_confusion.md"

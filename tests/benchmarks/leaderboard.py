@@ -118,8 +118,7 @@ def sweep_part(options, only):
 
 
 def records_part(options, only):
-    from measured_records import measured_problems
-    from records_board import SETTINGS, contend
+    from records_board import SETTINGS, contend, measured_problems
 
     problems, left_out = measured_problems(options.records)
     rows = []

@@ -1,62 +1,50 @@
-"""A mapped file of a million samples: CPU time and memory beyond the file of the fit and 200 Markov parameters.
+"""A mapped file of a million samples: CPU time and memory beyond the file of the check, the fit and its recovery.
 
     python tests/benchmarks/mapped_file_benchmark.py [--samples 1000000] [--outputs 64] [--inputs 4] [--order 40]
 
-Wanted: about 2 s of one core and less than 250 MB. Memory is the process's anonymous memory (RssAnon of
-/proc/self/status, sampled every 5 ms): pages of the mapped file belong to the file cache. The interpreter with its
-libraries is included.
+Memory is the process's anonymous memory (RssAnon of /proc/self/status, sampled every 5 ms): pages of the mapped file
+belong to the file cache. What the interpreter and its libraries hold before the first stage is told apart. One BLAS
+thread.
 """
 
 import argparse
-import json
 import os
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from pathlib import Path
 
-import numpy as np
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np  # noqa: E402 - after the threads are set
+from cost_board import simulated  # noqa: E402
+
+import modal  # noqa: E402
+import okid  # noqa: E402
 
 N_LAGS = 200
+PIECE = 50_000
 
 
-def make_file(path, n_samples, n_inputs, n_outputs):
-    """White inputs through eight modes, 1 % noise, written in pieces: inputs in the first columns."""
-    rng = np.random.default_rng(7)
-    pole = np.exp(2 * np.pi * np.linspace(0.02, 0.4, 8) * (-0.01 + 1j))
-    B = rng.standard_normal((8, n_inputs)) + 1j * rng.standard_normal((8, n_inputs))
-    C = rng.standard_normal((n_outputs, 8)) + 1j * rng.standard_normal((n_outputs, 8))
-    data = np.memmap(path, dtype=np.float64, mode="w+", shape=(n_samples, n_inputs + n_outputs))
-    state = np.zeros(8, dtype=complex)
-    for start in range(0, n_samples, 50_000):
-        stop = min(start + 50_000, n_samples)
-        u = rng.standard_normal((stop - start, n_inputs))
-        driven, states = u @ B.T, np.empty((stop - start, 8), dtype=complex)
-        for k in range(stop - start):
-            states[k] = state
-            state = pole * state + driven[k]
-        y = 2 * (states @ C.T).real
-        data[start:stop, :n_inputs] = u
-        data[start:stop, n_inputs:] = y + 0.05 * rng.standard_normal(y.shape)
+def make_file(path, options):
+    """Eight modes under 3 % noise, the same stretch again and again: inputs in the first columns."""
+    sizes = {"n_inputs": options.inputs, "n_outputs": options.outputs, "n_modes": 8}
+    piece = np.hstack(simulated({"n_samples": min(PIECE, options.samples), **sizes}, np.random.default_rng(7)))
+    data = np.memmap(path, dtype=np.float64, mode="w+", shape=(options.samples, piece.shape[1]))
+    for start in range(0, options.samples, PIECE):
+        data[start : start + PIECE] = piece[: options.samples - start]
     data.flush()
 
 
 def anonymous_megabytes():
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("RssAnon"):
-            return int(line.split()[1]) / 1024
-    return float("nan")
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("RssAnon"))
 
 
-def measure(path, n_samples, n_inputs, n_outputs, order):
-    from okid.markov import recover_markov
-    from okid.observer import fit_observer
-    from okid.record import Record
-
+def measured(call):
+    """(result, CPU seconds, largest anonymous memory in MiB) of a call."""
     peak, done = [anonymous_megabytes()], threading.Event()
-    before = peak[0]
 
     def watch():
         while not done.wait(0.005):
@@ -64,28 +52,12 @@ def measure(path, n_samples, n_inputs, n_outputs, order):
 
     watcher = threading.Thread(target=watch)
     watcher.start()
-    data = np.memmap(path, dtype=np.float64, mode="r", shape=(n_samples, n_inputs + n_outputs))
-    started = time.process_time()
-    record = Record(data[:, :n_inputs], data[:, n_inputs:], 0.001)
-    loaded = time.process_time()
-    fit = fit_observer(record, order=order)
-    fitted = time.process_time()
-    recover_markov(fit, n_lags=N_LAGS)
-    finished = time.process_time()
+    start = time.process_time()
+    result = call()
+    seconds = time.process_time() - start
     done.set()
     watcher.join()
-    print(
-        json.dumps(
-            {
-                "record_s": loaded - started,
-                "fit_s": fitted - loaded,
-                "recovery_s": finished - fitted,
-                "import_mb": before,
-                "peak_mb": peak[0],
-                "method": fit.method,
-            }
-        )
-    )
+    return result, seconds, peak[0]
 
 
 def main():
@@ -94,31 +66,24 @@ def main():
     parser.add_argument("--outputs", type=int, default=64)
     parser.add_argument("--inputs", type=int, default=4)
     parser.add_argument("--order", type=int, default=40)
-    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--folder", help="where to put the file; a temporary folder unless given")
-    parser.add_argument("--measure", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    sizes = [options.samples, options.inputs, options.outputs]
-    if options.measure:
-        measure(options.measure, *sizes, options.order)
-        return
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    environment["PYTHONPATH"] = str(Path(__file__).resolve().parents[2])
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-        path = str(Path(folder) / "samples.bin")
-        make_file(path, *sizes)
-        print(f"{Path(path).stat().st_size / 2**20:.0f} MiB in the file; seconds of one core, MiB of anonymous memory")
-        for _ in range(options.rounds):
-            command = [sys.executable, __file__, "--measure", path, *(a for a in sys.argv[1:] if a != "--measure")]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-            if done.returncode:
-                sys.exit(done.stderr)
-            found = json.loads(done.stdout.splitlines()[-1])
-            print(
-                f"record {found['record_s']:.2f}  fit {found['fit_s']:.2f}  recovery {found['recovery_s']:.2f} s   "
-                f"peak {found['peak_mb']:.0f}, after import {found['import_mb']:.0f}   {found['method']}",
-                flush=True,
-            )
+        path = Path(folder) / "samples.bin"
+        make_file(path, options)
+        n_inputs, shape = options.inputs, (options.samples, options.inputs + options.outputs)
+        data = np.memmap(path, dtype=np.float64, mode="r", shape=shape)
+        small = okid.Record(data[:2000, :n_inputs], data[:2000, n_inputs:], 0.001)
+        modal.check_quality(small)  # imports
+        before = anonymous_megabytes()
+        print(f"{path.stat().st_size / 2**20:.0f} MiB in the file, {before:.0f} MiB of memory before the first stage")
+        record, *told = measured(lambda: okid.Record(data[:, :n_inputs], data[:, n_inputs:], 0.001))
+        _, *told_of_check = measured(lambda: modal.check_quality(record))
+        observer, *told_of_fit = measured(lambda: okid.fit_observer(record, order=options.order))
+        _, *told_of_recovery = measured(lambda: okid.recover_markov(observer, n_lags=N_LAGS))
+        stages = {"record": told, "check": told_of_check, "fit": told_of_fit, "recovery": told_of_recovery}
+        for stage, (seconds, peak) in stages.items():
+            print(f"{stage}: {seconds:.2f} s, {peak - before:.0f} MiB more")
 
 
 if __name__ == "__main__":

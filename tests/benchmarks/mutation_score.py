@@ -9,7 +9,7 @@ round, min is max. Texts of errors, annotations and module docstrings are left a
 module is imported from memory by a forked process (so this needs fork), which runs the test files of the module and
 stops at the first failure. A mutant that takes more CPU seconds than --most-seconds counts as caught.
 
-Test files are those of the same name, `tests/okid/test_observer.py` for `okid/observer.py`, and those that ALSO adds.
+Test files are those at the mirrored path, `tests/okid/test_observer.py` for `okid/observer.py`, and those of ALSO.
 EQUIVALENT lists the mutants that change nothing anybody may rely on, each with the reason; they are not counted.
 """
 
@@ -27,10 +27,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
     "okid/observer.py", "okid/markov.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
-    "era/balanced.py", "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
+    "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
 )  # fmt: skip
 ALSO = {
-    "era/balanced.py": ("tests/era/test_balanced.py", "tests/era/test_realisation.py"),
+    "okid/markov.py": ("tests/okid/test_recovery.py",),
+    "okid/gram.py": ("tests/okid/test_block_grams.py",),
+    "okid/least_squares.py": ("tests/okid/test_regression.py", "tests/okid/test_block_grams.py"),
+    "era/balanced.py": ("tests/era/test_realisation.py", "tests/era/test_order.py"),
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""
@@ -40,6 +43,7 @@ EQUIVALENT = {
     ("era/hankel.py", "spectrum = np.fft.rfft(markov[1 : n_needed + 1], n_transform, axis=0)", "one more"): (
         "one lag more than needed meets no row and column"
     ),
+    ("era/hankel.py", "best = 1 << (least - 1).bit_length()", "Sub to Add"): "a higher bound, the same least",
     ("era/balanced.py", "order: int = self.A.shape[0]", "one more"): "A is square",
     ("era/balanced.py", "largest = found.singular_values[0] if found.singular_values.size else 0.0", "a tenth more"): (
         "without singular values the sentence says 0 of nothing"
@@ -54,11 +58,9 @@ EQUIVALENT = {
         "NumPy takes any negative size for the open one"
     ),
     ("modal/modes/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
-    (
-        "modal/modes/indicators.py",
-        "died = size**last < decay_limit * (1 - 1e-12)",
-        "a tenth more",
-    ): "a rounding's worth",
+    ("modal/modes/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): (
+        "a rounding's worth"
+    ),
     ("okid/least_squares.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (
         "two exact ways to one solution; which is taken at the border costs the same"
     ),

@@ -1,6 +1,6 @@
-"""How often the data check is wrong about clean records, how large a fault must be to be found, and what it costs.
+"""How often the data check is wrong about clean records, and how large a fault must be to be found.
 
-    python tests/benchmarks/quality_benchmark.py [clean] [faults] [cost] [--repeats 12]
+    python tests/benchmarks/quality_benchmark.py [clean] [faults] [--repeats 12]
 
 Clean records are of 26 kinds (tests/reference/made_records.py): white, coloured, narrow band, sweeps, multisines,
 hammers, steps, bursts, two-level, quantised, tiny and huge units, decays, with feedthrough. A sine is clean but poor
@@ -9,8 +9,6 @@ excitation, and is said to be; it is left out of the rate.
 
 import argparse
 import sys
-import tempfile
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -74,49 +72,17 @@ def faults(repeats: int) -> None:
         print(f"{fault} ({unit}): {', '.join(shares)}")
 
 
-def cost() -> None:
-    """Processor time of 8 channels x 1e6 samples, and of a mapped file of 32 channels x 1e6 samples."""
-    import resource
-
-    rng = np.random.default_rng(0)
-    force = rng.standard_normal((1_000_000, 2))
-    tips = np.cumsum(force @ rng.standard_normal((2, 6)), axis=0)
-    tips -= np.vstack([np.zeros((50, 6)), tips[:-50]])
-    tips += 0.01 * tips.std() * rng.standard_normal(tips.shape)
-    check_quality(Record(force[:5000], tips[:5000], 0.001))  # imports
-    record = Record(force, tips, 0.001)
-    start = time.process_time()
-    check_quality(record)
-    print(f"8 channels x 1e6 samples: {time.process_time() - start:.2f} s")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "table.npy"
-        table = np.lib.format.open_memmap(path, "w+", shape=(1_000_000, 32))
-        for rows in range(0, 1_000_000, 50_000):
-            block = slice(rows, rows + 50_000)
-            table[block] = np.hstack([force[block], np.tile(tips[block], 5)]) + rng.standard_normal((50_000, 32))
-        del table, record
-        mapped = np.load(path, mmap_mode="r")
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        record = Record(mapped[:, :2], mapped[:, 2:], 0.001)
-        start = time.process_time()
-        check_quality(record)
-        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-        print(f"file, 32 channels x 1e6 samples: {time.process_time() - start:.2f} s, {more / 1024:.0f} MiB more")
-
-
 def main() -> None:
     """Run the parts that were asked for, all unless any is."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=["clean", "faults", "cost", []], default=[])
+    parser.add_argument("parts", nargs="*", choices=["clean", "faults", []], default=[])
     parser.add_argument("--repeats", type=int, default=12)
     options = parser.parse_args()
-    parts = options.parts or ["clean", "faults", "cost"]
+    parts = options.parts or ["clean", "faults"]
     if "clean" in parts:
         clean(options.repeats)
     if "faults" in parts:
         faults(options.repeats)
-    if "cost" in parts:
-        cost()
 
 
 if __name__ == "__main__":

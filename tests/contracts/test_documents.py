@@ -3,9 +3,11 @@
 import ast
 import doctest
 import importlib
+import json
 import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
@@ -24,27 +26,35 @@ def pages_of(repository):
     return [repository / "README.md", *sorted((repository / "modal" / "docs").glob("*.md"))]
 
 
-def modal_report(*arguments, cwd):
-    code = "import sys; from modal.command.main import main; sys.argv[0] = 'modal-report'; sys.exit(main())"
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+HELP = """
+import contextlib, io, json, sys
+from modal.command.main import main
+said = {}
+for command in sys.argv[1:]:
+    sys.argv, text, status = ["modal-report", command, "--help"], io.StringIO(), None
+    with contextlib.redirect_stdout(text):
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code or 0
+    said[command] = [status, text.getvalue()]
+print("\\n" + json.dumps(said))
+"""
 
 
-def test_every_command_of_the_readme_exists(readme, repository):
-    commands = set(re.findall(r"modal-report +([a-z]+)", readme))
-    assert {"run", "demo", "gap"} <= commands
-    for command in commands:
-        result = modal_report(command, "--help", cwd=repository)
-        assert result.returncode == 0, result.stderr
-
-
-def test_every_option_of_the_readme_exists(readme, repository):
-    for line in "\n".join(blocks(readme, "", "sh", "bash", "shell", "console")).splitlines():
-        call = re.search(r"modal-report +([a-z]+)(.*)", line.split("#")[0])
-        if call:
-            text = modal_report(call.group(1), "--help", cwd=repository).stdout
-            for option in re.findall(r"(?<= )--?[a-z][a-z-]*", call.group(2)):
-                assert option in text, f"{call.group(1)} {option}"
+def test_every_command_and_option_of_the_readme_exists(readme, repository):
+    calls = re.findall(r"modal-report +([a-z]+)([^`\n#]*)", readme)
+    commands = {command for command, _ in calls}
+    assert {"run", "demo", "gap", "check", "diff", "view"} <= commands
+    done = subprocess.run(
+        [sys.executable, "-c", HELP, *commands], capture_output=True, text=True, cwd=repository, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    helps = json.loads(done.stdout.splitlines()[-1])
+    options = [(command, option) for command, rest in calls for option in re.findall(r"(?<= )--?[a-z][a-z-]*", rest)]
+    assert len(options) > 10
+    assert [(command, status) for command, (status, _) in helps.items() if status != 0] == []
+    assert [(command, option) for command, option in options if option not in helps[command][1]] == []
 
 
 def test_the_sessions_of_the_readme_print_what_they_show(readme):
@@ -94,6 +104,41 @@ def test_folders_that_the_pages_speak_of_exist(repository):
     for page in pages_of(repository):
         for name in re.findall(r"`((?:okid|era|modal|tests)/[\w/]*)`", page.read_text(encoding="utf-8")):
             assert (repository / name).exists(), f"{page.name}: {name}"
+
+
+def layers(repository):
+    """[the parts of one layer of modal] from top to bottom, as import-linter holds them apart."""
+    settings = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+    (contract,) = (one for one in settings["tool"]["importlinter"]["contracts"] if one.get("containers") == ["modal"])
+    return [layer.split(" : ") for layer in contract["layers"]]
+
+
+def test_the_layers_are_the_folders_of_modal(repository):
+    parts = [part for layer in layers(repository) for part in layer]
+    assert sorted(parts) == sorted(file.parent.name for file in (repository / "modal").glob("*/__init__.py"))
+
+
+def test_the_readme_names_the_parts_in_the_order_of_the_layers(readme, repository):
+    table = readme.partition("## Where is what")[2].partition("\n\n[")[0]
+    firsts = [line.split("|")[1] for line in table.splitlines() if line.startswith("|")]
+    named = [part for cell in firsts for part in re.findall(r"`modal/(\w+)/`", cell)]
+    assert named == [part for layer in layers(repository) for part in layer]
+
+
+def test_the_page_on_the_house_draws_the_layers_as_they_are(repository):
+    page = (repository / "modal" / "docs" / "house.md").read_text(encoding="utf-8")
+    drawn = [re.split(r" {2,}", line)[0].split(" | ") for line in blocks(page, "")[0].splitlines()]
+    assert drawn == layers(repository)
+
+
+def test_the_functions_of_the_walk_are_where_the_page_says(repository):
+    page = (repository / "modal" / "docs" / "house.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \w+ \| `([\w/]+)` \| ((?:`\w+`(?:, )?)+) \|", page, re.MULTILINE)
+    assert len(rows) > 14
+    for folder, names in rows:
+        text = "\n".join(file.read_text(encoding="utf-8") for file in (repository / folder).glob("*.py"))
+        for name in re.findall(r"\w+", names):
+            assert re.search(rf"^def {name}\(", text, re.MULTILINE), f"{folder}: {name}"
 
 
 def test_what_the_pages_link_to_exists(repository):

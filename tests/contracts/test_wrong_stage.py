@@ -29,7 +29,7 @@ CHAIN = modal.StructuralModel.chain([1.0], [4.0], [0.1], force_dofs=[0], sensor_
         (lambda: modal.simulate(CHAIN, RECORD.inputs), "plain inputs need a time step"),
         (lambda: modal.discrepancy.diagnose(CHAIN, RECORD, []), "there is no held-out record"),
         (lambda: modal.discrepancy.diagnose(CHAIN, RECORD, RECORD), "also among the records to fit"),
-        (lambda: modal.discrepancy.noise.floor(CHAIN), "one okid.Record or a sequence of them is needed"),
+        (lambda: modal.discrepancy.noise_floor(CHAIN), "one okid.Record or a sequence of them is needed"),
         (lambda: modal.log_diagnosis(RECORD, None), "log_diagnosis takes a Diagnosis, but was given Record"),
         (lambda: modal.read_model("nothing.toml"), "there is no file nothing.toml"),
     ],

@@ -8,9 +8,16 @@ coordinates that move with it:
     x2 = Eh x + h/2 Eh E w1,  x3 = Eh x + h/2 E w2,  x4 = Ef x + h Eh E w3,
     x+ = Ef x + h/6 (Ef E w1 + 2 Eh E (w2 + w3) + E w4),   Eh = exp(A h/2), Ef = exp(A h)
 
-with the exact response to the input added to each line. The laws are sharp (`hidden_laws.py`); Coulomb friction is
-followed through sliding and sticking with its reversals located (`hidden_sticking.py`). Inputs are held or joined by
-lines between samples; a delayed input switches inside a sample, and there the steps are split.
+with the exact response to the input added to each line. The laws are sharp (`hidden_laws.py`). Inputs are held or
+joined by lines between samples; a delayed input switches inside a sample, and there the steps are split.
+
+Coulomb friction is followed through sliding and sticking without smoothing, its reversals located in time. At a place
+that slides the friction is Fc sign(v). At a place that rests it is what holds the place at rest,
+
+    w* = -(V (A x + B u + E w_others)) / (V E_friction)     (V x = v, so that V x' = 0)
+
+as long as |w*| <= Fc. While it rests the whole plant obeys x' = S (A x + B u + E w_others) with the projector
+S = I - E_friction V / (V E_friction): linear again, so sticking costs no more than sliding.
 
 References:
     J. D. Lawson, "Generalized Runge-Kutta processes for stable systems with large Lipschitz constants", SIAM Journal on
@@ -22,11 +29,215 @@ Nothing here imports okid, era or modal.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from hidden_laws import Coulomb, Law
-from hidden_steps import Pace
-from hidden_sticking import holding_force, through_reversals
 
-__all__ = ["HiddenPlant", "March", "World", "march"]
+__all__ = ["HiddenPlant", "march"]
+
+
+LEAST_STRETCH = 1e-9
+"""Stretches shorter than this share of a step are not looked into."""
+
+
+def resting(plant, friction):
+    """A, B, E of the plant while the place rests; its own column of E is zero."""
+    V = plant.velocity[friction]
+    S = np.eye(len(plant.A)) - np.outer(plant.E[:, friction], V) / (V @ plant.E[:, friction])
+    return S @ plant.A, S @ plant.B, S @ plant.E
+
+
+def holding_force(plant, friction, x, u, forces):
+    """(n,) force that keeps the place at rest; x (n, n_states), u (n, n_inputs), forces (n, n_places) of the others."""
+    V, others = plant.velocity[friction], np.array(forces)
+    others[:, friction] = 0.0
+    push = (x @ plant.A.T + u @ plant.B.T + others @ plant.E.T) @ V
+    return -push / (V @ plant.E[:, friction])
+
+
+def through_reversals(world, x, z, regime, *, t, length, u, slope):
+    """One record from t over `length`, through every reversal, rest and breaking loose on the way.
+
+    Classical Runge-Kutta in two halves from event to event: the stretches are shorter than a step of the march. Returns
+    state, memory and regime (-1, 0, 1) at the end.
+    """
+    plant, laws, friction = world.plant, world.laws, world.friction
+    V, E = plant.velocity[friction], plant.E[:, friction]
+    rest_A, rest_B, rest_E = resting(plant, friction)
+    n_places = plant.E.shape[1]
+
+    def forces(x, z, time):
+        d, v = plant.displacement @ x, plant.velocity @ x
+        w, dz = np.zeros(n_places), np.zeros(n_places)
+        for i, law in enumerate(laws):
+            if i != friction:
+                at = np.full((1, 1, 1), d[i]), np.full((1, 1, 1), v[i]), np.full((1, 1, 1), z[i]), time
+                w[i], dz[i] = law.force(*at).item(), law.memory_rate(*at).item()
+        return w, dz
+
+    def slope_of(x, z, time, regime):
+        w, dz = forces(x, z, time)
+        now = u + slope * (time - t)
+        if regime == 0:
+            return rest_A @ x + rest_B @ now + rest_E @ w, dz
+        w[friction] = regime * laws[friction].Fc
+        return plant.A @ x + plant.B @ now + plant.E @ w, dz
+
+    def advance(x, z, time, span, regime):
+        h = span / 2
+        for _ in range(2):
+            k1, m1 = slope_of(x, z, time, regime)
+            k2, m2 = slope_of(x + h / 2 * k1, z + h / 2 * m1, time + h / 2, regime)
+            k3, m3 = slope_of(x + h / 2 * k2, z + h / 2 * m2, time + h / 2, regime)
+            k4, m4 = slope_of(x + h * k3, z + h * m3, time + h, regime)
+            x, z, time = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), z + h / 6 * (m1 + 2 * m2 + 2 * m3 + m4), time + h
+        return x, z
+
+    def holding(x, z, time):
+        w, _ = forces(x, z, time)
+        now = u + slope * (time - t)
+        return holding_force(plant, friction, x[np.newaxis], now[np.newaxis], w[np.newaxis])[0]
+
+    limit = laws[friction].Fc
+
+    def margin(span, x, z, time, regime):
+        """Positive while the regime lasts."""
+        x, z = advance(x, z, time, span, regime)
+        return regime * (V @ x) if regime != 0 else limit - abs(holding(x, z, time + span))
+
+    time, left, first = t, length, LEAST_STRETCH * length
+    while left > first:
+        if margin(left, x, z, time, regime) >= 0:
+            return *advance(x, z, time, left, regime), regime
+        # a place that has just broken loose, or come to rest, has a margin of zero at its start
+        span = first
+        if margin(first, x, z, time, regime) > 0:
+            span = scipy.optimize.brentq(
+                margin, first, left, args=(x, z, time, regime), xtol=1e-13 * length, rtol=1e-14
+            )
+        x, z = advance(x, z, time, span, regime)
+        x = x - E * (V @ x) / (V @ E)
+        time, left = time + span, left - span
+        needed = holding(x, z, time)
+        # a place that was at rest has reached the limit, whatever rounding says
+        regime = 0.0 if regime != 0 and abs(needed) <= limit else np.sign(needed)
+    return x, z, regime
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Step:
+    """Matrices of a step, transposed to act on rows; leading axis one a record where records differ."""
+
+    stacked: np.ndarray
+    second: np.ndarray
+    third: np.ndarray
+    fourth: np.ndarray
+    first_to_end: np.ndarray
+    middle_to_end: np.ndarray
+    last_to_end: np.ndarray
+    displacement: np.ndarray
+
+    @classmethod
+    def of(cls, A, E, displacement, velocity, h):
+        half, full = scipy.linalg.expm(A * h / 2), scipy.linalg.expm(A * h)
+        motion = np.vstack([displacement, velocity])
+        return cls(
+            stacked=np.vstack([motion, motion @ half, motion @ full, full]).T,
+            second=h / 2 * (motion @ half @ E).T,
+            third=h / 2 * (motion @ E).T,
+            fourth=h * (motion @ half @ E).T,
+            first_to_end=h / 6 * (full @ E).T,
+            middle_to_end=h / 3 * (half @ E).T,
+            last_to_end=h / 6 * E.T,
+            displacement=displacement.T,
+        )
+
+    @classmethod
+    def chosen(cls, slide, rest, is_resting):
+        """One leading entry a record."""
+        names = cls.__dataclass_fields__
+        return cls(**{name: np.stack([getattr(slide, name), getattr(rest, name)])[is_resting] for name in names})
+
+
+class Pace:
+    """The steps of a sample: their lengths, matrices and inputs, for sliding and for resting."""
+
+    def __init__(self, world, plants, lengths, *, start, slope):
+        displacement, velocity = world.plant.displacement, world.plant.velocity
+        self.friction, self.lengths, self.start, self.slope = world.friction, lengths, start, slope
+        motion = np.vstack([displacement, velocity])
+        self.times = np.concatenate([[0.0], np.cumsum(lengths)])
+        self._steps = [{h: Step.of(A, E, displacement, velocity, h) for h in set(lengths)} for A, _, E in plants]
+        self._forced = [
+            [_response_to_input(A, B, motion, h, start=start[j], slope=slope[j]) for j, h in enumerate(lengths)]
+            for A, B, _ in plants
+        ]
+        self._chosen = {}
+
+    @classmethod
+    def of(cls, world, inputs, *, dt, hold, n_steps, delay):
+        if delay and hold != "zero_order":
+            raise ValueError("an input can be late only if it is held")
+        plant = world.plant
+        plants = [(plant.A, plant.B, plant.E)]
+        if world.friction is not None:
+            plants.append(resting(plant, world.friction))
+        lengths, lags = _schedule(dt, n_steps, delay)
+        start, slope = _input_pieces(np.swapaxes(inputs, 0, 1), lengths, lags, dt=dt, hold=hold)
+        return cls(world, plants, lengths, start=start, slope=slope)
+
+    def at(self, j, k, regime):
+        """Matrices and response to the input of step j of sample k."""
+        h = self.lengths[j]
+        if self.friction is None:
+            return self._steps[0][h], self._forced[0][j][k]
+        is_resting = (regime == 0).astype(int)
+        key = h, is_resting.tobytes()
+        if key not in self._chosen:
+            self._chosen[key] = Step.chosen(self._steps[0][h], self._steps[1][h], is_resting)
+        slide, rest = self._forced[0][j][k], self._forced[1][j][k]
+        return self._chosen[key], np.where(is_resting[:, np.newaxis, np.newaxis], rest, slide)
+
+
+def _schedule(dt, n_steps, delay):
+    """Lengths of the steps of a sample, and by how many samples the input that acts in each is late."""
+    whole = int(np.floor(delay / dt + 1e-9))
+    rest = delay - whole * dt
+    if rest < 1e-9 * dt:
+        return [dt / n_steps] * n_steps, [whole] * n_steps
+    early = max(1, round(n_steps * rest / dt))
+    late = max(1, n_steps - early)
+    return [rest / early] * early + [(dt - rest) / late] * late, [whole + 1] * early + [whole] * late
+
+
+def _input_pieces(inputs, lengths, lags, *, dt, hold):
+    """Value and slope of the input at the start of each step; inputs (n_samples, n_records, n_inputs)."""
+    times = np.concatenate([[0.0], np.cumsum(lengths)])
+    start, slope = [], []
+    for j, lag in enumerate(lags):
+        if hold == "zero_order":
+            start.append(np.concatenate([np.zeros_like(inputs[:lag]), inputs[: len(inputs) - lag]]))
+            slope.append(np.zeros_like(inputs))
+        else:
+            rise = np.diff(inputs, axis=0, append=inputs[-1:]) / dt
+            start.append(inputs + rise * times[j])
+            slope.append(rise)
+    return start, slope
+
+
+def _response_to_input(A, B, motion, h, *, start, slope):
+    """What the input of a step adds to each block of `Step.stacked`, (n_samples, n_records, 1, ...)."""
+    n, n_inputs = B.shape
+
+    def response(length):
+        block = np.zeros((n + 2 * n_inputs,) * 2)
+        block[:n, :n], block[:n, n : n + n_inputs] = A, B
+        block[n : n + n_inputs, n + n_inputs :] = np.eye(n_inputs)
+        exact = scipy.linalg.expm(block * length)
+        return start @ exact[:n, n : n + n_inputs].T + slope @ exact[:n, n + n_inputs :].T
+
+    half, full = response(h / 2), response(h)
+    blocks = [np.zeros((*start.shape[:2], len(motion))), half @ motion.T, full @ motion.T, full]
+    return np.concatenate(blocks, axis=-1)[:, :, np.newaxis, :]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -2,7 +2,7 @@
 
 A law gives the force on the left-hand side of the equation of motion from the relative displacement d and velocity v
 at its place, both (n_records, 1, 1), a state z of its own of the same shape and the time t [s] since the record began.
-Nothing is smoothed. Coulomb friction stands apart (`hidden_sticking.py`): its force at rest is no function of the
+Nothing is smoothed. Coulomb friction stands apart (`hidden_integrator.py`): its force at rest is no function of the
 motion.
 
 Nothing here imports okid, era or modal.
@@ -81,7 +81,7 @@ class GapSpring(Law):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Coulomb(Law):
-    """Fc sign(v) where it slides; where it sticks, whatever holds it, up to Fc (`hidden_sticking.py`)."""
+    """Fc sign(v) where it slides; where it sticks, whatever holds it, up to Fc (`hidden_integrator.py`)."""
 
     Fc: float
 

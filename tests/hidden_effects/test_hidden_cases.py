@@ -8,11 +8,9 @@ import hidden_cases
 import numpy as np
 import pytest
 import scipy
-from hidden_cases import cases, hidden_case
-from hidden_guards import bounded, contact_reached, gap_beyond_linear, repeatable
+from hidden_cases import bounded, cases, contact_reached, gap_beyond_linear, hidden_case, repeatable
 from hidden_kinds import FAMILIES, KINDS, PAIRS, STRUCTURE
-from hidden_plants import TrueChain
-from hidden_truth import Experiment, Truth, clean_outputs
+from hidden_truth import Experiment, TrueChain, Truth, clean_outputs
 from hidden_types import HiddenEffect, NominalChain, NominalMotor, NominalStateSpace
 
 FOLDER = Path(__file__).parent
@@ -101,14 +99,6 @@ def test_samples_a_period_and_an_empty_upper_band():
 
 def test_state_space_in_meaningless_coordinates_is_the_same_system_to_inputs_and_forces():
     """Poles of the nominal state space against its own chain, and the force per effective mass at a pair of outputs."""
-    case = hidden_case("state_space", 17)  # a cubic spring between two outputs
-    nominal, effect = case.nominal, case.effects[0]
-    assert isinstance(nominal, NominalStateSpace)
-    off = np.sort(np.abs(np.linalg.eigvals(nominal.A)))[::2]
-    true = chain_of(case).natural_frequencies
-    assert np.all(np.abs(off / true - 1) < 0.03)
-    assert np.any(np.abs(off / true - 1) > 1e-4)
-    assert effect.place == "output_1-output_2"
     drawn, known = [], hidden_cases._as_named
 
     def watched(effect, plant, sort):
@@ -117,7 +107,14 @@ def test_state_space_in_meaningless_coordinates_is_the_same_system_to_inputs_and
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hidden_cases, "_as_named", watched)
-        hidden_case("state_space", 17)
+        case = hidden_case("state_space", 17)  # a cubic spring between two outputs
+    nominal, effect = case.nominal, case.effects[0]
+    assert isinstance(nominal, NominalStateSpace)
+    off = np.sort(np.abs(np.linalg.eigvals(nominal.A)))[::2]
+    true = chain_of(case).natural_frequencies
+    assert np.all(np.abs(off / true - 1) < 0.03)
+    assert np.any(np.abs(off / true - 1) > 1e-4)
+    assert effect.place == "output_1-output_2"
     masses = case.truth["masses"]
     assert drawn[0].place == "element_2"
     assert effect.parameters["k3"] == pytest.approx(drawn[0].parameters["k3"] * (1 / masses[1] + 1 / masses[2]))

@@ -5,7 +5,7 @@ import pytest
 import scipy
 from hidden_integrator import march
 from hidden_laws import law_from
-from hidden_plants import Absorber, TrueChain, TrueRotor, chain_matrices, chain_plant, outputs_of, rotor_plant
+from hidden_truth import Absorber, TrueChain, TrueRotor, chain_matrices, chain_plant, outputs_of, rotor_plant
 
 DT = 0.01
 N = 150

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import hidden_scoring
-import hidden_tables
 import numpy as np
 import pytest
 from hidden_cases import hidden_case
@@ -141,7 +140,7 @@ def test_tables_count(gain_case):
         score(gain_case, diagnosis(gain_case, found("input_delay", "input_0"), left=9.0), seconds=6.0),
         {**hidden_scoring.describe(gain_case), "error": "ValueError: no", "seconds": 1.0},
     ]
-    text = hidden_tables.report(lines)
+    text = hidden_scoring.report(lines)
     row = next(line for line in text.splitlines() if line.startswith("| 3dof_displacement | 4 "))
     assert "| 2 of 4, 50.0 % (97 %) | 2 of 2, 100.0 % (99 %) | 3 of 3, 100.0 % (85 %) | 1 of 3 (0) |" in row
     assert "1.000 (" in row

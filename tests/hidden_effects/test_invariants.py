@@ -4,7 +4,7 @@ import warnings
 from dataclasses import replace
 
 import control
-import hidden_products
+import hidden_scoring
 import numpy as np
 import pytest
 from hidden_cases import hidden_case
@@ -32,7 +32,7 @@ def diagnosed(model, fit, held_out, **options):
 
 
 def plainly(case):
-    return diagnosed(hidden_products.model_of(case), *hidden_products.records_of(case))
+    return diagnosed(hidden_scoring.model_of(case), *hidden_scoring.records_of(case))
 
 
 def decided(found):

@@ -39,14 +39,6 @@ VALUES = {
 }
 """For motions of about 0.2 m: every law shows, none rules."""
 
-SHARP_LAWS = (
-    "bilinear_stiffness",
-    "gap_spring",
-    "coulomb_friction",
-    "bouc_wen_hysteresis",
-    "slack_in_hysteresis",
-    "overflow",
-)
 FORCES = tuple(key for key in VALUES if not key.startswith(("input", "sensor")))
 WHERE = {"input": "push", "sensor": "speed"}
 

@@ -9,8 +9,8 @@ import pytest
 
 @pytest.fixture(scope="module")
 def statistics(repository):
-    path = repository / "tests" / "benchmarks" / "verdict_statistics.py"
-    spec = importlib.util.spec_from_file_location("verdict_statistics", path)
+    path = repository / "tests" / "benchmarks" / "verdict_report.py"
+    spec = importlib.util.spec_from_file_location("verdict_report", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
