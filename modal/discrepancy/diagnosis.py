@@ -142,11 +142,6 @@ def _in_spans(whole: Setup) -> Setup:
 def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) -> Diagnosis:
     """Everything from calibration to the words.
 
-    Args:
-        setup: Model, records and floor.
-        notes: What the reader must know of the records.
-        modes: Of the records to fit at each level, where they are known.
-
     Raises:
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """

@@ -43,9 +43,6 @@ def explained_shares(diagnosis: "Diagnosis") -> FloatArray:
 
     1 - mean square of measured minus simulated over the variance of the measured output, over all held-out records;
     negative where the output would be nearer to its own mean; nan where the output rests.
-
-    Args:
-        diagnosis: What was found.
     """
     counts = np.array([np.isfinite(record.outputs).sum(axis=0) for record in diagnosis.held_out], dtype=float)
     variance = np.array([np.nanvar(record.outputs, axis=0) for record in diagnosis.held_out])
@@ -56,21 +53,13 @@ def explained_shares(diagnosis: "Diagnosis") -> FloatArray:
 
 
 def unexplained_outputs(diagnosis: "Diagnosis") -> tuple[str, ...]:
-    """Names of the outputs of which the updated model explains nothing.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """Names of the outputs of which the updated model explains nothing."""
     names = diagnosis.held_out[0].output_names
     return tuple(name for name, share in zip(names, explained_shares(diagnosis), strict=True) if share < NOTHING)
 
 
 def explained_words(diagnosis: "Diagnosis") -> str:
-    """The warning that the model explains nothing of some outputs; "" where it explains something of each.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """The warning that the model explains nothing of some outputs; "" where it explains something of each."""
     outputs = unexplained_outputs(diagnosis)
     if not outputs:
         return ""

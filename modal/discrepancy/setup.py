@@ -56,10 +56,6 @@ def check_records(
 ) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
     """The records as tuples, and what the reader must know of them.
 
-    Args:
-        fit: Records to fit.
-        held_out: Held-out records.
-
     Returns:
         Records to fit, held-out records, notes.
 
@@ -158,11 +154,6 @@ def _level(record: Record) -> float:
 def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> None:
     """Whether a plant fits records.
 
-    Args:
-        plant: The plant.
-        linear: Values of its linear parameters.
-        records: Records to compare it with.
-
     Raises:
         InvalidDataError: Other numbers of inputs or outputs, other units, an unstable plant.
         InsufficientDataError: Records too short for the plant.
@@ -209,10 +200,6 @@ def fewest_samples(plant: Plant) -> int:
 
 def check_long_enough(plant: Plant, records: Sequence[Record]) -> None:
     """Whether each record is long enough to prove anything.
-
-    Args:
-        plant: The plant.
-        records: Records to fit and held out.
 
     Raises:
         InsufficientDataError: A record that is too short.

@@ -64,10 +64,6 @@ def excess_spectrum(gap: Gap, outputs: Sequence[int]) -> tuple[float, FloatArray
     """Constant part and (n_cells,) spectrum of the gap above the noise, relative to the outputs' variances.
 
     Sums over the outputs, means over the records. Single cells may be negative.
-
-    Args:
-        gap: from `measure_gap`.
-        outputs: their indices.
     """
     chosen = list(outputs)
     size = np.where(gap.variance > 0.0, gap.variance, np.inf)[:, chosen]
@@ -110,12 +106,7 @@ def narrowest_interval(gap: Gap, outputs: Sequence[int], *, share: float = 0.8) 
 
 
 def single_line(gap: Gap, output: int) -> SingleLine | None:
-    """The line that holds most of the gap of an output at every record, though not of the simulated output.
-
-    Args:
-        gap: from `measure_gap`.
-        output: its index.
-    """
+    """The line that holds most of the gap of an output at every record, though not of the simulated output."""
     # absolute sums: a disturbance has the same size in every record
     cells = (gap.cells.gap - gap.cells.floor)[..., output]
     whole = cells.sum(axis=0)

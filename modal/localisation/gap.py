@@ -81,11 +81,7 @@ class TimeTrend:
 
 
 def time_trend(windows: WindowTable) -> TimeTrend | None:
-    """Whether the gap grows within the records; None with fewer than six windows or where one has no gap.
-
-    Args:
-        windows: mean squares of gap and output by window.
-    """
+    """Whether the gap grows within the records; None with fewer than six windows or where one has no gap."""
     gap, output = _pooled(windows)
     n_windows = gap.shape[1]
     if n_windows < FEWEST_WINDOWS or not ((gap > 0.0) & (output > 0.0)).all():
@@ -484,9 +480,6 @@ def excitation_levels(records: Sequence[Record]) -> tuple[FloatArray, npt.NDArra
 
     The level is the root mean square over the inputs, each relative to its own root mean square in all records; its
     mean counts, for a constant input drives too. Without an input that moves anything the outputs take its place.
-
-    Args:
-        records: of one system.
 
     Returns:
         (n_records,) levels, (n_records,) numbers, and what they were taken from.

@@ -66,9 +66,6 @@ LONGEST_RESPONSE = 800
 def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """Windows of equal length, each with a pulse for an input; those with missing samples are left out.
 
-    Args:
-        records: that no input drives.
-
     Example:
         >>> decay = np.exp(-0.01 * np.arange(600)) * np.cos(np.arange(600))
         >>> windows = decay_windows([Record([], decay, 0.1)])
@@ -88,11 +85,7 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
 
 
 def decay_markov(windows: Sequence[Record]) -> MarkovParameters:
-    """The outputs of the first window, as those of a pulse one sample before it.
-
-    Args:
-        windows: of one level, means removed.
-    """
+    """The outputs of the first window, as those of a pulse one sample before it."""
     answer = windows[0].outputs[:LONGEST_RESPONSE, :, np.newaxis]
     return MarkovParameters(system=np.concatenate([np.zeros_like(answer[:1]), answer]), dt=windows[0].dt)
 
@@ -115,9 +108,6 @@ def driven_start(records: Sequence[Record]) -> Start:
 
     The observer needs whole rows, so missing outputs are filled; all that is refined and judged later is measured
     samples only.
-
-    Args:
-        records: of one level.
     """
     markov = observer_markov(fill_where_needed(records).records)
     candidates = [] if markov is None else _candidates(markov, ORDERS)
@@ -129,9 +119,6 @@ def decay_start(windows: Sequence[Record]) -> Start:
 
     Frequency and damping move within a window already, and ERA spreads that over all its states, so that candidates are
     compared after refinement.
-
-    Args:
-        windows: of one level.
     """
     candidates = _candidates(decay_markov(windows), DECAY_ORDERS)
     better = [refined(windows[:1], model) for model in candidates]
@@ -174,12 +161,7 @@ def refined(records: Sequence[Record], start: Realisation, *, least_gain: float 
 
 
 def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
-    """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows.
-
-    Args:
-        model: whose initial states are fitted.
-        records: means removed.
-    """
+    """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows."""
     form = modal_form(model)
     if form is None:
         return np.full(model.n_outputs, np.inf)

@@ -245,11 +245,7 @@ def _measured(outputs: ComplexArray, kinds: Sequence[BoolArray], period: int) ->
 
 
 def line_statements(lines: Lines) -> list[Statement]:
-    """What the lines that are not excited show, one sentence; or why no record can show them.
-
-    Args:
-        lines: from `measure_lines`.
-    """
+    """What the lines that are not excited show, one sentence; or why no record can show them."""
     measured = lines.measured
     if not measured:
         reasons = list(dict.fromkeys(lines.reasons))

@@ -249,11 +249,7 @@ MINOR = 0.5
 
 
 def mode_statements(modes: LevelModes) -> list[Statement]:
-    """One sentence for each mode that moves with level, or one that none does.
-
-    Args:
-        modes: from `level_modes`.
-    """
+    """One sentence for each mode that moves with level, or one that none does."""
     if not modes.modes:
         return [Statement(subject="modes", text=f"Modes against level are not known: {modes.reason}.")]
     texts = [text for mode in modes.modes for text in _of_mode(mode)]

@@ -92,10 +92,6 @@ def rested(start: Estimate, problem: Problem) -> Estimate:
 
     Initial states that made up for a missing law do not find back from under friction, which holds a mass anywhere.
 
-    Args:
-        start: A model in free run.
-        problem: Its records.
-
     Returns:
         That one, or the given one.
     """
@@ -362,10 +358,6 @@ WIDER = 4.0
 def calibrated_node(start: Estimate, task: Task) -> Node:
     """The linear parameters and the initial states fitted, and judged on the held-out records.
 
-    Args:
-        start: The model as it was given.
-        task: Records and catalogue.
-
     Returns:
         The model; within wider bounds where these explain the records and those given do not.
     """
@@ -389,13 +381,7 @@ def _widened(assembly: Assembly) -> Assembly:
 
 
 def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> Estimate:
-    """The better of the fit in free run and the one that begins in observer form.
-
-    Args:
-        start: The model to start from, in free run.
-        problem: Records to fit.
-        iterations: Largest number of iterations of a free run.
-    """
+    """The better of the fit in free run and the one that begins in observer form."""
     found = estimate(start, problem, iterations=iterations)
     if found.level <= AT_FLOOR:
         return found

@@ -62,13 +62,7 @@ def within_reach(
 
 
 def scaled(assembly: Assembly, unknowns: Unknowns, share: float) -> Unknowns:
-    """The unknowns with the last effect's amplitudes at a share of theirs, and what vanishes at infinity further out.
-
-    Args:
-        assembly: The model.
-        unknowns: Its unknowns.
-        share: Of each amplitude's distance from its neutral value.
-    """
+    """The unknowns with the last effect's amplitudes at a share of theirs, what vanishes at infinity further out."""
     common = unknowns.common.copy()
     for index, neutral in amplitudes(assembly):
         common[index] = common[index] / share if np.isinf(neutral) else neutral + share * (common[index] - neutral)
@@ -122,10 +116,6 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
     """The model in observer form along the records; as it is where a correction is not needed or leads astray.
 
     A wrong sensor makes the correction worse than none: it pulls the states towards what the sensor says.
-
-    Args:
-        fitted: The model in free run.
-        task: Records to fit.
     """
     gain = observer_gain(fitted, task.fit, task.upsampling)
     if gain is None:
@@ -136,10 +126,6 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
 
 def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
     """The model with a tenth of its observer gain.
-
-    Args:
-        observed: The model in observer form.
-        task: Records to fit.
 
     Returns:
         None where it has no gain, or cannot be simulated so.
@@ -163,12 +149,6 @@ def observed_fits(
 
     A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
     that is plain; else the first candidate is fitted both ways, and the better way is gone with the others too.
-
-    Args:
-        node: The model without them.
-        observed: The same in observer form.
-        candidates: From `modal.discrepancy.selection.screening`, best first.
-        task: Records to fit.
 
     Returns:
         Those that could be simulated, and for which the budget was enough; those that cannot lead any more as far as

@@ -28,11 +28,6 @@ def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> Float
     The forces are white between samples, all ports alike, of the size at which the model's outputs would have the
     residual's mean square above the floor; the measurement noise is the floor.
 
-    Args:
-        current: A model in free run.
-        problem: The records it is compared with.
-        upsampling: Steps of the simulation per sample.
-
     Returns:
         L (n_states, n_outputs) for one step of the simulation, or None where no gain is needed (no residual above the
         floor), none exists or the plant has no states.

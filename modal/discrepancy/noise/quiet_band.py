@@ -166,10 +166,6 @@ def residual_spectrum(inputs: FloatArray, outputs: FloatArray) -> ResidualSpectr
 def quiet_band(spectrum: ResidualSpectrum, output: int) -> QuietBand:
     """The quietest stretch of windows: the one with the smallest upper limit of its level.
 
-    Args:
-        spectrum: of all outputs.
-        output: which of them.
-
     Example:
         >>> rng = np.random.default_rng(1)
         >>> y = np.sin(0.2 * np.arange(4000)) ** 3 + 0.1 * rng.standard_normal(4000)
@@ -287,10 +283,6 @@ class SteadyLevel:
 
 def steady_level(spectrum: ResidualSpectrum, output: int) -> SteadyLevel | None:
     """Level of the noise between bursts; None where the record is too short to tell.
-
-    Args:
-        spectrum: residual spectrum of all outputs.
-        output: which of them.
 
     Example:
         >>> from modal.discrepancy.noise.quiet_band import residual_spectrum

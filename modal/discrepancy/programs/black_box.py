@@ -66,14 +66,6 @@ def proved(
 ) -> Diagnosis:
     """What was found in the linear part, with the callable's own figures.
 
-    Args:
-        found: The diagnosis of the linear part.
-        runs: The callable and the records.
-        proof: The callable with what was found.
-        realisation: The linear part.
-        decision: What was decided of the linear part.
-        between: Steps between the callable as given and the proof.
-
     Returns:
         "named" and "none" stand only where the callable itself comes within 1.5 of the noise floor on held-out data;
         where the linear part alone was too rough for that but the callable comes there, the name is firm after all.

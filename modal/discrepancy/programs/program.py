@@ -45,10 +45,6 @@ Simulator = Callable[[Record], Record]
 def run_callable(simulator: Simulator, record: Record) -> Record:
     """The record with the simulated outputs in place of the measured ones.
 
-    Args:
-        simulator: Takes a Record and returns one.
-        record: What it is to be run along.
-
     Raises:
         InvalidDataError: It fails, returns no Record or one of another size, time step or order of outputs, or numbers
             that are not finite.
@@ -210,10 +206,6 @@ def quietest(records: Sequence[Record]) -> list[Record]:
 
 def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
     """What the free run misses of the outputs, constant and initial state fitted.
-
-    Args:
-        realisation: The model.
-        run: A record with the outputs that the model should have.
 
     Returns:
         (n_outputs,) rms of the miss over the rms of the output about its mean; 0 where both rest.

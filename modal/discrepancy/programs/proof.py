@@ -271,12 +271,6 @@ def prove(runs: Runs, plant: PlantModel, realisation: Realisation, node: Node) -
     forces in its linear part as it was identified, and with calibrated linear parameters too. The first that leaves
     hardly more on the records to fit than the best is taken.
 
-    Args:
-        runs: The callable and the records.
-        plant: Its linear part as it was identified.
-        realisation: The same, discrete.
-        node: The effects found in it, fitted.
-
     Returns:
         The proof.
     """

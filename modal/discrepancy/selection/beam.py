@@ -72,10 +72,6 @@ def seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
     The outputs follow the records so closely under a strong gain that it hides what is narrow in frequency or acts on
     the outputs alone.
 
-    Args:
-        node: A model.
-        task: Records to fit, catalogue.
-
     Returns:
         The model along the records, and the candidates: the best first, of the others limits before richer laws.
     """
@@ -142,9 +138,6 @@ def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def settled_stiffness(fitted: Estimate) -> tuple[Assembly, Unknowns] | None:
     """The model with the smallest of such stiffnesses moved to the linear one.
-
-    Args:
-        fitted: A fitted model.
 
     Returns:
         The model and the values to start from; None where there is nothing to settle, or the linear stiffness would
@@ -380,11 +373,6 @@ the held-out record does not show it yet."""
 
 def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
-
-    Args:
-        root: The calibrated linear model.
-        task: Records, catalogue.
-        known: Models that an earlier search found, to go on from.
 
     Returns:
         Every model judged on held-out records, in the order found.

@@ -181,10 +181,6 @@ def held_unknowns(current: Estimate) -> IndexArray:
 def sureness(node: Node, task: Task) -> list[float]:
     """How many deviations each effect of a model is from none.
 
-    Args:
-        node: A fitted model.
-        task: Records.
-
     Returns:
         One number an effect; infinite where the model without it escapes.
     """

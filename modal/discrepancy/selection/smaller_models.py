@@ -46,12 +46,7 @@ four."""
 
 
 def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
-    """The model without one of its effects, all else as it is.
-
-    Args:
-        fitted: The model.
-        placement: Which effect, by its position.
-    """
+    """The model without one of its effects, all else as it is."""
     assembly = fitted.assembly
     kept = [i for i in range(len(assembly.placements)) if i != placement]
     smaller = replace(assembly, placements=tuple(assembly.placements[i] for i in kept))
@@ -82,13 +77,7 @@ def _other_states(fitted: Estimate, placement: int) -> FloatArray:
 
 
 def without(node: Node, placement: int, task: Task) -> Node:
-    """The model refitted without one of its effects.
-
-    Args:
-        node: The model.
-        placement: Which effect, by its position.
-        task: Records.
-    """
+    """The model refitted without one of its effects."""
     return _compared(run_without(node.coarse, placement, task.fit, smoothing=SHARP), node, task)
 
 
@@ -97,13 +86,6 @@ def instead(node: Node, placement: int, law: EffectPlacement, values: Sequence[f
 
     The law has no states and no values of a record of its own. It is fitted softened first, because a sharp law along a
     motion that it does not fit is hard to simulate.
-
-    Args:
-        node: The model.
-        placement: Which effect, by its position.
-        law: What stands there instead.
-        values: Of its common parameters.
-        task: Records.
     """
     fitted = node.coarse
     assembly = fitted.assembly

@@ -26,11 +26,7 @@ __all__ = ["doubted_units", "early_words", "free_words", "grid_error", "spoiled_
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
-    """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt."""
     warnings = [words for words in (explained_words(found), early_words(found)) if words]
     warnings += spoiled_words(found) + free_words(found)
     hold = hold_words(found)
@@ -46,9 +42,6 @@ def spoiled_words(found: Diagnosis) -> list[str]:
 
     No effect of a model explains these, and one may be found that only stands for them; friction does hold a mass
     still, and play takes away coherence.
-
-    Args:
-        found: Of any kind of model.
     """
     sentences: dict[tuple[str, tuple[str, ...]], str] = {}
     for name, records in (("to fit", found.fit), ("held out", found.held_out)):
@@ -59,11 +52,7 @@ def spoiled_words(found: Diagnosis) -> list[str]:
 
 
 def free_words(found: Diagnosis) -> list[str]:
-    """What a calibration may take up that is free in every force between the states of a state space.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """What a calibration may take up that is free in every force between the states of a state space."""
     free = [one for one in found.calibrated if one.name.startswith(INTERNAL_FORCE)]
     gains = any(one.effect in {"input_gain", "sensor_gain"} for one in found.findings)
     if not free or gains:
@@ -92,11 +81,7 @@ def _alike(records: Sequence[Record]) -> list[Record]:
 
 
 def early_words(found: Diagnosis) -> str:
-    """What a negative delay means: no effect answers before its cause; "" where there is none.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """What a negative delay means: no effect answers before its cause; "" where there is none."""
     delays = [(one.where, one.parameters[0].value) for one in found.findings if one.effect == "input_delay"]
     early = [(where, -delay) for where, delay in delays if delay < 0.0]
     if not early:
@@ -155,9 +140,6 @@ def grid_error(node: Node) -> FloatArray:
 
     Fitted on two grids, one `r` times as fine as the other, an unknown whose error is in proportion to the step still
     has 1 / (r - 1) of its change from one to the other as its error.
-
-    Args:
-        node: A fitted model.
 
     Returns:
         (n_common,) in the unknowns' units; zero where there was one grid only, and

@@ -97,10 +97,6 @@ def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tup
 def even_rivals(decision: Decision, i: int) -> tuple[str, ...]:
     """Keys of the effects that explain the data as well as effect number i of the chosen model.
 
-    Args:
-        decision: The decision.
-        i: Number of the effect in the chosen model.
-
     Returns:
         Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
     """
@@ -132,11 +128,6 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
     What counts takes away a tenth of what is left, and 30 of 2 ln L: of the two the larger amplitude. An effect with a
     shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest over the shapes that
     the screen tries. Effects without an amplitude (a delay) are left out.
-
-    Args:
-        current: The model as found.
-        task: Records and catalogue.
-        plant: The plant.
 
     Returns:
         One limit an effect and place, in the order of the catalogue.
@@ -171,11 +162,6 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
 def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
     """What holds of the plant and its records, for the table of ambiguities.
 
-    Args:
-        plant: The plant.
-        fits: Records to fit.
-        root: The calibrated model along them.
-
     Returns:
         The circumstances.
     """
@@ -205,11 +191,6 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozen
 
 def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
     """What to measure next.
-
-    Args:
-        decision: What was decided.
-        fits: Records to fit.
-        circumstances: From `circumstances_of`.
 
     Returns:
         Sentences, the most useful first.

@@ -255,12 +255,6 @@ def drive_before(fitted: Estimate, problem: Problem, placement: int) -> Drive:
 def input_sources(fitted: Estimate, placement: int, before: Drive, bins: Bins) -> list[Source]:
     """What a unit of each bin's hat, added to the input behind the effect, does by itself.
 
-    Args:
-        fitted: The model.
-        placement: The effect at the input.
-        before: The drive as it reaches the effect (`drive_before`).
-        bins: Bins of the input before the effect.
-
     Returns:
         One source a bin.
     """

@@ -83,11 +83,6 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
     Where the declared one explains them too, the other can do with fewer of the same effects, or it is no better.
 
-    Args:
-        found: By the declared hold.
-        diagnose: Makes another one.
-        catalogue: The effects that were tried.
-
     Returns:
         One of the two, the other hold's with a warning that says so.
     """
@@ -155,11 +150,7 @@ def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
 
 
 def hold_words(diagnosis: Diagnosis) -> str:
-    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain."""
     first = diagnosis.fit[0]
     if not first.n_inputs:
         return ""
@@ -243,12 +234,7 @@ def _edges(record: Record, count: int) -> list[int]:
 
 
 def floor_of_spans(floor: NoiseFloor, origin: Sequence[int]) -> NoiseFloor:
-    """The floor of each span, which is that of its record.
-
-    Args:
-        floor: Of whole records.
-        origin: Position of each span's record.
-    """
+    """The floor of each span, which is that of its record."""
     rows = list(origin)
 
     def of(values: FloatArray) -> FloatArray:
