@@ -1,9 +1,7 @@
 """What a diagnosis says: the missing effects, how sure that is, and the gap before and after.
 
-How much of each output the model explains on held-out data: a model that lacks nothing may still explain nothing.
-
-Where an output is noise only, or has nothing to do with the inputs, no effect can be missing that the data could show.
-"Nothing missing" is then no praise of the model, and must not read like it.
+A model that lacks nothing may still explain nothing: where an output is noise only, or has nothing to do with the
+inputs, no effect can be missing that the data could show. "Nothing missing" must not read like praise then.
 """
 
 from dataclasses import dataclass

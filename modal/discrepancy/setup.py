@@ -1,7 +1,4 @@
-"""The ground of a diagnosis: plant, noise floor, drives, and the model before any effect is tried.
-
-Model and records that belong together, or one sentence that says why they do not.
-"""
+"""The ground of a diagnosis: records and model that belong together, floor, drives, the model before any effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -364,20 +361,8 @@ def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Loc
 
 def simulated_records(records: Sequence[Record], fitted: Estimate) -> list[Record]:
     """The records with the model's outputs."""
-    return [
-        Record(
-            record.inputs,
-            outputs,
-            record.dt,
-            input_names=record.input_names,
-            output_names=record.output_names,
-            input_units=record.input_units,
-            output_units=record.output_units,
-            input_hold=record.input_hold,
-            name=record.name,
-        )
-        for record, outputs in zip(records, simulated_outputs(fitted, records), strict=True)
-    ]
+    runs = zip(records, simulated_outputs(fitted, records), strict=True)
+    return [replace(record, outputs=outputs) for record, outputs in runs]
 
 
 def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[FloatArray, ...]:

@@ -1,22 +1,17 @@
 """How far a simulation is from the measurement: by record and output, frequency band, time window and level.
 
-The gap is measured minus simulated, its mean included: a static error is an error. Everything here is a table of mean
-squares of it, with that of the noise beside it; what the tables say in words is `modal.localisation.evidence`'s.
+The gap is measured minus simulated, its mean included: a static error is an error.
 
-Does the gap grow, or shrink, in time within the records?
+In time: the logarithm of the gap's mean square in each window is fitted by a level for each record, and by a slope, a
+curvature and the logarithm of the output's mean square in the window, which all records share: what the output explains
+is the excitation's. Only what goes on after the first quarter is growth: a gap that starts from equal states takes the
+memory of the structure to build up. A gap that is smallest in the middle is what a parameter that drifts leaves after
+it was fitted as a constant.
 
-The logarithm of the gap's mean square in each window is fitted by a level for each record, and by a slope, a curvature
-and the logarithm of the output's mean square in the window, which all records share: what the output explains is the
-excitation's. Only what goes on after the first quarter is growth: a gap that starts from equal states takes the memory
-of the structure to build up. A gap that is smallest in the middle is what a parameter that drifts leaves after it was
-fitted as a constant.
-
-Does the gap grow with the level of the excitation?
-
-With g^2 = (mean square of the gap - floor) / variance of the output, the slope of ln g against ln level tells
-laws apart: -1 for a force that stays the same (friction, a disturbance), 0 for what scales with the motion, 1 for a
-square law, 2 for a cube. Its uncertainty comes from leaving out one time window after the other (jackknife), which asks
-nothing about the colour of the gap, from that of the floor, and from the scatter about the line.
+With level: with g^2 = (mean square of the gap - floor) / variance of the output, the slope of ln g against ln level
+tells laws apart: -1 for a force that stays the same (friction, a disturbance), 0 for what scales with the motion, 1 for
+a square law, 2 for a cube. Its uncertainty comes from leaving out one time window after the other (jackknife), which
+asks nothing about the colour of the gap, from that of the floor, and from the scatter about the line.
 """
 
 from collections.abc import Sequence
@@ -30,15 +25,13 @@ import scipy
 from modal.localisation.bands import (
     BandTable,
     CellTable,
-    GapBand,
     WindowTable,
-    check_bands,
     octave_bands,
     spectral_tables,
     window_table,
 )
 from modal.simulation.tolerances import ROUNDING, SURE, UNLIKELY
-from okid.arrays import FloatArray, whole_number
+from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
@@ -60,6 +53,8 @@ TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
 TIME_FACTOR = 2.0
 """Ratio of mean squares along a record below which nothing is said of it."""
+N_WINDOWS = 8
+"""Cut each record into so many consecutive windows of equal length."""
 FEWEST_WINDOWS = 6
 BUILD_UP = 0.25
 """Share of a record that a gap may take to build up from equal states."""
@@ -414,9 +409,6 @@ def measure_gap(
     measured: Record | Sequence[Record],
     simulated: Record | Sequence[Record],
     floor: npt.ArrayLike,
-    *,
-    bands: Sequence[GapBand] | Literal["octaves"] = "octaves",
-    n_windows: int = 8,
 ) -> Gap:
     """Compare measured records with their simulations.
 
@@ -424,11 +416,9 @@ def measure_gap(
         measured: one record or several of one system.
         simulated: as many, in the same order: same outputs, samples and time step.
         floor: (n_records, n_outputs) variance of the measurement noise; a number or (n_outputs,) holds for all.
-        bands: frequency bands, e.g. from `resonance_bands`, or "octaves" down from the Nyquist frequency.
-        n_windows: consecutive windows of equal length.
 
     Raises:
-        InvalidDataError: records that do not match, a floor that is negative or of the wrong shape, bands that overlap.
+        InvalidDataError: records that do not match, a floor that is negative or of the wrong shape.
 
     Example:
         >>> time = np.arange(400) * 0.01
@@ -442,17 +432,13 @@ def measure_gap(
     """
     several, others = as_records(measured), as_records(simulated)
     _check_match(several, others)
-    n_windows = whole_number(n_windows, name="the number of time windows", least=1)
     residuals = tuple(_residual(one, other) for one, other in zip(several, others, strict=True))
     variance = np.array([np.nanvar(record.outputs, axis=0) for record in several])
     noise = _floor(floor, variance)
-    if isinstance(bands, str):
-        longest = max(record.duration for record in several)
-        chosen = octave_bands(0.5 / several[0].dt, lowest=min(4.0 / longest, 0.25 / several[0].dt))
-    else:
-        chosen = check_bands(bands)
-    constant, by_band, by_cell = spectral_tables(others, residuals, noise, chosen)
-    windows = window_table(several, residuals, n_windows)
+    longest = max(record.duration for record in several)
+    octaves = octave_bands(0.5 / several[0].dt, lowest=min(4.0 / longest, 0.25 / several[0].dt))
+    constant, by_band, by_cell = spectral_tables(others, residuals, noise, octaves)
+    windows = window_table(several, residuals, N_WINDOWS)
     levels, numbers, source = excitation_levels(several)
     output_trends, trend = level_trends(windows, noise, levels, numbers)
     return Gap(

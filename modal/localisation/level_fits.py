@@ -1,24 +1,19 @@
 """The best linear model of each level, followed from one level to the next.
 
 One model order serves all levels: that of the level which a linear model fits best, the smallest whose free run comes
-within a quarter of the nearest. That level's model is refined by output error; from there the neighbouring levels are
-refined one after the other, each from the model of the level before it, so that a mode is followed and not found anew.
+within a quarter of the nearest, because the states that a larger order spends on a nonlinear law are no modes. That
+level's model is refined by output error; from there the neighbouring levels are refined one after the other, each from
+the model of the level before it, so that a mode is followed and not found anew.
 
-Deviations. The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves
-with the motion, and the linear model follows the size that the motion happens to have: over 12 realisations of a
-three-storey chain the frequency of its first mode scattered up to 12 times (cubic spring), its damping ratio up to 7
-times (drag) as far as that says. So every level is also refined on its quarters, from its own model, and the larger
-of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3 times for damping ratios.
+The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves with the
+motion: over 12 realisations of a three-storey chain the frequency of its first mode scattered up to 12 times (cubic
+spring), its damping ratio up to 7 times (drag) as far as that says. So every level is also refined on its quarters,
+from its own model, and the larger of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3
+times for damping ratios.
 
-A first model of one level, whose modes are then followed to the others; and what is done to every model.
-
-The smallest order that comes near the best one is taken: a nonlinear law is never fitted whole, and the states that a
-larger order spends on it are no modes.
-
-Free decays: the level is the motion itself, and falls within one record.
-
-A record that no input drives is cut into windows; each is the answer to a pulse at its first sample and to its own
-initial state, so that ERA takes its outputs for Markov parameters and the refinement for any other record.
+In free decays the level is the motion itself, and falls within one record. A record that no input drives is cut into
+windows; each is the answer to a pulse at its first sample and to its own initial state, so that ERA takes its outputs
+for Markov parameters and the refinement for any other record.
 """
 
 from collections.abc import Callable, Sequence

@@ -10,10 +10,6 @@ References:
     41(3), 2005, 491-504, doi 10.1016/j.automatica.2004.10.004.
     Pintelon, Schoukens, System Identification: A Frequency Domain Approach, 2nd edition, Wiley 2012, chapter 4,
     doi 10.1002/9781118287422.
-
-The period of an excitation that repeats, found from the inputs.
-
-The sentences of odd and even lines.
 """
 
 from collections.abc import Sequence

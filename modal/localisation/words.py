@@ -1,6 +1,4 @@
-"""The sentences of a gap: its size, output, band, level and time, each from one rule on the numbers.
-
-The sentences of modes against level.
+"""The sentences of a gap and of modes against level, each from one rule on the numbers.
 
 A mode's pole moves by d omega / omega along the imaginary axis and by d zeta along the real one, both relative to its
 size. Only what is at least half of the larger of the two is said: where a resonance moves by more than its own width

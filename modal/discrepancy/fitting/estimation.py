@@ -4,19 +4,10 @@ The cost is sum((y - yhat)^2 / floor) over the measured values, each record and 
 so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
 one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
 
-A damped Gauss-Newton step that stays within bounds.
-
-Steps of the size of a hard limit, in its reciprocal, up to that of a wall.
-
 The level above a brim is flow / rate. In the rate it is all but flat once the brim is hard: a step of Gauss and Newton
-then asks for many times the rate, and the levels that it predicts lie far below the brim, where nothing flows over and
-the simulation has to start anew. In 1 / rate both are straight lines. A step `dr` in the rate r is one of -dr / r^2 in
-1 / r, which leads to
-
-    r / (1 - dr / r)
-
-never negative, infinite at dr = r: a step goes up to a share of that. A brim that no step of the simulation can tell
-from a wall is one, and its rate is held there.
+asks for many times the rate, and the levels that it predicts lie far below the brim. In 1 / rate both are straight
+lines. A step `dr` in the rate r is one of -dr / r^2 in 1 / r, which leads to r / (1 - dr / r): never negative, infinite
+at dr = r, so a step goes up to a share of that. A brim that no step of the simulation can tell from a wall is one.
 """
 
 from dataclasses import dataclass, replace
@@ -192,6 +183,11 @@ class Problem:
     drive: Drive
     floor: FloatArray
     free_common: bool = True
+
+    @property
+    def upsampling(self) -> int:
+        """Steps of the simulation per sample."""
+        return int(self.drive.rows[1]) if len(self.drive.rows) > 1 else 1
 
     @property
     def weights(self) -> FloatArray:

@@ -1,16 +1,9 @@
 """Models with some effects, fitted and judged on held-out records: what the search goes from and comes to.
 
-A fitted model along held-out records: the common values stay, only what each record has for itself is sought.
-
-Fit a model whose first values may be far off: in free run, and by way of the observer form where that leaves a gap.
-
 The free run of a lightly damped model whose frequency is off by more than the width of the resonance is out of step
 with the record from the first beat on: the error hardly falls towards the right frequency, more damping lowers it, and
-the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step, so that the fit
-is contractive; from there the free run is near its minimum.
-
-Where linear parameters sit on their bounds and leave a gap, the nominal values may be further off than was thought:
-wider bounds are taken where they explain all of it, and only then, because an effect that is missing would use them.
+the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step; from there the
+free run is near its minimum. So a model whose first values may be far off is fitted both ways.
 """
 
 from collections.abc import Callable, Mapping
@@ -132,8 +125,7 @@ def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
 
     Under play, stops or a hard spring a free run from rest may stay in another basin.
     """
-    steps = int(held_out.drive.rows[1]) if len(held_out.drive.rows) > 1 else 1
-    gain = observer_gain(found, held_out, steps)
+    gain = observer_gain(found, held_out)
     if gain is None:
         return None
     smoothing = found.smoothing
@@ -390,8 +382,7 @@ def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> 
 
 
 def _calibrated_by_observer(start: Estimate, problem: Problem, iterations: int) -> Estimate | None:
-    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
-    gain = observer_gain(start, problem, steps)
+    gain = observer_gain(start, problem)
     if gain is None:
         return None
     observed = simulate_at(

@@ -1,7 +1,4 @@
-"""Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values.
-
-A model with its last effect as strong as it can be simulated: a first guess may let the motion escape.
-"""
+"""Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -117,7 +114,7 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
 
     A wrong sensor makes the correction worse than none: it pulls the states towards what the sensor says.
     """
-    gain = observer_gain(fitted, task.fit, task.upsampling)
+    gain = observer_gain(fitted, task.fit)
     if gain is None:
         return fitted
     found = _again(fitted, task, gain, fitted.smoothing)

@@ -1,16 +1,12 @@
-"""The observer form of a model that is still wrong: a Kalman gain that lays what is missing to random port forces.
+"""The observer form of a model that is still wrong, and the way to the free run by smaller and smaller gains.
 
 A free run of a wrong model drifts away from the measured motion, and a law evaluated along it is the law of another
-motion. Corrected by the measured outputs, the states stay near the true ones, whatever is missing; the fit in this form
-has hardly any local minima. The nearer the model, the smaller the forces and the gain: the form turns into the free
-run.
-
-From the observer form to the free run by smaller and smaller gains, where the way in one step is lost.
+motion. A Kalman gain that lays what is missing to random port forces keeps the states near the true ones, whatever is
+missing; the fit in this form has hardly any local minima. The nearer the model, the smaller the forces and the gain.
 
 With hard laws and little damping the free run of a model that is slightly off is out of step with the record after a
 few impacts, and no step of a fit leads back. A weaker correction asks for a little more of the model each time: the
-right one follows all the way, and needs less correction from fit to fit, while what is left of a wrong one grows from
-gain to gain and soon ends the attempt.
+right one follows all the way, while what is left of a wrong one grows from gain to gain and soon ends the attempt.
 """
 
 import numpy as np
@@ -22,7 +18,7 @@ from okid.arrays import TINY, FloatArray
 __all__ = ["LOST", "LostMotion", "graded_run", "observer_gain"]
 
 
-def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> FloatArray | None:
+def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
     """The steady Kalman gain for forces at the ports that would explain what the model leaves.
 
     The forces are white between samples, all ports alike, of the size at which the model's outputs would have the
@@ -35,7 +31,7 @@ def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> Float
     References:
         Anderson, Moore, Optimal Filtering, 1979 (correlated process and measurement noise, section 5.4).
     """
-    scheme = current.scheme
+    scheme, upsampling = current.scheme, problem.upsampling
     n = len(scheme.Ad)
     floor = np.exp(np.mean(np.log(problem.floor), axis=0))
     excess = np.nanmean(np.maximum(current.mean_square - 1.0, 0.0), axis=0) * floor
@@ -136,7 +132,7 @@ def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
     gain = np.asarray(current.gain)
     if shrink != SHRINK:
         return shrink * gain
-    wanted = observer_gain(current, problem, int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1)
+    wanted = observer_gain(current, problem)
     if wanted is None or _size(wanted) > shrink * _size(gain):
         return shrink * gain
     return wanted * max(LEAST * _size(gain) / _size(wanted), 1.0)

@@ -17,10 +17,9 @@ samples with jumps falls off no faster than 1 / (4 sin^2(w / 2)), w in radians a
 and a flat one cannot be mistaken for each other; over the last tenth of the band they look the same. The standard error
 is that of the flat part when such a tail is allowed for.
 
-Noise is the same at all times; impacts and reversals of friction fill the quiet band in bursts.
-
-The residual of the upper half of the spectrum, back in time, has an envelope: of steady Gaussian noise its square is
-exponentially distributed. Bursts stand out of that. The level of what lies between them is the mean below a limit, the
+Noise is the same at all times; impacts and reversals of friction fill the quiet band in bursts. The residual of the
+upper half of the spectrum, back in time, has an envelope: of steady Gaussian noise its square is exponentially
+distributed. Bursts stand out of that. The level of what lies between them is the mean below a limit, the
 limit being a multiple of the level itself: m = 1 - t / (exp(t) - 1) is the mean of an exponential variable below t.
 """
 

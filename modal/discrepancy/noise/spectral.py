@@ -1,11 +1,8 @@
 """The noise of the outputs of one record from its spectrum: gaps bridged, quiet band found, bursts set aside.
 
-Missing samples, bridged so that a spectrum can be taken.
-
 A missing sample gets the value that the samples beside it foretell: the regression of a sample of this output on its
 neighbours before and after and on the inputs at the same times, learnt from the rows where all of them are there. That
-follows a smooth response and the jumps that an input makes alike. Smooth as it is, it brings hardly any noise to
-high frequencies: there the level of the noise falls by the share of bridged samples. A long gap is not bridged.
+brings hardly any noise to high frequencies: there the level of the noise falls by the share of bridged samples.
 """
 
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ It is run along every record, and its linear part is identified from its own out
 part on records from which the rest is taken off, y - (f(u) - L(u)): what a model then has to explain is exactly what
 the callable itself leaves, also where the linear part does not quite reproduce it. The result is proved with the
 callable: changed inputs and outputs by running it again, forces by the difference that they make in the linear part.
-
-The diagnosis of a callable: the figures of its linear part replaced by those of the callable itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +13,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from era.simulation import simulate
-from modal.discrepancy.noise.floor import NoiseFloor, noise_floor
+from modal.discrepancy.noise.floor import NoiseFloor, noise_floor, stacked_floors
 from modal.discrepancy.programs.corrected import CorrectedCallable, along_plant
 from modal.discrepancy.programs.program import (
     IdentifiedPart,
@@ -262,14 +260,15 @@ def diagnose_callable(
         tuple(shifted[i] for i in to_hold),
         catalogue,
         progress,
-        floor=_rows(floor, [*to_fit, *to_hold]),
+        floor=floor.of_records([*to_fit, *to_hold]),
     )
     as_given, root = roots(setup)
     progress("locating the gap", 0.05)
     along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
     location = _located([records[i] for i in to_fit], along, setup.floor)
     setup, nodes, as_given = with_uncovered_floor(setup, search_effects(root, setup.task), as_given)
-    floor = _with_rows(floor, [*to_fit, *to_hold], setup.floor)
+    at = {record: row for row, record in enumerate([*to_fit, *to_hold])}
+    floor = stacked_floors([(setup.floor, at[i]) if i in at else (floor, i) for i in range(len(records))])
     runs = replace(runs, floor=floor.variance)
     progress("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
@@ -321,34 +320,6 @@ def _worth_searching(misses: Sequence[float], n_fit: int) -> tuple[list[int], li
     to_fit = [i for i, miss in enumerate(misses[:n_fit]) if miss <= USEFUL]
     to_hold = [i for i, miss in enumerate(misses) if miss <= USEFUL and i >= n_fit]
     return to_fit, to_hold or list(range(n_fit, len(misses)))
-
-
-def _rows(floor: NoiseFloor, chosen: Sequence[int]) -> NoiseFloor:
-    rows = list(chosen)
-    return replace(
-        floor,
-        variance=floor.variance[rows],
-        method=tuple(floor.method[i] for i in rows),
-        reason=tuple(floor.reason[i] for i in rows),
-        standard_error=floor.standard_error[rows],
-        random=floor.random[rows],
-        distortion=floor.distortion[rows],
-    )
-
-
-def _with_rows(floor: NoiseFloor, chosen: Sequence[int], rows: NoiseFloor) -> NoiseFloor:
-    """The floor of all records with that of some in place."""
-    at = {record: row for row, record in enumerate(chosen)}
-    source = [(rows, at[i]) if i in at else (floor, i) for i in range(len(floor.method))]
-    return replace(
-        floor,
-        variance=np.array([one.variance[i] for one, i in source]),
-        method=tuple(one.method[i] for one, i in source),
-        reason=tuple(one.reason[i] for one, i in source),
-        standard_error=np.array([one.standard_error[i] for one, i in source]),
-        random=np.array([one.random[i] for one, i in source]),
-        distortion=np.array([one.distortion[i] for one, i in source]),
-    )
 
 
 def _between(found: Diagnosis, rest: Sequence[FloatArray]) -> list[Step]:

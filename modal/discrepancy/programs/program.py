@@ -1,14 +1,12 @@
-"""Run a simulation program: a callable that takes a Record and returns one with simulated outputs.
+"""A simulation program: a callable that takes a Record and returns one with simulated outputs; and its linear part.
 
 What comes back is checked each time, because nothing else is known of the program: a wrong channel order, a missing
 sample or a random number in it would pose as an effect.
 
-The linear part of a simulation program, identified from its own noise-free outputs by OKID and ERA.
-
-Observer orders and model orders are tried from small to large, and the smallest model is taken whose free run
-reproduces the program; nothing else would be a proof, and nothing less is needed without noise. Records that drive too
-narrow a band do not determine the model outside it, so the program is then also run along a broadband record of the
-same level.
+The linear part is identified from the program's own noise-free outputs by OKID and ERA. Observer orders and model
+orders are tried from small to large, and the smallest model is taken whose free run reproduces the program. Records
+that drive too narrow a band do not determine the model outside it, so the program is then also run along a broadband
+record of the same level.
 """
 
 import warnings

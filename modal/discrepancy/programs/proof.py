@@ -1,10 +1,8 @@
-"""Prove what was found with the callable itself, on the records to fit and on the held-out ones.
-
-A linear model of what a simulation leaves, by OKID and ERA: a mode that it lacks shows here without any catalogue.
+"""Prove what was found with the callable itself, and model what it leaves.
 
 The residual of a linear simulation that lacks linear dynamics is itself the output of a linear system with the same
-inputs, so it is identified like any record. The order is chosen on the records to fit, the proof is the free run on
-held-out ones.
+inputs, so it is identified like any record, by OKID and ERA: a mode that it lacks shows without any catalogue. The
+order is chosen on the records to fit, the proof is the free run on held-out ones.
 """
 
 import warnings

@@ -8,15 +8,8 @@ samples a criterion on the likelihood alone finds an effect in nearly every reco
 count, the beam has room for models that take away half of what is left on the records to fit: of two effects that
 counteract each other, the right one alone may be worse than none on the held-out record.
 
-The work is bounded, and the budget says what was left untried for want of it. Beside models that another one with as
-many effects has beaten by explaining the data, that does not matter. A single fit that goes astray ends
-early without a word.
-
-Try every effect beside a model: screen, fit in observer form, let the promising ones run free, sharpen the best.
-
-What is worth a fit beside a model: the best of a screen, along a motion that shows what is missing.
-
-Settle what the data cannot: a stiffness that an effect and the linear model share.
+The work is bounded, and the budget says what was left untried for want of it; beside models that another one with as
+many effects has beaten by explaining the data, that does not matter.
 
 A gap spring has a stiffness within the gap and one beyond it, and the element has a linear stiffness beside them: only
 two of the three are determined. The one of the effect's that is nearer to zero is put to the linear stiffness and held

@@ -4,28 +4,21 @@
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
 
-A gain that a free calibration has taken up: the records do not tell, but how far the model had to move does.
-
 Where any linear force inside a state space is free (`internal_changes`), a wrong gain of a sensor or an input is hardly
 more than another set of such forces: both explain the records. The model as given tells them apart, because with the
 gain it stays where it was.
 
-How far the effects of a model are from none, in deviations of the noise.
-
-An effect is none in many ways: a brim without a flow over it, at whatever limit, or a limit that no level reaches, at
-whatever rate. Its distance from none cannot be that of one parameter from its neutral value: of a hard limit any large
-rate does, and the deviation of the rate is as large as itself. What counts is what the effect does to the outputs. With
-delta the outputs with it less those without it, in deviations of the noise, and J what all else in the model could do
-instead,
+An effect is none in many ways: a brim without a flow over it, or a limit that no level reaches, at whatever rate. Its
+distance from none cannot be that of one parameter from its neutral value. What counts is what the effect does to the
+outputs. With delta the outputs with it less those without it, in deviations of the noise, and J what all else in the
+model could do instead,
 
     z^2 = delta' (I - J (J' J + prior)^-1 J') delta
 
 For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test); it is the
 same however the parameters are chosen; and z^2 is what 2 ln L would lose at first order without the effect. The
-effect's own shapes count as what could be done instead, as in Wald's test, its amplitudes do not; of an effect that has
-no amplitude (a delay, the limit of a drive) nothing of its own does.
-
-How sure an estimate is: the covariance of its unknowns, and which of them are held.
+effect's own shapes count as what could be done instead, its amplitudes do not; of an effect that has no amplitude (a
+delay, the limit of a drive) nothing of its own does.
 """
 
 from collections.abc import Sequence

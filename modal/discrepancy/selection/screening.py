@@ -5,16 +5,9 @@ response after everything that the model could still adjust (linear parameters, 
 is projected out. The fall of the residual's square is what a first Gauss-Newton step would win, so one screen ranks a
 hundred candidates for the price of as many right-hand sides.
 
-What each candidate effect would do by itself: its force at a place along the current trajectory, at a few shapes.
-
 A law that is linear in its amplitudes gives one history an amplitude; what is not linear (a gap, a yield displacement,
 a frequency, a delay) is tried at the values that the effect proposes from the motion at its place and from the peaks of
 what the model leaves.
-
-An effect's own states along a given motion, by Newton's method on the whole of it.
-
-A rate-independent law goes straight through where the motion does not turn round: it depends on the turning points
-alone. These are solved for first, a small share of the samples, and all others follow from the last one before them.
 """
 
 from collections.abc import Mapping, Sequence

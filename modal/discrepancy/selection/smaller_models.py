@@ -1,7 +1,5 @@
 """A model with an effect less, or with a simpler law in its place, fitted again: whether it needs what it has.
 
-Laws that are the limit of a richer one: where the richer one explains the data, its limits are fitted as well.
-
 A link that never slips is a gap spring, one that slips at once is dry friction. The search fits the most promising laws
 first and may end with the richer one, whose further parameter then stands for nothing; only a fit of its limit at the
 same place tells.

@@ -1,11 +1,4 @@
-"""What a finished diagnosis must still say of its records, whatever the model.
-
-Nothing is explained, a channel is spoiled, outputs come before their inputs, a hold is in doubt.
-
-Gains that look like something else: a wrong unit, a turned or dead channel, or the error of a simulation.
-
-How far the parameters of a sharp law may be off because time and the law itself are taken in steps.
-"""
+"""What a finished diagnosis must still say of its records and numbers, whatever the model."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,9 +1,4 @@
-"""The effects found, with parameters, evidence and what they cannot be told from.
-
-The largest effects that the data could still hide.
-
-What cannot be told apart in these data, and the experiment that would tell.
-"""
+"""The effects found with their evidence, what they cannot be told from, what would tell, and what could still hide."""
 
 from collections.abc import Sequence
 

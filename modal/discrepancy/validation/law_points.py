@@ -21,8 +21,6 @@ References:
     Larsen, McCleary, The use of partial residual plots in regression analysis, Technometrics 14(3), 1972,
     https://doi.org/10.1080/00401706.1972.10488966 (points of a component with the others fitted); Worden, Tomlinson,
     Nonlinearity in Structural Dynamics, 2001, chapter 7 (restoring force surfaces).
-
-What a change of an input in each bin of it does to the model: hats of the input as inputs of their own.
 """
 
 from dataclasses import dataclass, replace

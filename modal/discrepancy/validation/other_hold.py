@@ -1,14 +1,9 @@
-"""A delay that is off by about half a sample may be a wrongly declared hold: the records are taken the other way too.
+"""Half a sample: a wrongly declared hold of the inputs, and records cut into spans where no simulation can follow.
 
-With many samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a
-wrong hold leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough.
-
-A wrongly declared hold of the inputs poses as half a sample of delay or as damping: when to think of it.
-
-Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: that share
-of the motion at most, a fifth of it at 16 samples a period. A gap that is larger is not due to the hold alone.
-
-Records cut into spans, each with its own initial state, where the motion cannot be followed along the whole.
+A delay that is off by about half a sample may be a wrong hold: then the records are taken the other way too. With many
+samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a wrong hold
+leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough. Between a
+held and a straight input lies half a sample, pi f dt in phase at the frequency f: that share of the motion at most.
 
 Hard springs under a strong drive, and stops, part neighbouring motions exponentially: from the initial state to the end
 of a long record no simulation, of the true model either, stays with the measurement. Over a few dozen periods it does.
@@ -20,19 +15,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.noise.floor import NoiseFloor
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.numbers import number
-from okid.arrays import FloatArray, frozen_with_gaps
+from okid.arrays import FloatArray
 from okid.record import InputHold, Record
 
 __all__ = [
     "by_the_better_hold",
     "cut_into_spans",
-    "floor_of_spans",
     "half_a_sample",
     "has_half_a_sample",
     "highest_frequency",
@@ -231,23 +224,6 @@ def _edges(record: Record, count: int) -> list[int]:
         if not any(np.isnan(record.outputs[first:last]).all(axis=0).any() for first, last in pairwise(edges)):
             return edges
     return [0, record.n_samples]
-
-
-def floor_of_spans(floor: NoiseFloor, origin: Sequence[int]) -> NoiseFloor:
-    """The floor of each span, which is that of its record."""
-    rows = list(origin)
-
-    def of(values: FloatArray) -> FloatArray:
-        return frozen_with_gaps(values[rows], name="floor")
-
-    return NoiseFloor(
-        variance=of(floor.variance),
-        method=tuple(floor.method[row] for row in rows),
-        reason=tuple(floor.reason[row] for row in rows),
-        standard_error=of(floor.standard_error),
-        random=of(floor.random),
-        distortion=of(floor.distortion),
-    )
 
 
 def span_words(spans: Sequence[Record]) -> str:
