@@ -32,8 +32,9 @@ __all__ = [
 ]
 
 NOTHING = 0.1
-"""Share of an output's variance below which a model is said to explain nothing of it."""
+"""Say that a model explains nothing of an output where it explains less than this share of its variance."""
 MOST_NAMED = 4
+"""Name at most so many outputs in a sentence."""
 
 
 def explained_shares(diagnosis: "Diagnosis") -> FloatArray:

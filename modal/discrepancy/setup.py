@@ -8,7 +8,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import FINE_STEPS, Node, Task, calibrated_node, node_of, on_other_floor, polished
-from modal.discrepancy.noise.floor import NoiseFloor, lowered_floor, noise_floor
+from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor
 from modal.discrepancy.selection.beam import search_effects
 from modal.effects.effect import Effect
 from modal.localisation.evidence import Location, locate
@@ -40,12 +40,12 @@ __all__ = [
 ]
 
 SAME_LEVEL = 1.25
-"""Records whose inputs differ by less than this factor are of one level."""
+"""Say that records are of one level whose inputs differ by less than this factor."""
 
-RADIUS = 1e-6
 FEWEST_PER_UNKNOWN = 5
+"""Refuse records with fewer measured values for each unknown than this."""
 FEWEST_SAMPLES, FEWEST_PER_STATE = 64, 10
-"""Samples that every record must have: a shorter one proves nothing, its initial state alone fits it."""
+"""Refuse a record of fewer samples, in all or for each state: its initial state alone fits it."""
 
 
 def check_records(
@@ -108,7 +108,7 @@ def _check_alike(records: Sequence[Record]) -> None:
                 f"records differ in channels: {first.n_inputs} inputs and {first.n_outputs} outputs against "
                 f"{record.n_inputs} and {record.n_outputs}; pass the same channels of each"
             )
-        if abs(record.dt / first.dt - 1.0) > RADIUS:
+        if abs(record.dt / first.dt - 1.0) > SAME_NUMBER:
             raise InvalidDataError(
                 f"records differ in time step: {first.dt:g} s against {record.dt:g} s; resample one of them"
             )
@@ -176,7 +176,7 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
             )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
-        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
+        if growth > SAME_NUMBER * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
             raise InvalidDataError(
                 f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
                 "signs"
@@ -215,10 +215,11 @@ def _plain(unit: str) -> str:
 
 
 MOST_WORK = 4000.0
-"""A search may cost so many simulations along the records to fit: two effects were seen to take 200 to 1600."""
+"""End a search that has cost so many simulations along the records to fit: two effects were seen to take 200 to
+1600."""
 
 FOLLOWED = 1e-3
-"""Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
+"""Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done (0 to 1)."""

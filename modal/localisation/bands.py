@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 MOST_OCTAVES = 8
+"""Cut the spectrum into at most so many octaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -116,9 +117,9 @@ def _hertz(frequency: float) -> str:
 IntArray = npt.NDArray[np.int64]
 
 MOST_CELLS = 2048
-"""Frequency cells of the table that all records share."""
+"""Cut the spectrum that all records share into at most so many cells."""
 ON_EDGE = 1e-6
-"""A line relatively this near to the upper edge of a band lies on it."""
+"""Count a line to a band whose upper edge is relatively this near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -16,14 +16,15 @@ from okid.arrays import ComplexArray, FloatArray
 __all__ = ["Interval", "SingleLine", "coherent_share", "excess_spectrum", "narrowest_interval", "single_line"]
 
 N_SEGMENTS = 8
-"""Segments of a record, half overlapping, over which spectra are averaged."""
+"""Average spectra over so many segments of a record, half overlapping."""
 INDEPENDENT = 0.6
-"""Of half-overlapping Hann segments counts as an independent one (Welch)."""
+"""Count half-overlapping Hann segments as this share of independent ones (Welch)."""
 MOST_CELLS = 512
+"""Look for the narrowest interval among at most so many cells."""
 LINE_REACH = 2
-"""Cells on either side of a line over which a record of any length spreads it."""
+"""Sum a line over so many cells on either side: a record of any length spreads it over these."""
 MOSTLY = 0.7
-"""Share of the gap above the noise that lies in a line."""
+"""Call a gap one line that holds at least this share of it above the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

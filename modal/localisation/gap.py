@@ -37,6 +37,7 @@ from okid.record import Record
 from okid.rows import as_records
 
 __all__ = [
+    "BEYOND_CHANCE",
     "Gap",
     "LevelDirection",
     "LevelSource",
@@ -51,13 +52,16 @@ __all__ = [
 
 TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
+BEYOND_CHANCE = 4.0
+"""Believe a change, a line or a gap by more standard deviations than this: many are looked at."""
 TIME_FACTOR = 2.0
-"""Ratio of mean squares along a record below which nothing is said of it."""
+"""Say nothing of a ratio of mean squares along a record below this."""
 N_WINDOWS = 8
 """Cut each record into so many consecutive windows of equal length."""
 FEWEST_WINDOWS = 6
+"""Look for growth in time over no fewer windows."""
 BUILD_UP = 0.25
-"""Share of a record that a gap may take to build up from equal states."""
+"""Let a gap take this share of a record to build up from equal states."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -155,17 +159,17 @@ def _pooled(windows: WindowTable) -> tuple[FloatArray, FloatArray]:
 LevelDirection = Literal["falls", "rises", "stays", "unknown"]
 
 FLOOR_KNOWN_TO = 0.1
-"""Relative uncertainty of a variance that was estimated from a few periods or one band."""
+"""Expect this relative error of a variance that was estimated from a few periods or one band."""
 LEAST_DEVIATION = 0.02
-"""Of ln g: no gap is known better than that, a law is no exact power either."""
+"""Give ln g at least this deviation: no gap is known better, a law is no exact power either."""
 SLOPE_THAT_COUNTS = 0.3
-"""A smaller slope is what a wrong parameter shows when the spectrum differs a little from level to level."""
+"""Ignore a smaller slope: a wrong parameter shows as much when the spectrum differs a little from level to level."""
 STAYS_WITHIN = 0.5
-"""Two deviations beside the slope must lie within this for a gap to stay: half of what the slowest law gives."""
+"""Say that a gap stays where two deviations beside the slope lie within this: half of what the slowest law gives."""
 LEAST_OUTPUT_RATIO = 1.5
-"""Of the loudest to the quietest output: with less, every gap is nearly of one size."""
+"""Tell no absolute size from a smaller ratio of the loudest to the quietest output."""
 SILENT_SHARE = 0.5
-"""A level without a gap above the floor tells something when the most that it could hide is below this share."""
+"""Learn from a level without a gap where the most that it could hide is below this share of what others show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -248,7 +252,7 @@ def _level_trend(sums: _Sums, levels: FloatArray, numbers: npt.NDArray[np.int64]
     above = sums.gap.sum(axis=1) / count - sums.floor
     without = _leave_one_out(sums.gap, sums.count) - sums.floor[:, np.newaxis]
     size_without = np.maximum(_leave_one_out(sums.output, sums.count), tiny)
-    shown = above > sums.floor * np.maximum(2.0 * FLOOR_KNOWN_TO, 4.0 * np.sqrt(2.0 / count))
+    shown = above > sums.floor * np.maximum(2.0 * FLOOR_KNOWN_TO, BEYOND_CHANCE * np.sqrt(2.0 / count))
     shown &= (without > 0.0).all(axis=1) & (levels > 0.0) & (size > tiny)
     most = np.maximum(above, 0.0) + SURE * _jackknife(without) + FLOOR_KNOWN_TO * sums.floor
     above, without = np.where(shown, above, 1.0), np.where(shown[:, np.newaxis], without, 1.0)
@@ -330,7 +334,7 @@ LevelSource = Literal["inputs", "outputs"]
 """What the level of a record was taken from: outputs only where no input drives any record."""
 
 SAME_LEVEL = 1.1
-"""Ratio of input sizes up to which two records are of one level."""
+"""Give records one level whose input sizes differ by at most this ratio."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

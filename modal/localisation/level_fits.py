@@ -52,10 +52,11 @@ __all__ = [
 ]
 
 N_WINDOWS = 6
+"""Cut a free decay into at most so many windows."""
 SHORTEST_WINDOW = 80
-"""Samples: fewer hold too little of a slow mode beside its neighbours."""
+"""Make no window shorter than so many samples: fewer hold too little of a slow mode beside its neighbours."""
 LONGEST_RESPONSE = 800
-"""Samples of a window that ERA takes: its cost grows with their cube."""
+"""Give ERA at most so many samples of a window: its cost grows with their cube."""
 
 
 def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -86,13 +87,15 @@ def decay_markov(windows: Sequence[Record]) -> MarkovParameters:
 
 
 ORDERS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24)
+"""Try these model orders."""
 WITHIN = 1.25
-"""A smaller order stands in for one whose error is at most this much smaller: a nonlinear law is never fitted whole."""
+"""Take a smaller order whose error is at most this many times the least."""
 NEGLIGIBLE = 1e-4
-"""Error relative to the outputs that no measurement would show."""
+"""Call an error negligible below this share of the outputs: no measurement would show it."""
 DECAY_ORDERS = (1, 2, 3, 4, 6, 8, 10)
+"""Try these orders for a window of a free decay."""
 DECAY_WITHIN = 2.0
-"""The same for windows of a free decay, through which a resonance sweeps."""
+"""Allow more in windows of a free decay, through which a resonance sweeps."""
 
 Start = tuple[float, Realisation | None]
 """Error of a first model relative to the outputs, and the model."""
@@ -169,17 +172,19 @@ def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
 
 
 EXPLAINS_NOTHING = 0.9
-"""Error relative to the outputs from which on they do not follow the inputs."""
+"""Call outputs unrelated to the inputs from this error on, relative to them."""
 FREQUENCY_WIDTH = 0.3
-"""Of the logarithm of a frequency ratio, within which two modes may be one; a damping ratio adds to it."""
+"""Let two modes be one within this width of the logarithm of their frequency ratio; a damping ratio adds to it."""
 LEAST_PAIRING = 0.4
-"""Product of assurance and nearness in frequency below which two modes are not one."""
+"""Pair no modes below this product of assurance and nearness in frequency."""
 N_PARTS = 4
-FEWEST_PARTS = 3
+"""Refine a level on so many parts by themselves."""
+FEWEST_PARTS = N_PARTS - 1
+"""Believe no deviation from fewer parts."""
 SHORTEST_PART = 100
-"""Samples of a part of a record that is refined by itself."""
+"""Refine no part of fewer samples by itself."""
 LEAST_DAMPING = 1e-6
-"""Damping ratio of an oscillatory pole below which the refinement has run into its bound."""
+"""Drop an oscillatory pole below this damping ratio: the refinement has run into its bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -26,6 +26,7 @@ from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simul
 from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = [
+    "FAR_ABOVE",
     "Estimate",
     "Problem",
     "bounded_step",
@@ -109,7 +110,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 REACH = 0.9
-"""Longest step as a share of the size: it makes a limit ten times as hard."""
+"""Lengthen no step beyond this share of the size: it makes a limit ten times as hard."""
 
 
 def walls(assembly: Assembly, unknowns: Unknowns, dt: float) -> FloatArray:
@@ -161,12 +162,14 @@ def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray
 
 
 FIRST_DAMPING = 1e-3
+"""Damp the first step by this share of the diagonal (Marquardt)."""
 TRIALS = 5
-"""Trial steps of an iteration, each ten times more damped than the one before."""
+"""Give an iteration up after so many steps, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
-"""An iteration that lowers the cost by less than this share of it ends the fit."""
-NEAR = 10.0
-"""Level below which a first step that fails, and promised no more than that, ends it as well."""
+"""End a fit after an iteration that lowers the cost by less than this share of it."""
+FAR_ABOVE = 10.0
+"""Trust neither a likelihood of white noise nor a step along a wrong motion above this mean square in units of the
+floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -315,7 +318,7 @@ def estimate(
             better = _trial(current, problem, slopes, step)
             damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
             promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
-            there = current.level <= NEAR and trial == 0 and 0.0 <= promised <= least
+            there = current.level <= FAR_ABOVE and trial == 0 and 0.0 <= promised <= least
             if better is not None or there or _over(budget):
                 break
         if better is None:

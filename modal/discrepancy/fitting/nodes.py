@@ -38,13 +38,13 @@ __all__ = [
 ]
 
 NEARLY_THERE = 2.0
-"""Level below which the fit explains the records, so that the held-out ones must be explained as well."""
+"""Expect the held-out records to be explained as well where the fit's level is below this."""
 DOUBTFUL = (1.1, 100.0)
-"""A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
+"""Seek the initial state again where the held-out error is above the fit's by a factor between these."""
 MATTER = 0.8
-"""Initial states matter where they lower the cost of the plant without its effects to less than this share."""
+"""Start from the initial states of the plant without its effects where they lower its cost to less than this share."""
 WEAKER = (1.0, 0.3, 0.1)
-"""Shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
+"""Try these shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
 
 
 def judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
@@ -164,20 +164,20 @@ def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
 
 SMALLEST_FALL = 0.1
 SMALLEST_GAIN = 30.0
-"""A step counts when the held-out mean square falls by a tenth and 2 ln L gains more than 30: over 32 cases without an
-effect none fell by a tenth, while 69 % gained more than 30."""
+"""Count a step where the held-out mean square falls by a tenth (`SMALLEST_FALL`) and 2 ln L gains more than 30: over 32
+cases without an effect none fell by a tenth, while 69 % gained more than 30."""
 
 SHARPER = tuple(SHARP / share for share in (1.0, 2.5, 5.0, 10.0, 20.0))
-"""Small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits with a
-second effect found none, and those that did took longer."""
+"""Sharpen in small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits
+with a second effect found none, and those that did took longer."""
 NEARLY, BLUR = 2.0, 0.1
-"""What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
+"""Take what is left for smoothing below this level, or where it changes by this share of the excess with the
 smoothing."""
 FAR, MOSTLY = 30.0, 1.0
-"""Above this level only where it rises by this share of the excess, as where smoothing makes a third of it: a motion
-with impacts changes a little with anything."""
+"""Ask above this level for a rise by this share of the excess, as where smoothing makes a third of it: a motion with
+impacts changes a little with anything."""
 FINE_STEPS = 4
-"""Steps a sample of the grid on which sharp laws are polished, at least."""
+"""Polish sharp laws on a grid of at least so many steps a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -344,7 +344,7 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
 
 
 WIDER = 4.0
-"""Factor by which bounds are moved out."""
+"""Move the bounds of linear parameters out by this factor where they are in the way."""
 
 
 def calibrated_node(start: Estimate, task: Task) -> Node:

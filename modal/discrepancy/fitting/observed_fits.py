@@ -16,12 +16,23 @@ from modal.simulation.tolerances import NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
-__all__ = ["CLEAR", "SOFT", "amplitudes", "observed_fits", "observed_form", "scaled", "weaker_form", "within_reach"]
+__all__ = [
+    "CLEAR",
+    "MUCH_LESS",
+    "MUCH_WEAKER",
+    "SOFT",
+    "amplitudes",
+    "observed_fits",
+    "observed_form",
+    "scaled",
+    "weaker_form",
+    "within_reach",
+]
 
 ESCAPED = 100.0
-"""A motion escapes where the error is so many times that of no motion at all, in mean squares."""
+"""Call a motion escaped where the error is so many times that of no motion at all, in mean squares."""
 STRENGTHS = (1.0, 0.5, 0.2)
-"""Shares of a first guess of an effect's strength that are tried until the model can be simulated."""
+"""Try these shares of a first guess of an effect's strength until the model can be simulated."""
 
 
 def within_reach(
@@ -81,23 +92,25 @@ def amplitudes(assembly: Assembly) -> list[tuple[int, float]]:
 
 
 MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
-"""A fit in observer form ends after so many iterations, or when one gains less than the second share."""
+"""End a fit in observer form after so many iterations, or when one gains less than the second share."""
 BETTER = 0.9
-"""The given linear parameters are the better start where the first fit from them costs less than this share."""
+"""Start from the given linear parameters where the first fit from them costs less than this share."""
 SOFT, SOFTER = 0.03, 0.1
-"""Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
-TENTH = 0.1
-"""Share of the observer gain that shows what the whole one hides."""
+"""Smooth sharp laws in first fits to this width, as a share of the motion's scale; the wider one beside a linear
+model."""
+MUCH_WEAKER = 0.1
+"""Try this share of an observer gain for what the whole one hides, and of a law's strength where no step leads on from
+the whole."""
 FIRST_WORK, BEHIND = 40.0, 3.0
-"""Simulations after which a fit waits for the others, and ends where it costs so many times as much as the best one:
-those that go astray take longest, and a good one was seen to take eight to sixty."""
+"""Let a fit wait for the others after so many simulations, and end it where it costs so many times as much as the best
+one: those that go astray take longest, and a good one was seen to take eight to sixty."""
 CLEAR, MUCH_LESS = 0.05, 0.5
-"""Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
-promised at least the second share of what it promised of that one."""
+"""Where a fit leaves less than the first share of what is above the floor, fit another only if the screen promised at
+least the second share of what it promised of that one."""
 MOST_OF_IT = 0.1
-"""Share of what is left of the budget for these fits that the rest of one may take."""
+"""Spend at most this share of what is left of the budget for these fits on the rest of one."""
 HIDDEN = 1.5
-"""Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
+"""Keep the laws that are there sharp where smoothing them multiplies the cost by more than this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -129,7 +142,7 @@ def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
     """
     if observed.gain is None:
         return None
-    return _again(observed, task, TENTH * observed.gain, observed.smoothing)
+    return _again(observed, task, MUCH_WEAKER * observed.gain, observed.smoothing)
 
 
 def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:

@@ -70,18 +70,18 @@ def _damped(A: FloatArray) -> FloatArray:
 
 
 SHRINK, GENTLEST, LEAST = 0.5, 0.8, 0.2
-"""Share of the gain that is left from one fit to the next: at first, the largest one once that led nowhere, and the
+"""Leave this share of the gain from one fit to the next: at first, the largest one once that led nowhere, and the
 least."""
 SMALLEST = 0.003
-"""Share of the first gain from which the free run is tried."""
+"""Try the free run from this share of the first gain on."""
 ITERATIONS, MOVING = 3, 0.03
-"""Each is fitted by so many iterations at most, or until one gains less than the second share."""
+"""Fit each by so many iterations at most, or until one gains less than the second share."""
 ENOUGH, MISSED, FAR_OFF = 2.0, 0.03, 1000.0
 HARDLY_ANY = 0.05
-"""A motion is lost where with hardly any of the gain the level is below the first or the model misses less than the
+"""Call a motion lost where with hardly any of the gain the level is below the first or the model misses less than the
 second share of the outputs, root mean square, and no free run is found or its cost is so many times as large."""
 LOST = 10.0
-"""A model whose cost has grown by this factor since the full gain is not followed on."""
+"""Follow no model whose cost has grown by this factor since the full gain."""
 
 
 class LostMotion(Exception):  # noqa: N818 - no error: the search begins again on shorter records

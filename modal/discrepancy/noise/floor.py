@@ -43,7 +43,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.discrepancy.noise.spectral import SpectralFloor, smallest_variance, spectral_floor
+from modal.discrepancy.noise.spectral import FEWEST_ROWS, SpectralFloor, smallest_variance, spectral_floor
 from modal.localisation.lines import input_period, measure_lines
 from modal.simulation.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray, frozen_with_gaps
@@ -51,17 +51,15 @@ from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "stacked_floors"]
+__all__ = ["SAME_NUMBER", "FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "stacked_floors"]
 
-_SAME_INPUT = 1e-6
-"""Of an input's size: numbers that went through a text file agree as well as this."""
+SAME_NUMBER = 1e-6
+"""Take numbers for the same that differ by less than this share, as after a way through a text file."""
 _SAME_PERIOD = 1e-7
-"""Of the mean square: the response to what differs stays below a tenth of noise of 0.1 %."""
-_FEWEST_ROWS = 64
-"""Differences that must be left after the transient."""
+"""Take an input for periodic where periods differ by less than this share of the mean square: the response to that
+stays below a tenth of noise of 0.1 %."""
 _N_BLOCKS = 24
-_LATEST = 18
-"""Block by which a transient must have died out."""
+"""Look for the end of a transient in so many blocks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -183,7 +181,7 @@ def _memory(apart: FloatArray) -> FloatArray:
 def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) -> Scatter | None:
     """Mean square over the rows after the transient; freedom per row and output."""
     n_rows = len(squares)
-    if n_rows < _FEWEST_ROWS:
+    if n_rows < FEWEST_ROWS:
         return None
     edges = np.linspace(0, n_rows, _N_BLOCKS + 1).astype(int)
     total = np.add.reduceat(squares, edges[:-1], axis=0)
@@ -193,7 +191,7 @@ def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) ->
         return None
     first = int(edges[start])
     kept = freedom[first:].sum(axis=0)
-    if n_rows - first < _FEWEST_ROWS or (kept < _FEWEST_ROWS).any():
+    if n_rows - first < FEWEST_ROWS or (kept < FEWEST_ROWS).any():
         return None
     return Scatter(
         variance=squares[first:].sum(axis=0) / kept,
@@ -206,13 +204,13 @@ def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) ->
 
 def _onset(total: FloatArray, count: FloatArray, memory: FloatArray) -> int | None:
     """First block after the transient: from there on no block stands out, and the end is not quieter than the start."""
-    mean = total / np.maximum(count, 1.0)
-    late = np.median(mean[_LATEST:], axis=0)
+    mean, latest = total / np.maximum(count, 1.0), _N_BLOCKS - _N_BLOCKS // 4  # the last quarter is settled
+    late = np.median(mean[latest:], axis=0)
     freedom = np.maximum(count.min(axis=0) / memory, 1.0)
     limit = late * scipy.special.gammainccinv(freedom / 2.0, UNLIKELY) * 2.0 / freedom
-    loud = np.flatnonzero((mean[:_LATEST] > limit).any(axis=1))
+    loud = np.flatnonzero((mean[:latest] > limit).any(axis=1))
     start = 0 if loud.size == 0 else int(loud[-1]) + 1
-    start += min(max(1, start // 2), _LATEST - start) if start else 0  # what is below the limit fades for a while yet
+    start += min(max(1, start // 2), latest - start) if start else 0  # what is below the limit fades for a while yet
     third = (_N_BLOCKS - start) // 3
     before, after = (
         total[part].sum(axis=0) / np.maximum(count[part].sum(axis=0), 1.0)
@@ -232,7 +230,7 @@ def _same_input(one: Record, other: Record) -> bool:
     moves = np.ptp(a, axis=0)
     return bool(
         moves.max() > 0.0
-        and (np.abs(a - b).max(axis=0) <= _SAME_INPUT * np.maximum(moves, np.abs(a).max(axis=0))).all()
+        and (np.abs(a - b).max(axis=0) <= SAME_NUMBER * np.maximum(moves, np.abs(a).max(axis=0))).all()
     )
 
 
@@ -247,14 +245,14 @@ def _copies(one: Record, other: Record) -> bool:
 FloorMethod = Literal["repeated records", "repeated periods", "quiet band", "incoherent part"]
 
 _SAME_LEVEL = 1.25
-"""Scatter over level of the spectrum up to which both are the same noise."""
+"""Take scatter and level of the spectrum for the same noise up to this ratio."""
 _NARROW = 25.0
-"""Samples that are as sure as one of white noise (6 to 10 in noise that is ten times as strong at low frequencies)
-above which a scatter beyond that level is motion at a resonance: a response that has not settled, or never repeats."""
+"""Call a scatter beyond that level motion at a resonance where so many samples are as sure as one of white noise (6 to
+10 in noise that is ten times as strong at low frequencies)."""
 _NO_NOISE = 30.0
-"""Scatter over level above which it is motion whatever its spectrum."""
+"""Call a scatter motion above this ratio to the level, whatever its spectrum."""
 _DRIVEN = 0.3
-"""Share of a band's level from which on the inputs drive it."""
+"""Call a band driven where the inputs explain more than this share of its level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -28,31 +28,35 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modal.localisation.lines import FALSE_ALARM
 from modal.simulation.tolerances import ROUNDING, SURE
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["QuietBand", "ResidualSpectrum", "SteadyLevel", "quiet_band", "residual_spectrum", "steady_level"]
+__all__ = ["UNKNOWN", "QuietBand", "ResidualSpectrum", "SteadyLevel", "quiet_band", "residual_spectrum", "steady_level"]
 
 _DEGREE = 2
-"""Of the polynomials in a window."""
+"""Fit polynomials of this degree in a window."""
 _LINES_A_COLUMN = 5
-"""Frequencies of a window for each of its unknowns: fewer waste data, more ask for smoother response functions."""
+"""Widen a window to so many frequencies for each of its unknowns: fewer waste data, more ask for smoother response
+functions."""
 _FEWEST_LINES = 16
+"""Make no window narrower than so many lines."""
 _MOST_BLOCKS = 120
-"""Stretches begin and end at block edges; their number grows with the square of the blocks."""
+"""Begin and end stretches at the edges of at most so many blocks; the stretches grow with their square."""
 _CAUTION = 5.0
-"""Standard errors added to a level before it is called the smallest: with fewer a short stretch wins by chance."""
+"""Add so many standard errors to a level before it is called the smallest: with fewer a short stretch wins by
+chance."""
 _SMALLEST_SHARE = 0.2
-"""Of the spectrum, for a stretch: the gap between two resonances is quiet too, but no place to measure a level."""
-_OUTLIER = 1e-4
-"""A window this unlikely in its stretch holds a line (a harmonic, hum), and is left out."""
+"""Take no stretch below this share of the spectrum: the gap between two resonances is quiet too, but no place to
+measure."""
 _LOWEST_TAIL = 0.1
-"""Cycles a sample below which no tail is followed: resonances stand there."""
-_LARGEST_ERROR = 3.0
+"""Follow no tail below so many cycles a sample: resonances stand there."""
+UNKNOWN = 3.0
+"""Give a floor that is no better than a guess this relative error."""
 _FEWEST_ABOVE = 8
-"""Windows above a stretch, to see a spectrum rise."""
+"""Ask for so many windows above a stretch to see a spectrum rise."""
 _UNDRIVEN = 1.2
-"""Level with the response to the inputs over that without, up to which inputs drive nothing there."""
+"""Call what is above a band undriven up to this ratio of its level with the response to the inputs to that without."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -224,7 +228,7 @@ def _quietest(level: FloatArray, block: np.ndarray, choosing: BoolArray, freedom
 def _ordinary(level: FloatArray, inside: BoolArray, freedom: int) -> BoolArray:
     """False for windows that hold a line: far above the middle of their stretch."""
     middle = float(np.median(level[inside]))
-    limit = scipy.special.gammainccinv(freedom, _OUTLIER) / scipy.special.gammainccinv(freedom, 0.5)
+    limit = scipy.special.gammainccinv(freedom, FALSE_ALARM) / scipy.special.gammainccinv(freedom, 0.5)
     ordinary: BoolArray = level <= limit * middle
     return ordinary
 
@@ -251,16 +255,18 @@ def _standard_error(spectrum: ResidualSpectrum, weight: FloatArray) -> float:
     own, cross, square = weight.sum(), weight @ tail, weight @ tail**2
     known = own * square - cross**2
     if known <= ROUNDING * own * square:
-        return _LARGEST_ERROR
-    return float(min(_LARGEST_ERROR, np.sqrt(square / known / spectrum.freedom)))
+        return UNKNOWN
+    return float(min(UNKNOWN, np.sqrt(square / known / spectrum.freedom)))
 
 
 _LIMIT = 3.0
-"""Of the level: 5 % of steady noise lies above."""
+"""Cut bursts off at this multiple of the level: 5 % of steady noise lies above."""
 _FROM, _FULL = 0.25, 0.35
-"""Cycles a sample where the taper begins and where it is 1: sharp edges would smear bursts over time."""
+"""Begin the taper at the first, in cycles a sample, and end it at the second: sharp edges would smear bursts over
+time."""
 _SPREAD = 0.82
-"""Standard deviation of clipped over plain level of steady noise, times the root of the independent envelope values."""
+"""Expect this standard deviation of clipped over plain level of steady noise, times the root of the independent
+envelope values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -49,9 +49,6 @@ from okid.record import Record
 
 __all__ = ["diagnose_callable", "proved", "without_search"]
 
-FOLLOWS = 0.3
-"""Share of an output's deviation that a callable may leave where nothing but the noise floor speaks for it."""
-
 
 def proved(
     found: Diagnosis,
@@ -114,7 +111,7 @@ def without_search(runs: Runs, floor: NoiseFloor, location: Location, warnings: 
     before = unproved(runs, None)
     # the floor of a nonlinear system without repeats counts motion as noise
     spread = np.array([np.nanstd(record.outputs, axis=0) for record in runs.held_out])
-    follows = bool((before.rmse <= FOLLOWS * spread).all())
+    follows = bool((before.rmse <= USEFUL * spread).all())
     fits = follows and max(before.fit_level, before.held_out_level) <= NEAR_FLOOR
     found = Diagnosis(
         status="none" if fits else "unresolved",
@@ -200,9 +197,10 @@ def _how_to_build_in(proof: Proof) -> tuple[str, ...]:
 
 
 LINEAR = 0.02
-"""Share of its output's rms that the linear part of a callable may miss before the callable is called nonlinear."""
+"""Call a callable nonlinear where its linear part misses more than this share of an output's rms."""
 USEFUL = 0.3
-"""Share on the quietest records up to which the search with the linear part is worth its while."""
+"""Search with the linear part of a callable, and believe what it simulates, where it leaves at most this share of an
+output's deviation."""
 
 
 def diagnose_callable(

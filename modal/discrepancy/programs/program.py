@@ -18,6 +18,7 @@ import numpy as np
 from era.balanced import decompose, order_choice, realise_from
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, simulate
+from modal.discrepancy.noise.floor import SAME_NUMBER
 from modal.localisation.gap import SAME_LEVEL
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
@@ -71,7 +72,7 @@ def run_callable(simulator: Simulator, record: Record) -> Record:
             f"the callable must return outputs of shape {record.outputs.shape} for {name}, but returned "
             f"{found.outputs.shape}; return one row a sample and one column an output of the record."
         )
-    if abs(found.dt - record.dt) > 1e-6 * record.dt:
+    if abs(found.dt - record.dt) > SAME_NUMBER * record.dt:
         raise InvalidDataError(
             f"the callable must return {name} at its time step of {record.dt:.6g} s, but returned {found.dt:.6g} s; "
             "interpolate its outputs to the times of the record."
@@ -122,16 +123,21 @@ def _named(record: Record) -> str:
 
 
 OBSERVER_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+"""Try these observer orders, the smallest first."""
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
-"""Hankel singular values below these shares of the largest are left out, one model each."""
+"""Leave out Hankel singular values below these shares of the largest, one model each."""
 N_LAGS = 120
+"""Realise from so many Markov parameters."""
 MOST_STATES = 30
+"""Try no model of more states than this."""
 EXACT = 1e-6
-"""Relative miss of the free run at which no larger model is tried: tolerances of integrators are of this size."""
+"""Try no larger model once the free run misses this share: tolerances of integrators are of this size."""
 AS_GOOD = 1.5
-"""A smaller model is preferred to one whose free run misses by less than this factor less."""
+"""Prefer a smaller model to one whose free run misses by less than this factor less."""
 STABLE = 1.0 + 1e-7
+"""Reject a model with a pole beyond this radius."""
 PROBE_SAMPLES = 4000
+"""Probe a callable along so many samples at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -15,7 +15,7 @@ from era.balanced import decompose, order_choice, realise_from
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, simulate
 from modal.discrepancy.fitting.estimation import Estimate
-from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node
 from modal.discrepancy.programs.corrected import CorrectedCallable
 from modal.discrepancy.programs.program import Simulator, run_callable
 from modal.effects.effect import Effect, ForceEffect, SensorEffect
@@ -32,8 +32,7 @@ from okid.record import Record
 __all__ = ["Proof", "ResidualModel", "Runs", "mean_squares", "prove", "residual_model", "unproved", "with_start"]
 
 MOST_STATES = 12
-SMALLEST_SHARE = 0.1
-"""Share of the held-out gap above the floor that a model must take away to be one."""
+"""Model what is left by no more states than this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -102,7 +101,7 @@ def residual_model(
         after = _excess([_missed(best, record) for record in held_out], floor_held_out)
     except IdentificationError:
         return None
-    if before <= 0.0 or after > (1.0 - SMALLEST_SHARE) * before:
+    if before <= 0.0 or after > (1.0 - SMALLEST_FALL) * before:
         return None
     poles = np.log(np.linalg.eigvals(best.A).astype(complex)) / best.dt
     modes = sorted((abs(pole), -pole.real / abs(pole)) for pole in poles if 0.0 < pole.imag < 0.99 * np.pi / best.dt)
@@ -182,10 +181,6 @@ def _excess(left: Sequence[FloatArray], floor: FloatArray) -> float:
             for one, variance in zip(left, floor, strict=True)
         )
     )
-
-
-AS_GOOD = 1.1
-"""A simpler correction is preferred to one that leaves less than a tenth less on the records to fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -276,7 +271,7 @@ def prove(runs: Runs, plant: PlantModel, realisation: Realisation, node: Node) -
     known = [proof for proof in proofs if proof is not None]
     if not known:
         return unproved(runs, realisation)
-    enough = AS_GOOD * min(proof.fit_level for proof in known)
+    enough = (1.0 + SMALLEST_FALL) * min(proof.fit_level for proof in known)
     return next(proof for proof in known if proof.fit_level <= enough)
 
 

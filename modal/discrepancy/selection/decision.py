@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.fitting.estimation import (
+    FAR_ABOVE,
     Estimate,
     Problem,
     estimate,
@@ -38,6 +39,7 @@ from modal.discrepancy.fitting.estimation import (
     weights_along,
 )
 from modal.discrepancy.fitting.nodes import (
+    SMALLEST_FALL,
     SMALLEST_GAIN,
     Node,
     Task,
@@ -61,7 +63,7 @@ from okid.arrays import TINY, FloatArray
 __all__ = ["AbsorbedGain", "Decision", "absorbed_gain", "covariance", "decide_nodes", "held_unknowns", "sureness"]
 
 ITERATIONS, LONGEST = 20, 60
-"""Of the fit that finds the gain, and of one to its end."""
+"""End the fit that finds a gain after the first, and one to its end after the second number of iterations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -229,24 +231,23 @@ def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
 
 
 MOST_ON_FIT = 2.0
-"""The same on the records to fit, where a firm name is wanted: they hold levels that the held-out ones may lack."""
+"""Name nothing firmly above this level on the records to fit: they hold levels that the held-out ones may lack."""
 
 MOST_FIRM = 2
-"""Effects that are named together without doubt: combinations of more were never proved."""
-
-FAR_ABOVE = 10.0
-"""Held-out mean square, in units of the floor, beyond which a likelihood of white noise means nothing."""
+"""Name at most so many effects together without doubt: combinations of more were never proved."""
 
 SAME = 1.05
-"""Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
+"""Rank models by the likelihood of all records where their held-out mean squares differ by less than this."""
 
-CLOSE_COMPANY = 30.0
+CLOSE_COMPANY = SMALLEST_GAIN
+"""Call a lead in 2 ln L below this no lead."""
 CLEAR_RISE = 3.0
-"""Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
+"""Keep an effect without which the held-out mean square rises by this factor, however uncertain its size."""
 LEAST_SURE = 5.0
-"""Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
+"""Drop an effect nearer to none than so many standard deviations: 2 ln L of 30 is five and a half."""
 SHARP_SHARE = 0.05
-"""A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
+"""Count a parameter as found at its known value within three deviations of it, where these are below this share of
+it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -393,7 +394,7 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
         return root
     enough = max(SAME * lowest, 1.0)
     good = [node for node in nodes if node.held_out_level <= enough]
-    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
+    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, (1.0 + SMALLEST_FALL) * enough)]
     fewest = min(len(node.effects) for node in (within or good))
     equals = [node for node in (within or good) if len(node.effects) == fewest]
     if lowest > FAR_ABOVE:

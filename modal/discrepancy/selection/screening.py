@@ -135,6 +135,7 @@ def _taken(motion: Motion, rows: IndexArray, straight: BoolArray) -> Motion:
 
 
 N_PEAKS = 4
+"""Propose frequencies from so many of the highest peaks of what the model leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -270,6 +271,7 @@ def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
 
 
 CHUNK = 48
+"""Respond to so many trials at once: more only cost memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task, node_of, polished
+from modal.discrepancy.fitting.observed_fits import SOFT
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns
@@ -35,12 +36,9 @@ __all__ = [
     "without",
 ]
 
-SOFT = 0.03
-"""Width of a sharp law in the first fit, as a share of the motion's scale."""
 ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
-"""Without an effect that it needs, a model is fitted, and then judged, only as far as its cost, after every four
-iterations, stays within these factors of the whole model's; an iteration that gains less than the first share ends the
-four."""
+"""Fit a model without an effect that it needs, and judge it, only as far as its cost, after every four iterations,
+stays within these factors of the whole model's; an iteration that gains less than the first share ends the four."""
 
 
 def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:

@@ -88,11 +88,11 @@ def early_words(found: Diagnosis) -> str:
 
 
 PLAUSIBLE_GAIN = (0.3, 3.0)
-"""Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
+"""Doubt a gain beyond these: a unit is wrong (a thousand, g, degrees)."""
 SLIGHT = 0.01
-"""A gain that differs from one by less is no finding."""
+"""Doubt a gain that differs from one by less."""
 HARDLY_FOLLOWS = 0.03
-"""Size of a gain below which a channel may as well be dead, or another one."""
+"""Call a channel dead or another one where its gain is below this size."""
 
 
 def doubted_units(decision: Decision) -> Decision:
@@ -125,7 +125,7 @@ def _doubted_gain(gain: float, where: str) -> str:
 
 
 LEAST_RATIO = 2.0
-"""Where only the smoothing was sharpened, the grid's own error is as unknown as if it had been halved."""
+"""Take the grid's own error for as unknown as if it had been halved where only the smoothing was sharpened."""
 
 
 def grid_error(node: Node) -> FloatArray:

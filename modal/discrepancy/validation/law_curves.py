@@ -34,7 +34,9 @@ from okid.arrays import FloatArray
 __all__ = ["law_curves"]
 
 N_GRID = 201
+"""Draw a law at so many points."""
 LONGEST_LOOP = 400
+"""Draw a loop along at most so many samples."""
 LawAt = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """The law at values of its motion (n,), and its derivative (n, p) by the parameters that all records share."""
 Points = Callable[[FloatArray], tuple[FloatArray, FloatArray] | None]

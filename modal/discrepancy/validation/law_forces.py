@@ -20,7 +20,7 @@ from okid.arrays import FloatArray
 __all__ = ["BinnedForce", "Reading", "binned_force", "force_law", "loaded_law", "reading_of", "still_motion"]
 
 LOADING_STEPS = 60
-"""Steps in which a law with memory is loaded from rest to either side."""
+"""Load a law with memory from rest to either side in so many steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -127,8 +127,9 @@ def loaded_law(
 
 
 STEPS = 4
+"""Fit the bins in at most so many steps."""
 WORTH = 0.02
-"""A step is worth a simulation where it takes away more than this share of the squares that are left."""
+"""Simulate a step that takes away more than this share of the squares that are left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

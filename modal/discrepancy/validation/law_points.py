@@ -33,7 +33,7 @@ from modal.discrepancy.fitting.estimation import Estimate, Problem, score_equati
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.sensitivity import Sensitivity, Source, respond, sensitivity
-from modal.simulation.tolerances import ROUNDING
+from modal.simulation.tolerances import DIFFERENCE_STEP, ROUNDING
 from okid.arrays import TINY, FloatArray
 
 __all__ = [
@@ -52,8 +52,9 @@ __all__ = [
 IndexArray = npt.NDArray[np.intp]
 
 N_BINS = 12
+"""Cut a motion into so many bins."""
 INDISTINCT = 0.01
-"""Share of a correction's response below which the rest of the model stands for it."""
+"""Leave a correction to the rest of the model that can stand for all but this share of its response."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -241,9 +242,6 @@ def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources:
     return told_by(whole, seen, len(score) + np.arange(len(sources)), unknowns_but(fitted, [placement]))
 
 
-RELATIVE_STEP = 1e-6
-
-
 def drive_before(fitted: Estimate, problem: Problem, placement: int) -> Drive:
     """The drive as it reaches an effect at an input: after the effects before it."""
     earlier = replace(fitted.assembly, placements=fitted.assembly.placements[:placement])
@@ -277,7 +275,7 @@ def _carried(
         return slopes[0], slopes[1], slopes[2]
     first = replace(assembly, placements=assembly.placements[: placement + 1])
     behind = drive_inputs(first, fitted.unknowns, before, first=placement)
-    size = RELATIVE_STEP * max(float(np.abs(behind.sample).max()), TINY)
+    size = DIFFERENCE_STEP * max(float(np.abs(behind.sample).max()), TINY)
     after = []
     for step in (size, -size):
         moved = replace(

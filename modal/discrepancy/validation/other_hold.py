@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 HALF_A_SAMPLE = (0.25, 0.75)
-"""Delays, beyond whole samples, that a wrong hold may stand behind."""
+"""Suspect a wrong hold behind a delay that lies between these beyond whole samples."""
 
 Diagnose = Callable[[Sequence[Record], Sequence[Record], Mapping[str, Effect]], Diagnosis]
 """Records to fit, held-out records and the effects to try in, the diagnosis out."""
@@ -120,7 +120,7 @@ def _named(found: Diagnosis) -> str:
 
 
 MOST_OF_IT = 0.95
-"""Share of an output's power above the noise that lies below the highest frequency that matters."""
+"""Call that frequency the highest that matters below which this share of an output's power above the noise lies."""
 
 
 def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
@@ -174,8 +174,9 @@ def _left_over(diagnosis: Diagnosis) -> float:
 
 
 PERIODS = 20.0
-"""Length of a span in periods of the highest frequency that matters."""
+"""Make a span so many periods of the highest frequency that matters long."""
 FEWEST_SAMPLES = 200
+"""Make no span shorter than so many samples."""
 
 
 def cut_into_spans(
