@@ -53,9 +53,6 @@ def check_records(
 ) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
     """The records as tuples, and what the reader must know of them.
 
-    Returns:
-        Records to fit, held-out records, notes.
-
     Raises:
         InvalidDataError: If there is none of either, or they do not share channels and time step.
     """
@@ -255,18 +252,7 @@ def prepare_setup(
     whole: bool = False,
     budget: Budget | None = None,
 ) -> Setup:
-    """Noise floor and drives.
-
-    Args:
-        given: The model.
-        fit: Records to fit.
-        held_out: Held-out records.
-        catalogue: The effects to try.
-        report: Called with a sentence and the share done.
-        floor: Their noise floor; estimated unless given.
-        whole: Whether the records may be cut into spans where their motion cannot be followed.
-        budget: What is left of an earlier search; a new one unless given.
-    """
+    """Noise floor and drives."""
     check_plant(given.plant, given.linear, [*fit, *held_out])
     check_long_enough(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)
@@ -348,13 +334,7 @@ def roots(setup: Setup) -> tuple[Node, Node]:
 
 
 def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
-    """Where the calibrated linear model and the records disagree.
-
-    Args:
-        setup: Model, records and floor.
-        root: The calibrated model.
-        modes: Of the records to fit at each level; found unless given.
-    """
+    """Where the calibrated linear model and the records disagree."""
     setup.task.report("locating the gap", 0.85)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
     return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))

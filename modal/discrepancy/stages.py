@@ -200,9 +200,6 @@ def calibrated_parameters(fitted: Estimate, deviations: FloatArray) -> tuple[Cal
     Args:
         fitted: The estimate.
         deviations: (n_common,) standard deviations of its common unknowns.
-
-    Returns:
-        One entry a linear parameter.
     """
     return tuple(
         Calibrated(

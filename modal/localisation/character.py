@@ -75,13 +75,7 @@ def excess_spectrum(gap: Gap, outputs: Sequence[int]) -> tuple[float, FloatArray
 
 
 def narrowest_interval(gap: Gap, outputs: Sequence[int], *, share: float = 0.8) -> Interval | None:
-    """The narrowest range of frequencies that holds a share of the gap above the noise; None where there is no gap.
-
-    Args:
-        gap: from `measure_gap`.
-        outputs: their indices; several count together, each relative to its size.
-        share: of all but the constant part.
-    """
+    """The narrowest range of frequencies that holds a share of the gap above the noise; None where there is no gap."""
     constant, cells = excess_spectrum(gap, outputs)
     total = cells.sum()
     if not total > 0.0:

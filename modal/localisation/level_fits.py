@@ -143,13 +143,7 @@ def _error(model: Realisation, records: Sequence[Record]) -> float:
 
 
 def refined(records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN) -> RefinedModel | None:
-    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes.
-
-    Args:
-        records: of one level.
-        start: the model to refine.
-        least_gain: relative decrease of the error by a step below which it stands still.
-    """
+    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes."""
     # a part of a record may not show a mode at all: then its parameters have no curvature, and their step no end
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
@@ -209,12 +203,7 @@ class LevelFit:
 def follow_levels(
     levels: Sequence[Sequence[Record]], start: Callable[[Sequence[Record]], Start]
 ) -> tuple[int, tuple[LevelFit | None, ...]] | None:
-    """The model of every level, and the index of the level that a linear model fits best; None without any.
-
-    Args:
-        levels: the records of each level, by rising level; means removed, no input missing.
-        start: a first model of a level, `driven_start` or `decay_start`.
-    """
+    """The model of every level, and the index of the level that a linear model fits best; None without any."""
     starts = [start(records) for records in levels]
     best = min(range(len(levels)), key=lambda i: starts[i][0])
     model = starts[best][1]

@@ -220,9 +220,6 @@ def measured_modes(modes: Sequence[Mode], dt: float) -> list[int]:
     Args:
         modes: of one model.
         dt: time step [s].
-
-    Returns:
-        Their indices.
     """
     light = any(mode.kind == "oscillatory" and mode.damping_ratio <= HEAVY for mode in modes)
     return [

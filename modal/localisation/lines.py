@@ -49,9 +49,6 @@ SHORTEST = 4
 def input_period(record: Record) -> int | None:
     """Number of samples after which all inputs repeat, at least twice in the record; None where there is none.
 
-    Args:
-        record: with inputs, none of them missing; others have no period.
-
     Example:
         >>> sine = np.sin(2 * np.pi * np.arange(100) / 20)
         >>> input_period(Record(sine, sine, 0.1)), input_period(Record(np.arange(100.0), sine, 0.1))

@@ -296,15 +296,7 @@ def estimate(
 ) -> Estimate:
     """Fit from a simulated start.
 
-    Args:
-        start: The model to start from (`simulate_at`).
-        problem: Records to fit.
-        iterations: Largest number of iterations.
-        standstill: Relative fall of the cost below which the fit ends.
-        budget: Work after which it ends; unlimited unless given.
-
-    Returns:
-        The best model found; the start where nothing is better.
+    The best model found; the start where nothing is better.
     """
     current, damping = start, FIRST_DAMPING
     for iteration in range(iterations):

@@ -50,13 +50,7 @@ WEAKER = (1.0, 0.3, 0.1)
 def judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
     """The model along the held-out records; only initial states and what else each record has for itself is fitted.
 
-    Args:
-        fitted: The model.
-        held_out: The held-out records.
-        begun: A like model along them, from whose initial states to start.
-
-    Returns:
-        The estimate; None where the model escapes.
+    The estimate; None where the model escapes.
     """
     assembly = fitted.assembly
     n_records = held_out.drive.n_records
@@ -84,9 +78,6 @@ def rested(start: Estimate, problem: Problem) -> Estimate:
     """The same model begun at rest where that is nearer to the records.
 
     Initial states that made up for a missing law do not find back from under friction, which holds a mass anywhere.
-
-    Returns:
-        That one, or the given one.
     """
     local = start.unknowns.local.copy()
     local[:, : start.assembly.plant.n_states] = 0.0
@@ -253,13 +244,7 @@ def _gain(before: Estimate, after: Estimate, problem: Problem) -> float:
 
 
 def node_of(fitted: Estimate, task: Task, begun: Estimate | None = None) -> Node:
-    """Judge a fitted model on the held-out records.
-
-    Args:
-        fitted: The model.
-        task: Records.
-        begun: A like model along the held-out records, from whose initial states to start.
-    """
+    """Judge a fitted model on the held-out records."""
     return Node(fitted=fitted, held_out=judged(fitted, task.held_out, begun), coarse=fitted)
 
 
@@ -350,8 +335,7 @@ WIDER = 4.0
 def calibrated_node(start: Estimate, task: Task) -> Node:
     """The linear parameters and the initial states fitted, and judged on the held-out records.
 
-    Returns:
-        The model; within wider bounds where these explain the records and those given do not.
+    The model; within wider bounds where these explain the records and those given do not.
     """
     found = polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
     if found.held_out_level <= AT_FLOOR or not found.coarse.at_bounds[: start.assembly.n_linear].any():

@@ -137,8 +137,7 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
 def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
     """The model with a tenth of its observer gain.
 
-    Returns:
-        None where it has no gain, or cannot be simulated so.
+    None where it has no gain, or cannot be simulated so.
     """
     if observed.gain is None:
         return None

@@ -91,11 +91,6 @@ class LostMotion(Exception):  # noqa: N818 - no error: the search begins again o
 def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate | None:
     """The model near its free run, fitted gain by gain.
 
-    Args:
-        fit: Fitted in observer form.
-        problem: The records it was fitted to.
-        smoothing: Width of sharp laws, as a share of the motion's scale.
-
     Returns:
         The model in free run, not fitted yet; None where it is lost on the way, or there is no gain to begin with.
 

@@ -99,14 +99,7 @@ def proved(
 def without_search(runs: Runs, floor: NoiseFloor, location: Location, warnings: tuple[str, ...]) -> Diagnosis:
     """All that can be said of a callable whose linear part could not be identified.
 
-    Args:
-        runs: The callable and the records.
-        floor: Noise floor of the records.
-        location: Where callable and records disagree.
-        warnings: Why no effect was tried.
-
-    Returns:
-        "none" where the callable explains the records as it is, else "unresolved".
+    "none" where the callable explains the records as it is, else "unresolved".
     """
     before = unproved(runs, None)
     # the floor of a nonlinear system without repeats counts motion as noise
@@ -215,17 +208,7 @@ def diagnose_callable(
 ) -> Diagnosis:
     """Find what a callable lacks.
 
-    Args:
-        model: Takes a Record and returns one with simulated outputs; started from rest, deterministic.
-        fits: Records to fit.
-        helds: Held-out records.
-        catalogue: The effects to try.
-        sensor_kind: What the outputs are, as in `diagnose`.
-        progress: Called with a sentence and the share that is done.
-        notes: What is known of the records already; they lead the warnings.
-
-    Returns:
-        The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
+    The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
 
     Raises:
         InvalidDataError: No input, or a callable that fails, is not deterministic, or returns no record that matches.

@@ -147,12 +147,10 @@ class IdentifiedPart:
     Attributes:
         realisation: Discrete model at the time step of the records.
         miss: What its free run misses of the callable's outputs on the quietest records, relative, worst output.
-        source: "records" or "probe": what it was identified from.
     """
 
     realisation: Realisation
     miss: float
-    source: str
 
 
 def identify_callable(
@@ -160,14 +158,7 @@ def identify_callable(
 ) -> IdentifiedPart | None:
     """Identify the linear part about the quietest level.
 
-    Args:
-        simulator: Takes a Record and returns one.
-        runs: The records with the callable's outputs.
-        usable: Whether a model can be worked with (that a continuous-time system samples to it, say); others are
-            passed over.
-
-    Returns:
-        The smallest model that reproduces the callable as well as any; None where there is none.
+    The smallest model that reproduces the callable as well as any; None where there is none.
 
     References:
         Juang, Phan, Horta, Longman, Identification of observer/Kalman filter Markov parameters: theory and experiments,
@@ -187,11 +178,11 @@ def identify_callable(
         (1, array([[0.9]]))
     """
     quiet = quietest(runs)
-    known, narrow = _best(quiet, quiet, "records", usable)
+    known, narrow = _best(quiet, quiet, usable)
     if known is not None and not narrow and known.miss <= EXACT:
         return known
     try:
-        probed, _ = _best([run_callable(simulator, _probe(quiet[0]))], quiet, "probe", usable)
+        probed, _ = _best([run_callable(simulator, _probe(quiet[0]))], quiet, usable)
     except IdentificationError:
         # it may know nothing but the records (a table of stored runs)
         probed = None
@@ -227,7 +218,7 @@ def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
 
 
 def _best(
-    runs: Sequence[Record], judges: Sequence[Record], source: str, usable: Callable[[Realisation], bool]
+    runs: Sequence[Record], judges: Sequence[Record], usable: Callable[[Realisation], bool]
 ) -> tuple[IdentifiedPart | None, bool]:
     """The smallest of the models that miss least, and whether the records drove too little to tell."""
     found: list[IdentifiedPart] = []
@@ -239,7 +230,7 @@ def _best(
             except IdentificationError:
                 continue
             if np.isfinite(miss) and usable(realisation):
-                found.append(IdentifiedPart(realisation=realisation, miss=miss, source=source))
+                found.append(IdentifiedPart(realisation=realisation, miss=miss))
         least = min((part.miss for part in found), default=np.inf)
         narrow = poor
         if least <= EXACT:

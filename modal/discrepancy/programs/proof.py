@@ -241,15 +241,7 @@ class Proof:
 
 
 def unproved(runs: Runs, realisation: Realisation | None) -> Proof:
-    """The callable as it was given.
-
-    Args:
-        runs: The callable and the records.
-        realisation: Its linear part, by which the free motion that a record began with is fitted; None: none is.
-
-    Returns:
-        The same as for a corrected one.
-    """
+    """The callable as it was given."""
     records = (*runs.fit, *runs.held_out)
     simulated = tuple(
         with_start(realisation, record, run.outputs) for record, run in zip(records, runs.own, strict=True)
@@ -263,9 +255,6 @@ def prove(runs: Runs, plant: PlantModel, realisation: Realisation, node: Node) -
     Three corrections are tried where they make sense: the callable alone with changed inputs and outputs, with the
     forces in its linear part as it was identified, and with calibrated linear parameters too. The first that leaves
     hardly more on the records to fit than the best is taken.
-
-    Returns:
-        The proof.
     """
     proofs = [_proof(runs, plant, realisation, node, linear) for linear in _choices(runs, plant, node)]
     known = [proof for proof in proofs if proof is not None]

@@ -361,8 +361,7 @@ yet."""
 def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
 
-    Returns:
-        Every model judged on held-out records, in the order found.
+    Every model judged on held-out records, in the order found.
     """
     everything = list(known) if known else [root]
     front = _distinct([node for node in known if counts(root, node, task)])

@@ -84,12 +84,7 @@ class AbsorbedGain:
 def absorbed_gain(root: Node, task: Task) -> AbsorbedGain | None:
     """The one gain that explains the calibration of a model, where there is one.
 
-    Args:
-        root: The calibrated model; it explains the data.
-        task: Records, catalogue.
-
-    Returns:
-        The best one; None where no internal force is free, or no gain is worth 30.
+    The best one; None where no internal force is free, or no gain is worth 30.
     """
     plant = root.coarse.assembly.plant
     if not any(one.name.startswith(INTERNAL_FORCE) for one in plant.parameters):
@@ -176,8 +171,7 @@ def held_unknowns(current: Estimate) -> IndexArray:
 def sureness(node: Node, task: Task) -> list[float]:
     """How many deviations each effect of a model is from none.
 
-    Returns:
-        One number an effect; infinite where the model without it escapes.
+    One number an effect; infinite where the model without it escapes.
     """
     current, problem = node.coarse, task.fit
     slopes = sensitivity_of(current, problem)
@@ -272,16 +266,7 @@ class Decision:
 def decide_nodes(
     nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset()
 ) -> Decision:
-    """Choose among the models that the search has fitted, the first being the linear one.
-
-    Args:
-        nodes: From `search`; the first is the calibrated model as it was given.
-        task: Records and catalogue.
-        circumstances: What holds of plant and records, for the table of ambiguities.
-
-    Returns:
-        The decision.
-    """
+    """Choose among the models that the search has fitted, the first being the linear one."""
     root = nodes[0]
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)

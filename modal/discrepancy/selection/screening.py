@@ -42,12 +42,6 @@ def _memories_along(
     A rate-independent law goes straight through where the motion does not turn round: it depends on the turning points
     alone. These are solved for first, a small share of the samples, and all others follow from the last one before
     them. All its shapes are solved for together, as if each were a record of its own.
-
-    Args:
-        effect: The effect.
-        shapes: Its parameters, one set a shape.
-        motion: Motion at its place, at all times of the drive.
-        drive: The records; each begins without memory.
     """
     firsts = np.array(drive.firsts[:-1])
     if not effect.rate_independent:
@@ -284,7 +278,6 @@ class Candidate:
         local: (n_records, n) start of the unknowns that each record has for itself.
         fall: Share of the residual's weighted square that it would take away, records and outputs alike; of a
             "turned" one the share at the amplitude that its sign forbids.
-        significance: Fall of the weighted square over what chance gives a column, a chi-square per column.
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """
 
@@ -292,7 +285,6 @@ class Candidate:
     common: FloatArray
     local: FloatArray
     fall: float
-    significance: float
     deviation: float
 
     @property
@@ -323,9 +315,6 @@ def screen_candidates(
         smoothing: Width of sharp laws in the screen, as a share of the motion's scale.
         signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is;
             "turned": none is, and those start from the opposite amplitudes.
-
-    Returns:
-        Candidates, best first.
     """
     peaks = _peaks(current, problem)
     trials = [
@@ -341,11 +330,12 @@ def screen_candidates(
         sources = [source for trial in part for source in trial.sources]
         _, outputs = respond(current.assembly, current.unknowns, current.trajectory, sources, gain=current.gain)
         columns = (outputs * nuisance.weights).reshape(len(sources), -1)
+        projections = nuisance.projected(columns)
         used = 0
         for trial in part:
-            n_columns = len(trial.sources)
-            scored = _score(trial, columns[used : used + n_columns], nuisance, problem.drive, signs)
-            used += n_columns
+            own = slice(used, used + len(trial.sources))
+            scored = _score(trial, columns[own], projections[:, own], nuisance, problem.drive, signs=signs)
+            used = own.stop
             if scored is not None:
                 found.append(scored)
     return tuple(sorted(found, key=lambda candidate: -candidate.fall))
@@ -360,6 +350,12 @@ class _Nuisance:
     residual: FloatArray
     weights: FloatArray
     total: float
+
+    def projected(self, columns: FloatArray) -> FloatArray:
+        """(n_nuisance, n_columns) what columns have in common with these, by orthonormal ones."""
+        whole, lower = self.factor
+        seen = self.columns @ columns.T
+        return np.asarray(scipy.linalg.solve_triangular(whole, seen, trans=0 if lower else 1, lower=lower))
 
     @staticmethod
     def of(current: Estimate, problem: Problem) -> "_Nuisance":
@@ -396,13 +392,15 @@ class _Nuisance:
         )
 
 
-def _score(trial: _Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
+def _score(
+    trial: _Trial, columns: FloatArray, projection: FloatArray, nuisance: _Nuisance, drive: Drive, *, signs: str
+) -> Candidate | None:
     local = bool(trial.placement.local)
     if local:
         spread = np.repeat(np.arange(drive.n_records), np.diff(drive.row_firsts) * drive.outputs.shape[1])
         columns = np.concatenate([columns * (spread == record) for record in range(drive.n_records)])
-    seen = nuisance.columns @ columns.T
-    gram = columns @ columns.T - seen.T @ scipy.linalg.cho_solve(nuisance.factor, seen)
+        projection = nuisance.projected(columns)
+    gram = columns @ columns.T - projection.T @ projection
     score = columns @ nuisance.residual
     size = np.sqrt(np.maximum(np.diag(gram), TINY))
     if (
@@ -423,7 +421,6 @@ def _score(trial: _Trial, columns: FloatArray, nuisance: _Nuisance, drive: Drive
     return replace(
         _candidate(trial, weights, drive, local=local),
         fall=fall / max(nuisance.total, TINY),
-        significance=fall / len(weights),
         deviation=float(np.sqrt(np.linalg.inv(scaled)[0, 0]) / size[0]),
     )
 
@@ -479,6 +476,5 @@ def _candidate(trial: _Trial, weights: FloatArray, drive: Drive, *, local: bool)
         common=np.concatenate([[started[j] for j in item.common], directions]),
         local=own,
         fall=0.0,
-        significance=0.0,
         deviation=np.nan,
     )

@@ -54,14 +54,7 @@ def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
 def run_without(fitted: Estimate, placement: int, problem: Problem, *, smoothing: float) -> Estimate | None:
     """The model run without one of its effects, all else as it is.
 
-    Args:
-        fitted: The model.
-        placement: Which effect, by its position.
-        problem: Its records.
-        smoothing: Width of sharp laws, as a share of the motion's scale.
-
-    Returns:
-        None where the motion escapes.
+    None where the motion escapes.
     """
     smaller, unknowns = dropped(fitted, placement)
     return simulate_at(smaller, unknowns, problem, states=_other_states(fitted, placement), smoothing=smoothing)
@@ -169,14 +162,6 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
     """The items in their order, but a limit of a richer law before that law where it is near it.
 
     It is quick to fit, and where it explains the data the richer one need not be followed far.
-
-    Args:
-        items: In an order of their own.
-        law: The law of an item and its place.
-        near: Whether a limit (first) does nearly as well as the richer law (second).
-
-    Returns:
-        All of them.
     """
     ordered: list[T] = []
     for item in items:
@@ -188,12 +173,7 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
 def with_limits(node: Node, task: Task) -> list[Node]:
     """The models with one of the node's effects replaced by a limit of it, at the same place.
 
-    Args:
-        node: A fitted model.
-        task: Records and catalogue; a law that is not in the catalogue is not tried.
-
-    Returns:
-        One model a limit that is near and not there already.
+    One model a limit that is near and not there already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     found: list[Node] = []
@@ -228,13 +208,7 @@ def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node
 
     The search may have lost it on the way, and without it a name would lead for want of a rival.
 
-    Args:
-        node: A fitted model.
-        task: Records and catalogue; a law that is not in the catalogue is not tried.
-        fitted: Models that need not be fitted again.
-
-    Returns:
-        One model an effect that has such a law and stands beside a linear stiffness.
+    One model an effect that has such a law and stands beside a linear stiffness.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     there = [set(one.effects) for one in fitted]

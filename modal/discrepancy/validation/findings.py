@@ -92,8 +92,7 @@ def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tup
 def even_rivals(decision: Decision, i: int) -> tuple[str, ...]:
     """Keys of the effects that explain the data as well as effect number i of the chosen model.
 
-    Returns:
-        Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
+    Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
     """
     runner = decision.runners[i]
     if runner is None or decision.margins[i] >= CLOSE_COMPANY:
@@ -124,8 +123,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
     shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest over the shapes that
     the screen tries. Effects without an amplitude (a delay) are left out.
 
-    Returns:
-        One limit an effect and place, in the order of the catalogue.
+    One limit an effect and place, in the order of the catalogue.
     """
     candidates = screen_candidates(current, task.fit, task.catalogue, signs="free")
     largest: dict[tuple[str, str], Candidate] = {}
@@ -155,11 +153,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
 
 
 def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
-    """What holds of the plant and its records, for the table of ambiguities.
-
-    Returns:
-        The circumstances.
-    """
+    """What holds of the plant and its records, for the table of ambiguities."""
     found: set[Circumstance] = set()
     if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
         found.add("one_dof")
@@ -185,11 +179,7 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozen
 
 
 def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
-    """What to measure next.
-
-    Returns:
-        Sentences, the most useful first.
-    """
+    """What to measure next."""
     words: list[str] = []
     by_level = False
     for i, ((effect, where), runner) in enumerate(zip(decision.node.effects, decision.runners, strict=False)):

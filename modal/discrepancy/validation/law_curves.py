@@ -219,9 +219,6 @@ def law_curves(fitted: Estimate, problem: Problem, plant: Plant, spread: FloatAr
         problem: The records it was fitted to.
         plant: The plant.
         spread: (n, n) covariance of all unknowns, common ones first (`covariance.covariance`).
-
-    Returns:
-        One curve an effect, in their order.
     """
     found = []
     for i, item in enumerate(fitted.assembly.placements):

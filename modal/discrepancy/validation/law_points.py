@@ -249,11 +249,7 @@ def drive_before(fitted: Estimate, problem: Problem, placement: int) -> Drive:
 
 
 def input_sources(fitted: Estimate, placement: int, before: Drive, bins: Bins) -> list[Source]:
-    """What a unit of each bin's hat, added to the input behind the effect, does by itself.
-
-    Returns:
-        One source a bin.
-    """
+    """What a unit of each bin's hat, added to the input behind the effect, does by itself."""
     channel = fitted.assembly.placements[placement].channel
     hats = [bins.hats(signal[:, channel])[0] for signal in (before.start, before.end, before.sample)]
     found = []

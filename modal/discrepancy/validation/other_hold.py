@@ -76,8 +76,7 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
     Where the declared one explains them too, the other can do with fewer of the same effects, or it is no better.
 
-    Returns:
-        One of the two, the other hold's with a warning that says so.
+    One of the two, the other hold's with a warning that says so.
     """
     if not has_half_a_sample(found):
         return found
