@@ -252,7 +252,12 @@ def prepare_setup(
     whole: bool = False,
     budget: Budget | None = None,
 ) -> Setup:
-    """Noise floor and drives."""
+    """Noise floor and drives of records that a model fits; a floor or a budget of an earlier search goes on.
+
+    Raises:
+        InvalidDataError: Model and records that do not match, an unstable model.
+        InsufficientDataError: Records too short for the model.
+    """
     check_plant(given.plant, given.linear, [*fit, *held_out])
     check_long_enough(given.plant, [*fit, *held_out])
     report("noise floor", 0.0)

@@ -50,7 +50,7 @@ WEAKER = (1.0, 0.3, 0.1)
 def judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
     """The model along the held-out records; only initial states and what else each record has for itself is fitted.
 
-    The estimate; None where the model escapes.
+    None where the model escapes.
     """
     assembly = fitted.assembly
     n_records = held_out.drive.n_records

@@ -241,7 +241,7 @@ class Proof:
 
 
 def unproved(runs: Runs, realisation: Realisation | None) -> Proof:
-    """The callable as it was given."""
+    """The callable as it was given, with the free motion of its linear part that each record began with."""
     records = (*runs.fit, *runs.held_out)
     simulated = tuple(
         with_start(realisation, record, run.outputs) for record, run in zip(records, runs.own, strict=True)

@@ -171,7 +171,7 @@ def held_unknowns(current: Estimate) -> IndexArray:
 def sureness(node: Node, task: Task) -> list[float]:
     """How many deviations each effect of a model is from none.
 
-    One number an effect; infinite where the model without it escapes.
+    One number for each effect; infinite where the model without it escapes.
     """
     current, problem = node.coarse, task.fit
     slopes = sensitivity_of(current, problem)

@@ -159,7 +159,7 @@ def is_limit(simple: Law, rich: Law) -> bool:
 
 
 def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T, T], bool]) -> list[T]:
-    """The items in their order, but a limit of a richer law before that law where it is near it.
+    """The items in their order, but a limit of a richer law before that law where it is `near`: does nearly as well.
 
     It is quick to fit, and where it explains the data the richer one need not be followed far.
     """
@@ -173,7 +173,7 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
 def with_limits(node: Node, task: Task) -> list[Node]:
     """The models with one of the node's effects replaced by a limit of it, at the same place.
 
-    One model a limit that is near and not there already.
+    One for each limit that is near, in the catalogue and not there already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     found: list[Node] = []
@@ -206,9 +206,8 @@ TWINS = {
 def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node]:
     """The models with one of the node's effects replaced by the law that is nearly the same.
 
-    The search may have lost it on the way, and without it a name would lead for want of a rival.
-
-    One model an effect that has such a law and stands beside a linear stiffness.
+    The search may have lost it on the way, and without it a name would lead for want of a rival. One for each effect
+    that stands beside a linear stiffness and whose twin is in the catalogue, but for models `fitted` already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     there = [set(one.effects) for one in fitted]

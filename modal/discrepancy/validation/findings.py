@@ -123,7 +123,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
     shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest over the shapes that
     the screen tries. Effects without an amplitude (a delay) are left out.
 
-    One limit an effect and place, in the order of the catalogue.
+    One limit for each effect and place, in the order of the catalogue.
     """
     candidates = screen_candidates(current, task.fit, task.catalogue, signs="free")
     largest: dict[tuple[str, str], Candidate] = {}
