@@ -23,7 +23,6 @@ from modal.discrepancy.validation.findings import circumstances_of
 from modal.discrepancy.validation.other_hold import (
     by_the_better_hold,
     cut_into_spans,
-    floor_of_spans,
     span_words,
 )
 from modal.discrepancy.validation.summary import diagnosis_of
@@ -134,18 +133,13 @@ def _in_spans(whole: Setup) -> Setup:
     fewest = fewest_samples(whole.given.plant)
     spans, origin = cut_into_spans((*whole.fit, *whole.held_out), whole.floor.variance, fewest=2 * fewest)
     n_fit = sum(position < len(whole.fit) for position in origin)
-    task, floor = whole.task, floor_of_spans(whole.floor, origin)
+    task, floor = whole.task, whole.floor.of_records(origin)
     task.report("once more on spans of the records", 0.05)
     return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.catalogue, task.report, floor=floor)
 
 
 def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) -> Diagnosis:
     """Everything from calibration to the words.
-
-    Args:
-        setup: Model, records and floor.
-        notes: What the reader must know of the records.
-        modes: Of the records to fit at each level, where they are known.
 
     Raises:
         LostMotion: The records are whole, and the motion cannot be followed along them.

@@ -1,9 +1,7 @@
 """What a diagnosis says: the missing effects, how sure that is, and the gap before and after.
 
-How much of each output the model explains on held-out data: a model that lacks nothing may still explain nothing.
-
-Where an output is noise only, or has nothing to do with the inputs, no effect can be missing that the data could show.
-"Nothing missing" is then no praise of the model, and must not read like it.
+A model that lacks nothing may still explain nothing: where an output is noise only, or has nothing to do with the
+inputs, no effect can be missing that the data could show. "Nothing missing" must not read like praise then.
 """
 
 from dataclasses import dataclass
@@ -34,8 +32,9 @@ __all__ = [
 ]
 
 NOTHING = 0.1
-"""Share of an output's variance below which a model is said to explain nothing of it."""
+"""Say that a model explains nothing of an output where it explains less than this share of its variance."""
 MOST_NAMED = 4
+"""Name at most so many outputs in a sentence."""
 
 
 def explained_shares(diagnosis: "Diagnosis") -> FloatArray:
@@ -43,9 +42,6 @@ def explained_shares(diagnosis: "Diagnosis") -> FloatArray:
 
     1 - mean square of measured minus simulated over the variance of the measured output, over all held-out records;
     negative where the output would be nearer to its own mean; nan where the output rests.
-
-    Args:
-        diagnosis: What was found.
     """
     counts = np.array([np.isfinite(record.outputs).sum(axis=0) for record in diagnosis.held_out], dtype=float)
     variance = np.array([np.nanvar(record.outputs, axis=0) for record in diagnosis.held_out])
@@ -56,21 +52,13 @@ def explained_shares(diagnosis: "Diagnosis") -> FloatArray:
 
 
 def unexplained_outputs(diagnosis: "Diagnosis") -> tuple[str, ...]:
-    """Names of the outputs of which the updated model explains nothing.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """Names of the outputs of which the updated model explains nothing."""
     names = diagnosis.held_out[0].output_names
     return tuple(name for name, share in zip(names, explained_shares(diagnosis), strict=True) if share < NOTHING)
 
 
 def explained_words(diagnosis: "Diagnosis") -> str:
-    """The warning that the model explains nothing of some outputs; "" where it explains something of each.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """The warning that the model explains nothing of some outputs; "" where it explains something of each."""
     outputs = unexplained_outputs(diagnosis)
     if not outputs:
         return ""

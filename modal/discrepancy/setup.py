@@ -1,7 +1,4 @@
-"""The ground of a diagnosis: plant, noise floor, drives, and the model before any effect is tried.
-
-Model and records that belong together, or one sentence that says why they do not.
-"""
+"""The ground of a diagnosis: records and model that belong together, floor, drives, the model before any effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +8,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import FINE_STEPS, Node, Task, calibrated_node, node_of, on_other_floor, polished
-from modal.discrepancy.noise.floor import NoiseFloor, lowered_floor, noise_floor
+from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor
 from modal.discrepancy.selection.beam import search_effects
 from modal.effects.effect import Effect
 from modal.localisation.evidence import Location, locate
@@ -43,25 +40,18 @@ __all__ = [
 ]
 
 SAME_LEVEL = 1.25
-"""Records whose inputs differ by less than this factor are of one level."""
+"""Say that records are of one level whose inputs differ by less than this factor."""
 
-RADIUS = 1e-6
 FEWEST_PER_UNKNOWN = 5
+"""Refuse records with fewer measured values for each unknown than this."""
 FEWEST_SAMPLES, FEWEST_PER_STATE = 64, 10
-"""Samples that every record must have: a shorter one proves nothing, its initial state alone fits it."""
+"""Refuse a record of fewer samples, in all or for each state: its initial state alone fits it."""
 
 
 def check_records(
     fit: Record | Sequence[Record], held_out: Record | Sequence[Record]
 ) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
     """The records as tuples, and what the reader must know of them.
-
-    Args:
-        fit: Records to fit.
-        held_out: Held-out records.
-
-    Returns:
-        Records to fit, held-out records, notes.
 
     Raises:
         InvalidDataError: If there is none of either, or they do not share channels and time step.
@@ -115,7 +105,7 @@ def _check_alike(records: Sequence[Record]) -> None:
                 f"records differ in channels: {first.n_inputs} inputs and {first.n_outputs} outputs against "
                 f"{record.n_inputs} and {record.n_outputs}; pass the same channels of each"
             )
-        if abs(record.dt / first.dt - 1.0) > RADIUS:
+        if abs(record.dt / first.dt - 1.0) > SAME_NUMBER:
             raise InvalidDataError(
                 f"records differ in time step: {first.dt:g} s against {record.dt:g} s; resample one of them"
             )
@@ -158,11 +148,6 @@ def _level(record: Record) -> float:
 def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> None:
     """Whether a plant fits records.
 
-    Args:
-        plant: The plant.
-        linear: Values of its linear parameters.
-        records: Records to compare it with.
-
     Raises:
         InvalidDataError: Other numbers of inputs or outputs, other units, an unstable plant.
         InsufficientDataError: Records too short for the plant.
@@ -188,7 +173,7 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
             )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
-        if growth > RADIUS * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
+        if growth > SAME_NUMBER * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
             raise InvalidDataError(
                 f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
                 "signs"
@@ -210,10 +195,6 @@ def fewest_samples(plant: Plant) -> int:
 def check_long_enough(plant: Plant, records: Sequence[Record]) -> None:
     """Whether each record is long enough to prove anything.
 
-    Args:
-        plant: The plant.
-        records: Records to fit and held out.
-
     Raises:
         InsufficientDataError: A record that is too short.
     """
@@ -231,10 +212,11 @@ def _plain(unit: str) -> str:
 
 
 MOST_WORK = 4000.0
-"""A search may cost so many simulations along the records to fit: two effects were seen to take 200 to 1600."""
+"""End a search that has cost so many simulations along the records to fit: two effects were seen to take 200 to
+1600."""
 
 FOLLOWED = 1e-3
-"""Share of an output, root mean square, that counts as noise in any case: steps and smoothed corners leave as much."""
+"""Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done (0 to 1)."""
@@ -270,17 +252,11 @@ def prepare_setup(
     whole: bool = False,
     budget: Budget | None = None,
 ) -> Setup:
-    """Noise floor and drives.
+    """Noise floor and drives of records that a model fits; a floor or a budget of an earlier search goes on.
 
-    Args:
-        given: The model.
-        fit: Records to fit.
-        held_out: Held-out records.
-        catalogue: The effects to try.
-        report: Called with a sentence and the share done.
-        floor: Their noise floor; estimated unless given.
-        whole: Whether the records may be cut into spans where their motion cannot be followed.
-        budget: What is left of an earlier search; a new one unless given.
+    Raises:
+        InvalidDataError: Model and records that do not match, an unstable model.
+        InsufficientDataError: Records too short for the model.
     """
     check_plant(given.plant, given.linear, [*fit, *held_out])
     check_long_enough(given.plant, [*fit, *held_out])
@@ -363,13 +339,7 @@ def roots(setup: Setup) -> tuple[Node, Node]:
 
 
 def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
-    """Where the calibrated linear model and the records disagree.
-
-    Args:
-        setup: Model, records and floor.
-        root: The calibrated model.
-        modes: Of the records to fit at each level; found unless given.
-    """
+    """Where the calibrated linear model and the records disagree."""
     setup.task.report("locating the gap", 0.85)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
     return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))
@@ -377,20 +347,8 @@ def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Loc
 
 def simulated_records(records: Sequence[Record], fitted: Estimate) -> list[Record]:
     """The records with the model's outputs."""
-    return [
-        Record(
-            record.inputs,
-            outputs,
-            record.dt,
-            input_names=record.input_names,
-            output_names=record.output_names,
-            input_units=record.input_units,
-            output_units=record.output_units,
-            input_hold=record.input_hold,
-            name=record.name,
-        )
-        for record, outputs in zip(records, simulated_outputs(fitted, records), strict=True)
-    ]
+    runs = zip(records, simulated_outputs(fitted, records), strict=True)
+    return [replace(record, outputs=outputs) for record, outputs in runs]
 
 
 def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[FloatArray, ...]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.results import Calibrated
 from modal.discrepancy.selection.decision import Decision, covariance, decide_nodes
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.setup import check_plant, check_records, prepare_setup
+from modal.discrepancy.setup import check_plant, check_records, prepare_setup, simulated_outputs
 from modal.discrepancy.validation.findings import circumstances_of
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
@@ -87,13 +86,12 @@ def fit(
     given, found, problem = _estimated(model, chosen, floor, sensor_kind, catalogue)
     spread = covariance(found, problem)
     deviations = np.sqrt(np.maximum(np.diag(spread)[: found.assembly.n_common], 0.0))
-    rows = np.concatenate([[0], np.cumsum([record.n_samples for record in chosen])])
     return Fitted(
         model=returned_model(given, found.assembly, found.unknowns, deviations),
         level=found.level,
         mean_square=found.mean_square,
         calibrated=calibrated_parameters(found, deviations),
-        simulated=tuple(found.trajectory.outputs[a:b] for a, b in pairwise(rows)),
+        simulated=simulated_outputs(found, chosen),
     )
 
 
@@ -147,8 +145,7 @@ def screen(
     """
     chosen = (records,) if isinstance(records, Record) else tuple(records)
     _, found, problem = _estimated(model, chosen, floor, sensor_kind, CATALOGUE)
-    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
-    gain = observer_gain(found, problem, steps)
+    gain = observer_gain(found, problem)
     observed = simulate_at(
         found.assembly, found.unknowns, problem, states=found.trajectory.states, gain=gain, smoothing=found.smoothing
     )
@@ -203,9 +200,6 @@ def calibrated_parameters(fitted: Estimate, deviations: FloatArray) -> tuple[Cal
     Args:
         fitted: The estimate.
         deviations: (n_common,) standard deviations of its common unknowns.
-
-    Returns:
-        One entry a linear parameter.
     """
     return tuple(
         Calibrated(

@@ -1,9 +1,7 @@
-"""Frequency bands, and the mean square of a signal line by line, so that the bands of a record add up to the whole.
+"""The gap cut by frequency and by time: tables of mean squares that add up to the whole, with the noise beside them.
 
 The lines are those of the discrete Fourier transform of the record without a window: then the constant part and the
 power of all lines sum to the mean square exactly (Parseval), whatever the bands.
-
-The gap cut by frequency and by time: tables of mean squares that add up to the whole, with the noise beside them.
 """
 
 from collections.abc import Sequence
@@ -13,10 +11,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from modal.simulation.tolerances import ROUNDING
 from modal.wording.numbers import number
-from okid.arrays import FloatArray, real_number
-from okid.errors import InvalidDataError
+from okid.arrays import FloatArray
 from okid.record import Record
 
 __all__ = [
@@ -24,18 +20,15 @@ __all__ = [
     "CellTable",
     "GapBand",
     "WindowTable",
-    "check_bands",
     "line_power",
     "line_share",
     "octave_bands",
-    "resonance_bands",
     "spectral_tables",
     "window_table",
 ]
 
 MOST_OCTAVES = 8
-HALF_WIDTH = 0.15
-"""Of a resonance's frequency: the band around it, on either side."""
+"""Cut the spectrum into at most so many octaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -60,82 +53,14 @@ def octave_bands(highest: float, *, lowest: float = 0.0) -> tuple[GapBand, ...]:
         highest: upper edge of the highest band [Hz], as a rule the Nyquist frequency.
         lowest: no band but the one from 0 Hz lies below it [Hz].
 
-    Raises:
-        InvalidDataError: a highest frequency that is not positive.
-
     Example:
         >>> [band.name for band in octave_bands(8.0, lowest=1.5)]
         ['0 to 2 Hz', '2 to 4 Hz', '4 to 8 Hz']
     """
-    if not 0.0 < real_number(highest) < np.inf:
-        raise InvalidDataError(f"the highest frequency of the bands must be positive, but is {highest!r} Hz.")
     edges = [highest]
     while len(edges) < MOST_OCTAVES and edges[-1] / 2.0 > lowest:
         edges.append(edges[-1] / 2.0)
     return tuple(_between(low, high) for low, high in pairwise([0.0, *reversed(edges)]))
-
-
-def resonance_bands(
-    resonances: Sequence[float], highest: float, *, half_width: float = HALF_WIDTH
-) -> tuple[GapBand, ...]:
-    """One band around each resonance, one below, between and above them: together all frequencies up to the highest.
-
-    Neighbours that come closer than their widths are parted at the geometric mean of the two.
-
-    Args:
-        resonances: [Hz], in any order; those outside 0 to `highest` are left out.
-        highest: upper edge of the last band [Hz].
-        half_width: of the band around a resonance, relative to its frequency.
-
-    Raises:
-        InvalidDataError: a highest frequency that is not positive, or a width that does not lie between 0 and 1.
-
-    Example:
-        >>> [band.name for band in resonance_bands([4.0], 10.0, half_width=0.25)]
-        ['0 to 3 Hz', 'around 4 Hz', '5 to 10 Hz']
-    """
-    if not 0.0 < real_number(half_width) < 1.0:
-        raise InvalidDataError(f"the half width of a band must lie between 0 and 1, but is {half_width!r}.")
-    if not 0.0 < real_number(highest) < np.inf:
-        raise InvalidDataError(f"the highest frequency of the bands must be positive, but is {highest!r} Hz.")
-    found = sorted({float(f) for f in resonances if 0.0 < f < highest})
-    bands: list[GapBand] = []
-    reached = 0.0
-    for i, frequency in enumerate(found):
-        low, high = frequency * (1.0 - half_width), min(highest, frequency * (1.0 + half_width))
-        low = max(low, reached)
-        if i + 1 < len(found):
-            high = min(high, float(np.sqrt(frequency * found[i + 1])))
-        if low > reached * (1.0 + ROUNDING):
-            bands.append(_between(reached, low))
-        bands.append(GapBand(name=f"around {_hertz(frequency)} Hz", low=low, high=high))
-        reached = high
-    if reached < highest:
-        bands.append(_between(reached, highest))
-    return tuple(bands)
-
-
-def check_bands(bands: Sequence[GapBand]) -> tuple[GapBand, ...]:
-    """The bands, checked to have edges in order and not to overlap.
-
-    Raises:
-        InvalidDataError: no band, an edge below 0, a band of no width, or two that overlap.
-    """
-    for band in bands:
-        if not 0.0 <= band.low < band.high:
-            raise InvalidDataError(
-                f"a band needs edges 0 <= low < high, but {band.name!r} has {band.low:.6g} and {band.high:.6g} Hz."
-            )
-    ordered = sorted(bands, key=lambda band: band.low)
-    for below, above in pairwise(ordered):
-        if above.low < below.high * (1.0 - ROUNDING):
-            raise InvalidDataError(
-                f"bands must not overlap, but {below.name!r} ends at {below.high:.6g} Hz and {above.name!r} begins at "
-                f"{above.low:.6g} Hz."
-            )
-    if not ordered:
-        raise InvalidDataError("at least one band is needed; leave `bands` out for octaves.")
-    return tuple(ordered)
 
 
 def line_power(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -192,9 +117,9 @@ def _hertz(frequency: float) -> str:
 IntArray = npt.NDArray[np.int64]
 
 MOST_CELLS = 2048
-"""Frequency cells of the table that all records share."""
+"""Cut the spectrum that all records share into at most so many cells."""
 ON_EDGE = 1e-6
-"""A line relatively this near to the upper edge of a band lies on it."""
+"""Count a line to a band whose upper edge is relatively this near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

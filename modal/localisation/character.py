@@ -16,14 +16,15 @@ from okid.arrays import ComplexArray, FloatArray
 __all__ = ["Interval", "SingleLine", "coherent_share", "excess_spectrum", "narrowest_interval", "single_line"]
 
 N_SEGMENTS = 8
-"""Segments of a record, half overlapping, over which spectra are averaged."""
+"""Average spectra over so many segments of a record, half overlapping."""
 INDEPENDENT = 0.6
-"""Of half-overlapping Hann segments counts as an independent one (Welch)."""
+"""Count half-overlapping Hann segments as this share of independent ones (Welch)."""
 MOST_CELLS = 512
+"""Look for the narrowest interval among at most so many cells."""
 LINE_REACH = 2
-"""Cells on either side of a line over which a record of any length spreads it."""
+"""Sum a line over so many cells on either side: a record of any length spreads it over these."""
 MOSTLY = 0.7
-"""Share of the gap above the noise that lies in a line."""
+"""Call a gap one line that holds at least this share of it above the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -64,10 +65,6 @@ def excess_spectrum(gap: Gap, outputs: Sequence[int]) -> tuple[float, FloatArray
     """Constant part and (n_cells,) spectrum of the gap above the noise, relative to the outputs' variances.
 
     Sums over the outputs, means over the records. Single cells may be negative.
-
-    Args:
-        gap: from `measure_gap`.
-        outputs: their indices.
     """
     chosen = list(outputs)
     size = np.where(gap.variance > 0.0, gap.variance, np.inf)[:, chosen]
@@ -78,13 +75,7 @@ def excess_spectrum(gap: Gap, outputs: Sequence[int]) -> tuple[float, FloatArray
 
 
 def narrowest_interval(gap: Gap, outputs: Sequence[int], *, share: float = 0.8) -> Interval | None:
-    """The narrowest range of frequencies that holds a share of the gap above the noise; None where there is no gap.
-
-    Args:
-        gap: from `measure_gap`.
-        outputs: their indices; several count together, each relative to its size.
-        share: of all but the constant part.
-    """
+    """The narrowest range of frequencies that holds a share of the gap above the noise; None where there is no gap."""
     constant, cells = excess_spectrum(gap, outputs)
     total = cells.sum()
     if not total > 0.0:
@@ -110,12 +101,7 @@ def narrowest_interval(gap: Gap, outputs: Sequence[int], *, share: float = 0.8) 
 
 
 def single_line(gap: Gap, output: int) -> SingleLine | None:
-    """The line that holds most of the gap of an output at every record, though not of the simulated output.
-
-    Args:
-        gap: from `measure_gap`.
-        output: its index.
-    """
+    """The line that holds most of the gap of an output at every record, though not of the simulated output."""
     # absolute sums: a disturbance has the same size in every record
     cells = (gap.cells.gap - gap.cells.floor)[..., output]
     whole = cells.sum(axis=0)

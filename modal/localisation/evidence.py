@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.localisation.character import coherent_share
-from modal.localisation.gap import Gap
+from modal.localisation.gap import BEYOND_CHANCE, Gap
 from modal.localisation.levels import LevelModes
 from modal.localisation.lines import Lines, line_statements
 from modal.localisation.words import agreement, disagreement, mode_statements
@@ -67,7 +67,7 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         >>> print(found.sentences[1])
         99.9 % of the gap is between 11.97 and 12.03 Hz, as is under 1 % of the simulated motion.
     """
-    limit = AT_FLOOR + 4.0 * np.sqrt(2.0 / np.maximum(1, gap.windows.n_samples.sum(axis=1)))
+    limit = AT_FLOOR + BEYOND_CHANCE * np.sqrt(2.0 / np.maximum(1, gap.windows.n_samples.sum(axis=1)))
     above: BoolArray = gap.in_floors > limit
     coherent = coherent_share(gap)
     shares = _output_shares(gap, above)

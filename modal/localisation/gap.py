@@ -1,22 +1,17 @@
 """How far a simulation is from the measurement: by record and output, frequency band, time window and level.
 
-The gap is measured minus simulated, its mean included: a static error is an error. Everything here is a table of mean
-squares of it, with that of the noise beside it; what the tables say in words is `modal.localisation.evidence`'s.
+The gap is measured minus simulated, its mean included: a static error is an error.
 
-Does the gap grow, or shrink, in time within the records?
+In time: the logarithm of the gap's mean square in each window is fitted by a level for each record, and by a slope, a
+curvature and the logarithm of the output's mean square in the window, which all records share: what the output explains
+is the excitation's. Only what goes on after the first quarter is growth: a gap that starts from equal states takes the
+memory of the structure to build up. A gap that is smallest in the middle is what a parameter that drifts leaves after
+it was fitted as a constant.
 
-The logarithm of the gap's mean square in each window is fitted by a level for each record, and by a slope, a curvature
-and the logarithm of the output's mean square in the window, which all records share: what the output explains is the
-excitation's. Only what goes on after the first quarter is growth: a gap that starts from equal states takes the memory
-of the structure to build up. A gap that is smallest in the middle is what a parameter that drifts leaves after it was
-fitted as a constant.
-
-Does the gap grow with the level of the excitation?
-
-With g^2 = (mean square of the gap - floor) / variance of the output, the slope of ln g against ln level tells
-laws apart: -1 for a force that stays the same (friction, a disturbance), 0 for what scales with the motion, 1 for a
-square law, 2 for a cube. Its uncertainty comes from leaving out one time window after the other (jackknife), which asks
-nothing about the colour of the gap, from that of the floor, and from the scatter about the line.
+With level: with g^2 = (mean square of the gap - floor) / variance of the output, the slope of ln g against ln level
+tells laws apart: -1 for a force that stays the same (friction, a disturbance), 0 for what scales with the motion, 1 for
+a square law, 2 for a cube. Its uncertainty comes from leaving out one time window after the other (jackknife), which
+asks nothing about the colour of the gap, from that of the floor, and from the scatter about the line.
 """
 
 from collections.abc import Sequence
@@ -30,20 +25,19 @@ import scipy
 from modal.localisation.bands import (
     BandTable,
     CellTable,
-    GapBand,
     WindowTable,
-    check_bands,
     octave_bands,
     spectral_tables,
     window_table,
 )
 from modal.simulation.tolerances import ROUNDING, SURE, UNLIKELY
-from okid.arrays import FloatArray, whole_number
+from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
 __all__ = [
+    "BEYOND_CHANCE",
     "Gap",
     "LevelDirection",
     "LevelSource",
@@ -58,11 +52,16 @@ __all__ = [
 
 TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
+BEYOND_CHANCE = 4.0
+"""Believe a change, a line or a gap by more standard deviations than this: many are looked at."""
 TIME_FACTOR = 2.0
-"""Ratio of mean squares along a record below which nothing is said of it."""
+"""Say nothing of a ratio of mean squares along a record below this."""
+N_WINDOWS = 8
+"""Cut each record into so many consecutive windows of equal length."""
 FEWEST_WINDOWS = 6
+"""Look for growth in time over no fewer windows."""
 BUILD_UP = 0.25
-"""Share of a record that a gap may take to build up from equal states."""
+"""Let a gap take this share of a record to build up from equal states."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -81,11 +80,7 @@ class TimeTrend:
 
 
 def time_trend(windows: WindowTable) -> TimeTrend | None:
-    """Whether the gap grows within the records; None with fewer than six windows or where one has no gap.
-
-    Args:
-        windows: mean squares of gap and output by window.
-    """
+    """Whether the gap grows within the records; None with fewer than six windows or where one has no gap."""
     gap, output = _pooled(windows)
     n_windows = gap.shape[1]
     if n_windows < FEWEST_WINDOWS or not ((gap > 0.0) & (output > 0.0)).all():
@@ -164,17 +159,17 @@ def _pooled(windows: WindowTable) -> tuple[FloatArray, FloatArray]:
 LevelDirection = Literal["falls", "rises", "stays", "unknown"]
 
 FLOOR_KNOWN_TO = 0.1
-"""Relative uncertainty of a variance that was estimated from a few periods or one band."""
+"""Expect this relative error of a variance that was estimated from a few periods or one band."""
 LEAST_DEVIATION = 0.02
-"""Of ln g: no gap is known better than that, a law is no exact power either."""
+"""Give ln g at least this deviation: no gap is known better, a law is no exact power either."""
 SLOPE_THAT_COUNTS = 0.3
-"""A smaller slope is what a wrong parameter shows when the spectrum differs a little from level to level."""
+"""Ignore a smaller slope: a wrong parameter shows as much when the spectrum differs a little from level to level."""
 STAYS_WITHIN = 0.5
-"""Two deviations beside the slope must lie within this for a gap to stay: half of what the slowest law gives."""
+"""Say that a gap stays where two deviations beside the slope lie within this: half of what the slowest law gives."""
 LEAST_OUTPUT_RATIO = 1.5
-"""Of the loudest to the quietest output: with less, every gap is nearly of one size."""
+"""Tell no absolute size from a smaller ratio of the loudest to the quietest output."""
 SILENT_SHARE = 0.5
-"""A level without a gap above the floor tells something when the most that it could hide is below this share."""
+"""Learn from a level without a gap where the most that it could hide is below this share of what others show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -257,7 +252,7 @@ def _level_trend(sums: _Sums, levels: FloatArray, numbers: npt.NDArray[np.int64]
     above = sums.gap.sum(axis=1) / count - sums.floor
     without = _leave_one_out(sums.gap, sums.count) - sums.floor[:, np.newaxis]
     size_without = np.maximum(_leave_one_out(sums.output, sums.count), tiny)
-    shown = above > sums.floor * np.maximum(2.0 * FLOOR_KNOWN_TO, 4.0 * np.sqrt(2.0 / count))
+    shown = above > sums.floor * np.maximum(2.0 * FLOOR_KNOWN_TO, BEYOND_CHANCE * np.sqrt(2.0 / count))
     shown &= (without > 0.0).all(axis=1) & (levels > 0.0) & (size > tiny)
     most = np.maximum(above, 0.0) + SURE * _jackknife(without) + FLOOR_KNOWN_TO * sums.floor
     above, without = np.where(shown, above, 1.0), np.where(shown[:, np.newaxis], without, 1.0)
@@ -339,7 +334,7 @@ LevelSource = Literal["inputs", "outputs"]
 """What the level of a record was taken from: outputs only where no input drives any record."""
 
 SAME_LEVEL = 1.1
-"""Ratio of input sizes up to which two records are of one level."""
+"""Give records one level whose input sizes differ by at most this ratio."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -418,9 +413,6 @@ def measure_gap(
     measured: Record | Sequence[Record],
     simulated: Record | Sequence[Record],
     floor: npt.ArrayLike,
-    *,
-    bands: Sequence[GapBand] | Literal["octaves"] = "octaves",
-    n_windows: int = 8,
 ) -> Gap:
     """Compare measured records with their simulations.
 
@@ -428,11 +420,9 @@ def measure_gap(
         measured: one record or several of one system.
         simulated: as many, in the same order: same outputs, samples and time step.
         floor: (n_records, n_outputs) variance of the measurement noise; a number or (n_outputs,) holds for all.
-        bands: frequency bands, e.g. from `resonance_bands`, or "octaves" down from the Nyquist frequency.
-        n_windows: consecutive windows of equal length.
 
     Raises:
-        InvalidDataError: records that do not match, a floor that is negative or of the wrong shape, bands that overlap.
+        InvalidDataError: records that do not match, a floor that is negative or of the wrong shape.
 
     Example:
         >>> time = np.arange(400) * 0.01
@@ -446,17 +436,13 @@ def measure_gap(
     """
     several, others = as_records(measured), as_records(simulated)
     _check_match(several, others)
-    n_windows = whole_number(n_windows, name="the number of time windows", least=1)
     residuals = tuple(_residual(one, other) for one, other in zip(several, others, strict=True))
     variance = np.array([np.nanvar(record.outputs, axis=0) for record in several])
     noise = _floor(floor, variance)
-    if isinstance(bands, str):
-        longest = max(record.duration for record in several)
-        chosen = octave_bands(0.5 / several[0].dt, lowest=min(4.0 / longest, 0.25 / several[0].dt))
-    else:
-        chosen = check_bands(bands)
-    constant, by_band, by_cell = spectral_tables(others, residuals, noise, chosen)
-    windows = window_table(several, residuals, n_windows)
+    longest = max(record.duration for record in several)
+    octaves = octave_bands(0.5 / several[0].dt, lowest=min(4.0 / longest, 0.25 / several[0].dt))
+    constant, by_band, by_cell = spectral_tables(others, residuals, noise, octaves)
+    windows = window_table(several, residuals, N_WINDOWS)
     levels, numbers, source = excitation_levels(several)
     output_trends, trend = level_trends(windows, noise, levels, numbers)
     return Gap(
@@ -484,9 +470,6 @@ def excitation_levels(records: Sequence[Record]) -> tuple[FloatArray, npt.NDArra
 
     The level is the root mean square over the inputs, each relative to its own root mean square in all records; its
     mean counts, for a constant input drives too. Without an input that moves anything the outputs take its place.
-
-    Args:
-        records: of one system.
 
     Returns:
         (n_records,) levels, (n_records,) numbers, and what they were taken from.

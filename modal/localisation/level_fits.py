@@ -1,24 +1,19 @@
 """The best linear model of each level, followed from one level to the next.
 
 One model order serves all levels: that of the level which a linear model fits best, the smallest whose free run comes
-within a quarter of the nearest. That level's model is refined by output error; from there the neighbouring levels are
-refined one after the other, each from the model of the level before it, so that a mode is followed and not found anew.
+within a quarter of the nearest, because the states that a larger order spends on a nonlinear law are no modes. That
+level's model is refined by output error; from there the neighbouring levels are refined one after the other, each from
+the model of the level before it, so that a mode is followed and not found anew.
 
-Deviations. The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves
-with the motion, and the linear model follows the size that the motion happens to have: over 12 realisations of a
-three-storey chain the frequency of its first mode scattered up to 12 times (cubic spring), its damping ratio up to 7
-times (drag) as far as that says. So every level is also refined on its quarters, from its own model, and the larger
-of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3 times for damping ratios.
+The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves with the
+motion: over 12 realisations of a three-storey chain the frequency of its first mode scattered up to 12 times (cubic
+spring), its damping ratio up to 7 times (drag) as far as that says. So every level is also refined on its quarters,
+from its own model, and the larger of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3
+times for damping ratios.
 
-A first model of one level, whose modes are then followed to the others; and what is done to every model.
-
-The smallest order that comes near the best one is taken: a nonlinear law is never fitted whole, and the states that a
-larger order spends on it are no modes.
-
-Free decays: the level is the motion itself, and falls within one record.
-
-A record that no input drives is cut into windows; each is the answer to a pulse at its first sample and to its own
-initial state, so that ERA takes its outputs for Markov parameters and the refinement for any other record.
+In free decays the level is the motion itself, and falls within one record. A record that no input drives is cut into
+windows; each is the answer to a pulse at its first sample and to its own initial state, so that ERA takes its outputs
+for Markov parameters and the refinement for any other record.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,17 +52,15 @@ __all__ = [
 ]
 
 N_WINDOWS = 6
+"""Cut a free decay into at most so many windows."""
 SHORTEST_WINDOW = 80
-"""Samples: fewer hold too little of a slow mode beside its neighbours."""
+"""Make no window shorter than so many samples: fewer hold too little of a slow mode beside its neighbours."""
 LONGEST_RESPONSE = 800
-"""Samples of a window that ERA takes: its cost grows with their cube."""
+"""Give ERA at most so many samples of a window: its cost grows with their cube."""
 
 
 def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """Windows of equal length, each with a pulse for an input; those with missing samples are left out.
-
-    Args:
-        records: that no input drives.
 
     Example:
         >>> decay = np.exp(-0.01 * np.arange(600)) * np.cos(np.arange(600))
@@ -88,23 +81,21 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
 
 
 def decay_markov(windows: Sequence[Record]) -> MarkovParameters:
-    """The outputs of the first window, as those of a pulse one sample before it.
-
-    Args:
-        windows: of one level, means removed.
-    """
+    """The outputs of the first window, as those of a pulse one sample before it."""
     answer = windows[0].outputs[:LONGEST_RESPONSE, :, np.newaxis]
     return MarkovParameters(system=np.concatenate([np.zeros_like(answer[:1]), answer]), dt=windows[0].dt)
 
 
 ORDERS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24)
+"""Try these model orders."""
 WITHIN = 1.25
-"""A smaller order stands in for one whose error is at most this much smaller: a nonlinear law is never fitted whole."""
+"""Take a smaller order whose error is at most this many times the least."""
 NEGLIGIBLE = 1e-4
-"""Error relative to the outputs that no measurement would show."""
+"""Call an error negligible below this share of the outputs: no measurement would show it."""
 DECAY_ORDERS = (1, 2, 3, 4, 6, 8, 10)
+"""Try these orders for a window of a free decay."""
 DECAY_WITHIN = 2.0
-"""The same for windows of a free decay, through which a resonance sweeps."""
+"""Allow more in windows of a free decay, through which a resonance sweeps."""
 
 Start = tuple[float, Realisation | None]
 """Error of a first model relative to the outputs, and the model."""
@@ -115,9 +106,6 @@ def driven_start(records: Sequence[Record]) -> Start:
 
     The observer needs whole rows, so missing outputs are filled; all that is refined and judged later is measured
     samples only.
-
-    Args:
-        records: of one level.
     """
     markov = observer_markov(fill_where_needed(records).records)
     candidates = [] if markov is None else _candidates(markov, ORDERS)
@@ -129,9 +117,6 @@ def decay_start(windows: Sequence[Record]) -> Start:
 
     Frequency and damping move within a window already, and ERA spreads that over all its states, so that candidates are
     compared after refinement.
-
-    Args:
-        windows: of one level.
     """
     candidates = _candidates(decay_markov(windows), DECAY_ORDERS)
     better = [refined(windows[:1], model) for model in candidates]
@@ -158,13 +143,7 @@ def _error(model: Realisation, records: Sequence[Record]) -> float:
 
 
 def refined(records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN) -> RefinedModel | None:
-    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes.
-
-    Args:
-        records: of one level.
-        start: the model to refine.
-        least_gain: relative decrease of the error by a step below which it stands still.
-    """
+    """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes."""
     # a part of a record may not show a mode at all: then its parameters have no curvature, and their step no end
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
@@ -174,12 +153,7 @@ def refined(records: Sequence[Record], start: Realisation, *, least_gain: float 
 
 
 def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
-    """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows.
-
-    Args:
-        model: whose initial states are fitted.
-        records: means removed.
-    """
+    """(n_outputs,) mean square of the free run's error over the variance of the outputs; infinite where it grows."""
     form = modal_form(model)
     if form is None:
         return np.full(model.n_outputs, np.inf)
@@ -192,17 +166,19 @@ def unexplained(model: Realisation, records: Sequence[Record]) -> FloatArray:
 
 
 EXPLAINS_NOTHING = 0.9
-"""Error relative to the outputs from which on they do not follow the inputs."""
+"""Call outputs unrelated to the inputs from this error on, relative to them."""
 FREQUENCY_WIDTH = 0.3
-"""Of the logarithm of a frequency ratio, within which two modes may be one; a damping ratio adds to it."""
+"""Let two modes be one within this width of the logarithm of their frequency ratio; a damping ratio adds to it."""
 LEAST_PAIRING = 0.4
-"""Product of assurance and nearness in frequency below which two modes are not one."""
+"""Pair no modes below this product of assurance and nearness in frequency."""
 N_PARTS = 4
-FEWEST_PARTS = 3
+"""Refine a level on so many parts by themselves."""
+FEWEST_PARTS = N_PARTS - 1
+"""Believe no deviation from fewer parts."""
 SHORTEST_PART = 100
-"""Samples of a part of a record that is refined by itself."""
+"""Refine no part of fewer samples by itself."""
 LEAST_DAMPING = 1e-6
-"""Damping ratio of an oscillatory pole below which the refinement has run into its bound."""
+"""Drop an oscillatory pole below this damping ratio: the refinement has run into its bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -227,12 +203,7 @@ class LevelFit:
 def follow_levels(
     levels: Sequence[Sequence[Record]], start: Callable[[Sequence[Record]], Start]
 ) -> tuple[int, tuple[LevelFit | None, ...]] | None:
-    """The model of every level, and the index of the level that a linear model fits best; None without any.
-
-    Args:
-        levels: the records of each level, by rising level; means removed, no input missing.
-        start: a first model of a level, `driven_start` or `decay_start`.
-    """
+    """The model of every level, and the index of the level that a linear model fits best; None without any."""
     starts = [start(records) for records in levels]
     best = min(range(len(levels)), key=lambda i: starts[i][0])
     model = starts[best][1]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.estimation.modal_states import one_blas_thread
-from modal.localisation.gap import excitation_levels
+from modal.localisation.gap import BEYOND_CHANCE, excitation_levels
 from modal.localisation.level_fits import LevelFit, decay_start, decay_windows, driven_start, follow_levels, partners
 from modal.modes.mode import Mode, ModeKind
 from modal.modes.shape_comparison import IndexArray, assurance
@@ -31,20 +31,18 @@ __all__ = ["LevelMode", "LevelModes", "Tendency", "level_modes", "measured_modes
 Tendency = Literal["rises", "falls", "stays", "mixed", "unknown"]
 """With rising level; "mixed" where it rises and falls, "unknown" where the deviations are too large to tell."""
 
-SURE = 4.0
-"""Standard deviations by which a change must exceed zero."""
 FREQUENCY_THAT_COUNTS = 2e-3
-"""Relative change of a frequency below which nothing is said of it."""
+"""Say nothing of a smaller relative change of a frequency."""
 DAMPING_THAT_COUNTS = 0.05
-"""The same of a damping ratio."""
+"""Say nothing of a smaller relative change of a damping ratio."""
 STAYS_WITHIN = 5.0
-"""Times the change that counts, up to which a mode is said to stay."""
+"""Say that a mode stays within so many times the change that counts."""
 HEAVY = 0.5
-"""Damping ratio above which a mode beside lighter ones belongs to the model's order rather than to the structure."""
+"""Leave a mode above this damping ratio, beside lighter ones, to the model's order: it is none of the structure's."""
 FASTEST_SEEN = 0.95
-"""Of the Nyquist frequency, above which no mode was measured, wherever its pole is."""
+"""Drop a mode above this share of the Nyquist frequency, wherever its pole is."""
 KNOWN_TO = 0.05
-"""Relative standard deviation of a frequency above which a mode counts as not found at a level."""
+"""Call a mode not found at a level where its frequency has a larger relative deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -172,8 +170,8 @@ def tendency(values: FloatArray, deviations: FloatArray, *, counts: float) -> Te
     spread = np.sqrt(np.square(deviation)[np.newaxis, :] + np.square(deviation)[:, np.newaxis])
     least = counts * float(np.abs(value).mean())
     upward = np.triu(np.ones(change.shape, dtype=np.bool_), 1)
-    up = bool(((change > np.maximum(SURE * spread, least)) & upward).any())
-    down = bool(((-change > np.maximum(SURE * spread, least)) & upward).any())
+    up = bool(((change > np.maximum(BEYOND_CHANCE * spread, least)) & upward).any())
+    down = bool(((-change > np.maximum(BEYOND_CHANCE * spread, least)) & upward).any())
     if up and down:
         return "mixed"
     if up or down:
@@ -222,9 +220,6 @@ def measured_modes(modes: Sequence[Mode], dt: float) -> list[int]:
     Args:
         modes: of one model.
         dt: time step [s].
-
-    Returns:
-        Their indices.
     """
     light = any(mode.kind == "oscillatory" and mode.damping_ratio <= HEAVY for mode in modes)
     return [

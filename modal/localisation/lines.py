@@ -10,10 +10,6 @@ References:
     41(3), 2005, 491-504, doi 10.1016/j.automatica.2004.10.004.
     Pintelon, Schoukens, System Identification: A Frequency Domain Approach, 2nd edition, Wiley 2012, chapter 4,
     doi 10.1002/9781118287422.
-
-The period of an excitation that repeats, found from the inputs.
-
-The sentences of odd and even lines.
 """
 
 from collections.abc import Sequence
@@ -23,26 +19,35 @@ from typing import Literal
 import numpy as np
 import scipy
 
+from modal.localisation.gap import BEYOND_CHANCE
 from modal.wording.numbers import Statement, percent
 from okid.arrays import BoolArray, ComplexArray, FloatArray, whole_number
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["LineKind", "Lines", "RecordLines", "input_period", "line_statements", "measure_lines", "periods_of"]
+__all__ = [
+    "FALSE_ALARM",
+    "LineKind",
+    "Lines",
+    "RecordLines",
+    "input_period",
+    "line_statements",
+    "measure_lines",
+    "periods_of",
+]
 
 LARGEST_DIFFERENCE = 1e-3
-"""Mean square of u(k + T) - u(k) over twice the variance of u from which on T is no period: 3 % noise on the input."""
+"""Call no shift T a period from this mean square of u(k + T) - u(k) on, over twice the variance of u: 3 % noise on the
+input."""
 UNLIKE = 0.1
-"""The same measure: a shift must first pull the input apart from itself this far, else it only shows a slow signal."""
+"""Ask that a shift first pull the input apart from itself this far in the same measure: else it only shows a slow
+signal."""
 SHORTEST = 4
-"""Samples of a period."""
+"""Look for no period of fewer samples."""
 
 
 def input_period(record: Record) -> int | None:
     """Number of samples after which all inputs repeat, at least twice in the record; None where there is none.
-
-    Args:
-        record: with inputs, none of them missing; others have no period.
 
     Example:
         >>> sine = np.sin(2 * np.pi * np.arange(100) / 20)
@@ -93,16 +98,18 @@ def _differences(inputs: FloatArray) -> FloatArray:
 LineKind = Literal["excited", "odd", "even"]
 
 EXCITED = 1e-3
-"""Power of a line relative to the strongest from which on it is excited (-30 dB)."""
+"""Call a line excited from this power relative to the strongest on (-30 dB)."""
 UNEXCITED = 1e-5
-"""The same up to which it is not (-50 dB) unless the noise of the input is larger; between the two it is left out."""
+"""Call a line not excited up to this power (-50 dB) unless the noise of the input is larger; between the two it is left
+out."""
 REACH = 3
-"""Lines up to this multiple of the highest excited one are looked at: a single sine's third harmonic lies there."""
+"""Look at lines up to this multiple of the highest excited one: a single sine's third harmonic lies there."""
 FEWEST_PERIODS = 3
-"""One for the transient to die out in, two for their scatter."""
+"""Ask for one period for the transient to die out in, and two for their scatter."""
 FALSE_ALARM = 1e-4
+"""Take what chance does more rarely than this for a line."""
 DOMINANT = 4.0
-"""Ratio of the power per line (6 dB) from which on one kind of line is called the larger."""
+"""Call one kind of line the larger from this ratio of the power per line on (6 dB)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -219,8 +226,10 @@ def _line_kinds(inputs: ComplexArray) -> tuple[BoolArray, BoolArray, BoolArray]:
     largest = mean.max(axis=0)
     largest = np.where(largest > 0.0, largest, 1.0)
     # the loudest input decides whether a line is excited, every input whether it is not
-    excited = ((mean > EXCITED * largest) & (mean > 16.0 * noise)).any(axis=1)
-    quiet = ((mean < UNEXCITED * largest) | ((mean < 16.0 * noise) & (mean < EXCITED * largest))).all(axis=1)
+    excited = ((mean > EXCITED * largest) & (mean > BEYOND_CHANCE**2 * noise)).any(axis=1)
+    quiet = ((mean < UNEXCITED * largest) | ((mean < BEYOND_CHANCE**2 * noise) & (mean < EXCITED * largest))).all(
+        axis=1
+    )
     number = np.arange(1, mean.shape[0] + 1)
     highest = int(number[excited].max(initial=0))
     within = quiet & ~excited & (number <= REACH * highest)
@@ -245,11 +254,7 @@ def _measured(outputs: ComplexArray, kinds: Sequence[BoolArray], period: int) ->
 
 
 def line_statements(lines: Lines) -> list[Statement]:
-    """What the lines that are not excited show, one sentence; or why no record can show them.
-
-    Args:
-        lines: from `measure_lines`.
-    """
+    """What the lines that are not excited show, one sentence; or why no record can show them."""
     measured = lines.measured
     if not measured:
         reasons = list(dict.fromkeys(lines.reasons))

@@ -1,6 +1,4 @@
-"""The sentences of a gap: its size, output, band, level and time, each from one rule on the numbers.
-
-The sentences of modes against level.
+"""The sentences of a gap and of modes against level, each from one rule on the numbers.
 
 A mode's pole moves by d omega / omega along the imaginary axis and by d zeta along the real one, both relative to its
 size. Only what is at least half of the larger of the two is said: where a resonance moves by more than its own width
@@ -22,17 +20,18 @@ from okid.arrays import BoolArray, FloatArray
 __all__ = ["agreement", "disagreement", "mode_statements"]
 
 CONCENTRATED = 0.5
-"""Of the way from an even spread over the outputs to all in one, from which on one output is named."""
+"""Name one output from this share on of the way from an even spread over the outputs to all in one."""
 MOSTLY = 0.5
-"""Share of the gap from which on a part of it is named."""
+"""Name a part of the gap, and a movement beside a larger one, from this share on; means that differ by less are one
+offset."""
 NARROW_RATIO = 3.0
-"""Highest over lowest frequency up to which the gap is said to lie in a band."""
+"""Say that a gap lies in a band up to this ratio of its highest to its lowest frequency."""
 NARROW_WIDTH = 0.1
-"""The same as width, of the Nyquist frequency."""
+"""Say the same up to this width, of the Nyquist frequency."""
 COHERENT = 0.3
-"""Share of the gap that follows the simulation, from which on it moves with the structure."""
+"""Say that a gap moves with the structure where at least this share of it follows the simulation."""
 INCOHERENT = 0.15
-"""The same up to which it does not."""
+"""Say that it does not up to this share."""
 SAME_OFFSET = 0.5
 """Of the largest mean gap of a record, up to which the means of the records may differ and be one offset."""
 Offset = Literal["none", "one", "several"]
@@ -244,16 +243,8 @@ def _root(ratio: float) -> float:
     return math.sqrt(max(ratio, 0.0))
 
 
-MINOR = 0.5
-"""Of the larger of the two movements, below which the other one is not mentioned."""
-
-
 def mode_statements(modes: LevelModes) -> list[Statement]:
-    """One sentence for each mode that moves with level, or one that none does.
-
-    Args:
-        modes: from `level_modes`.
-    """
+    """One sentence for each mode that moves with level, or one that none does."""
     if not modes.modes:
         return [Statement(subject="modes", text=f"Modes against level are not known: {modes.reason}.")]
     texts = [text for mode in modes.modes for text in _of_mode(mode)]
@@ -279,14 +270,14 @@ def _of_mode(mode: LevelMode) -> list[str]:
     damping = float(mode.damping_ratios[last] - mode.damping_ratios[first])
     name = f"mode {mode.number} ({number(float(mode.frequencies[first]))} Hz)"
     texts = []
-    if mode.frequency_tendency in ("rises", "falls") and abs(change) >= MINOR * abs(damping):
+    if mode.frequency_tendency in ("rises", "falls") and abs(change) >= MOSTLY * abs(damping):
         law = (
             "a spring that hardens, or play that closes"
             if mode.frequency_tendency == "rises"
             else "a spring that softens, yields or slips"
         )
         texts.append(f"Frequency of {name} {mode.frequency_tendency} by {percent(abs(change))} {span}: {law}.")
-    if mode.damping_tendency in ("rises", "falls") and abs(damping) >= MINOR * abs(change):
+    if mode.damping_tendency in ("rises", "falls") and abs(damping) >= MOSTLY * abs(change):
         law = "drag-like, or a loop that grows" if mode.damping_tendency == "rises" else "friction-like"
         ends = [percent(float(mode.damping_ratios[i])) for i in (first, last)]
         texts.append(f"Damping of {name} {mode.damping_tendency} from {ends[0]} to {ends[1]} {span}: {law}.")

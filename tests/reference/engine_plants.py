@@ -90,7 +90,7 @@ def two_masses():
             Port(name="anywhere", displacement=rows[1], velocity=rows[3], columns=(2, 0), mass=m1, accepts=EVERYTHING),
         ),
         input_names=("push", "other"),
-        output_names=("place_effect", "speed", "acceleration"),
+        output_names=("place", "speed", "acceleration"),
         input_units=("N", "N"),
         output_units=("m", "m/s", "m/s^2"),
     )

@@ -4,19 +4,10 @@ The cost is sum((y - yhat)^2 / floor) over the measured values, each record and 
 so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
 one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
 
-A damped Gauss-Newton step that stays within bounds.
-
-Steps of the size of a hard limit, in its reciprocal, up to that of a wall.
-
 The level above a brim is flow / rate. In the rate it is all but flat once the brim is hard: a step of Gauss and Newton
-then asks for many times the rate, and the levels that it predicts lie far below the brim, where nothing flows over and
-the simulation has to start anew. In 1 / rate both are straight lines. A step `dr` in the rate r is one of -dr / r^2 in
-1 / r, which leads to
-
-    r / (1 - dr / r)
-
-never negative, infinite at dr = r: a step goes up to a share of that. A brim that no step of the simulation can tell
-from a wall is one, and its rate is held there.
+asks for many times the rate, and the levels that it predicts lie far below the brim. In 1 / rate both are straight
+lines. A step `dr` in the rate r is one of -dr / r^2 in 1 / r, which leads to r / (1 - dr / r): never negative, infinite
+at dr = r, so a step goes up to a share of that. A brim that no step of the simulation can tell from a wall is one.
 """
 
 from dataclasses import dataclass, replace
@@ -35,6 +26,7 @@ from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simul
 from okid.arrays import TINY, BoolArray, FloatArray
 
 __all__ = [
+    "FAR_ABOVE",
     "Estimate",
     "Problem",
     "bounded_step",
@@ -118,7 +110,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 REACH = 0.9
-"""Longest step as a share of the size: it makes a limit ten times as hard."""
+"""Lengthen no step beyond this share of the size: it makes a limit ten times as hard."""
 
 
 def walls(assembly: Assembly, unknowns: Unknowns, dt: float) -> FloatArray:
@@ -170,12 +162,14 @@ def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray
 
 
 FIRST_DAMPING = 1e-3
+"""Damp the first step by this share of the diagonal (Marquardt)."""
 TRIALS = 5
-"""Trial steps of an iteration, each ten times more damped than the one before."""
+"""Give an iteration up after so many steps, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
-"""An iteration that lowers the cost by less than this share of it ends the fit."""
-NEAR = 10.0
-"""Level below which a first step that fails, and promised no more than that, ends it as well."""
+"""End a fit after an iteration that lowers the cost by less than this share of it."""
+FAR_ABOVE = 10.0
+"""Trust neither a likelihood of white noise nor a step along a wrong motion above this mean square in units of the
+floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -192,6 +186,11 @@ class Problem:
     drive: Drive
     floor: FloatArray
     free_common: bool = True
+
+    @property
+    def upsampling(self) -> int:
+        """Steps of the simulation per sample."""
+        return int(self.drive.rows[1]) if len(self.drive.rows) > 1 else 1
 
     @property
     def weights(self) -> FloatArray:
@@ -297,15 +296,7 @@ def estimate(
 ) -> Estimate:
     """Fit from a simulated start.
 
-    Args:
-        start: The model to start from (`simulate_at`).
-        problem: Records to fit.
-        iterations: Largest number of iterations.
-        standstill: Relative fall of the cost below which the fit ends.
-        budget: Work after which it ends; unlimited unless given.
-
-    Returns:
-        The best model found; the start where nothing is better.
+    The best model found; the start where nothing is better.
     """
     current, damping = start, FIRST_DAMPING
     for iteration in range(iterations):
@@ -319,7 +310,7 @@ def estimate(
             better = _trial(current, problem, slopes, step)
             damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
             promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
-            there = current.level <= NEAR and trial == 0 and 0.0 <= promised <= least
+            there = current.level <= FAR_ABOVE and trial == 0 and 0.0 <= promised <= least
             if better is not None or there or _over(budget):
                 break
         if better is None:

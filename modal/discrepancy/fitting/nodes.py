@@ -1,16 +1,9 @@
 """Models with some effects, fitted and judged on held-out records: what the search goes from and comes to.
 
-A fitted model along held-out records: the common values stay, only what each record has for itself is sought.
-
-Fit a model whose first values may be far off: in free run, and by way of the observer form where that leaves a gap.
-
 The free run of a lightly damped model whose frequency is off by more than the width of the resonance is out of step
 with the record from the first beat on: the error hardly falls towards the right frequency, more damping lowers it, and
-the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step, so that the fit
-is contractive; from there the free run is near its minimum.
-
-Where linear parameters sit on their bounds and leave a gap, the nominal values may be further off than was thought:
-wider bounds are taken where they explain all of it, and only then, because an effect that is missing would use them.
+the fit creeps or stops on a bound. In observer form the measured outputs keep model and record in step; from there the
+free run is near its minimum. So a model whose first values may be far off is fitted both ways.
 """
 
 from collections.abc import Callable, Mapping
@@ -45,25 +38,19 @@ __all__ = [
 ]
 
 NEARLY_THERE = 2.0
-"""Level below which the fit explains the records, so that the held-out ones must be explained as well."""
+"""Expect the held-out records to be explained as well where the fit's level is below this."""
 DOUBTFUL = (1.1, 100.0)
-"""A held-out error above the fit's by a factor between these may come from a bad initial state: it is sought again."""
+"""Seek the initial state again where the held-out error is above the fit's by a factor between these."""
 MATTER = 0.8
-"""Initial states matter where they lower the cost of the plant without its effects to less than this share."""
+"""Start from the initial states of the plant without its effects where they lower its cost to less than this share."""
 WEAKER = (1.0, 0.3, 0.1)
-"""Shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
+"""Try these shares of an observer's gain: the whole one, of the linear plant, may make a hard spring unstable."""
 
 
 def judged(fitted: Estimate, held_out: Problem, begun: Estimate | None = None) -> Estimate | None:
     """The model along the held-out records; only initial states and what else each record has for itself is fitted.
 
-    Args:
-        fitted: The model.
-        held_out: The held-out records.
-        begun: A like model along them, from whose initial states to start.
-
-    Returns:
-        The estimate; None where the model escapes.
+    None where the model escapes.
     """
     assembly = fitted.assembly
     n_records = held_out.drive.n_records
@@ -91,13 +78,6 @@ def rested(start: Estimate, problem: Problem) -> Estimate:
     """The same model begun at rest where that is nearer to the records.
 
     Initial states that made up for a missing law do not find back from under friction, which holds a mass anywhere.
-
-    Args:
-        start: A model in free run.
-        problem: Its records.
-
-    Returns:
-        That one, or the given one.
     """
     local = start.unknowns.local.copy()
     local[:, : start.assembly.plant.n_states] = 0.0
@@ -136,8 +116,7 @@ def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
 
     Under play, stops or a hard spring a free run from rest may stay in another basin.
     """
-    steps = int(held_out.drive.rows[1]) if len(held_out.drive.rows) > 1 else 1
-    gain = observer_gain(found, held_out, steps)
+    gain = observer_gain(found, held_out)
     if gain is None:
         return None
     smoothing = found.smoothing
@@ -176,20 +155,20 @@ def _by_observer(found: Estimate, held_out: Problem) -> Estimate | None:
 
 SMALLEST_FALL = 0.1
 SMALLEST_GAIN = 30.0
-"""A step counts when the held-out mean square falls by a tenth and 2 ln L gains more than 30: over 32 cases without an
-effect none fell by a tenth, while 69 % gained more than 30."""
+"""Count a step where the held-out mean square falls by a tenth (`SMALLEST_FALL`) and 2 ln L gains more than 30: over 32
+cases without an effect none fell by a tenth, while 69 % gained more than 30."""
 
 SHARPER = tuple(SHARP / share for share in (1.0, 2.5, 5.0, 10.0, 20.0))
-"""Small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits with a
-second effect found none, and those that did took longer."""
+"""Sharpen in small steps, because each trajectory must be near the next: from a first one of a fifth, half of the fits
+with a second effect found none, and those that did took longer."""
 NEARLY, BLUR = 2.0, 0.1
-"""What is left is taken for smoothing below this level, or where it changes by this share of the excess with the
+"""Take what is left for smoothing below this level, or where it changes by this share of the excess with the
 smoothing."""
 FAR, MOSTLY = 30.0, 1.0
-"""Above this level only where it rises by this share of the excess, as where smoothing makes a third of it: a motion
-with impacts changes a little with anything."""
+"""Ask above this level for a rise by this share of the excess, as where smoothing makes a third of it: a motion with
+impacts changes a little with anything."""
 FINE_STEPS = 4
-"""Steps a sample of the grid on which sharp laws are polished, at least."""
+"""Polish sharp laws on a grid of at least so many steps a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -265,13 +244,7 @@ def _gain(before: Estimate, after: Estimate, problem: Problem) -> float:
 
 
 def node_of(fitted: Estimate, task: Task, begun: Estimate | None = None) -> Node:
-    """Judge a fitted model on the held-out records.
-
-    Args:
-        fitted: The model.
-        task: Records.
-        begun: A like model along the held-out records, from whose initial states to start.
-    """
+    """Judge a fitted model on the held-out records."""
     return Node(fitted=fitted, held_out=judged(fitted, task.held_out, begun), coarse=fitted)
 
 
@@ -356,18 +329,13 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
 
 
 WIDER = 4.0
-"""Factor by which bounds are moved out."""
+"""Move the bounds of linear parameters out by this factor where they are in the way."""
 
 
 def calibrated_node(start: Estimate, task: Task) -> Node:
     """The linear parameters and the initial states fitted, and judged on the held-out records.
 
-    Args:
-        start: The model as it was given.
-        task: Records and catalogue.
-
-    Returns:
-        The model; within wider bounds where these explain the records and those given do not.
+    The model; within wider bounds where these explain the records and those given do not.
     """
     found = polished(node_of(fitted_either_way(start, task.fit, iterations=12), task), task)
     if found.held_out_level <= AT_FLOOR or not found.coarse.at_bounds[: start.assembly.n_linear].any():
@@ -389,13 +357,7 @@ def _widened(assembly: Assembly) -> Assembly:
 
 
 def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> Estimate:
-    """The better of the fit in free run and the one that begins in observer form.
-
-    Args:
-        start: The model to start from, in free run.
-        problem: Records to fit.
-        iterations: Largest number of iterations of a free run.
-    """
+    """The better of the fit in free run and the one that begins in observer form."""
     found = estimate(start, problem, iterations=iterations)
     if found.level <= AT_FLOOR:
         return found
@@ -404,8 +366,7 @@ def fitted_either_way(start: Estimate, problem: Problem, *, iterations: int) -> 
 
 
 def _calibrated_by_observer(start: Estimate, problem: Problem, iterations: int) -> Estimate | None:
-    steps = int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1
-    gain = observer_gain(start, problem, steps)
+    gain = observer_gain(start, problem)
     if gain is None:
         return None
     observed = simulate_at(

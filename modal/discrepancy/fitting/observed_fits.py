@@ -1,7 +1,4 @@
-"""Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values.
-
-A model with its last effect as strong as it can be simulated: a first guess may let the motion escape.
-"""
+"""Effects beside a model, each fitted in observer form: hardly any local minimum there, whatever the first values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +16,23 @@ from modal.simulation.tolerances import NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
-__all__ = ["CLEAR", "SOFT", "amplitudes", "observed_fits", "observed_form", "scaled", "weaker_form", "within_reach"]
+__all__ = [
+    "CLEAR",
+    "MUCH_LESS",
+    "MUCH_WEAKER",
+    "SOFT",
+    "amplitudes",
+    "observed_fits",
+    "observed_form",
+    "scaled",
+    "weaker_form",
+    "within_reach",
+]
 
 ESCAPED = 100.0
-"""A motion escapes where the error is so many times that of no motion at all, in mean squares."""
+"""Call a motion escaped where the error is so many times that of no motion at all, in mean squares."""
 STRENGTHS = (1.0, 0.5, 0.2)
-"""Shares of a first guess of an effect's strength that are tried until the model can be simulated."""
+"""Try these shares of a first guess of an effect's strength until the model can be simulated."""
 
 
 def within_reach(
@@ -62,13 +70,7 @@ def within_reach(
 
 
 def scaled(assembly: Assembly, unknowns: Unknowns, share: float) -> Unknowns:
-    """The unknowns with the last effect's amplitudes at a share of theirs, and what vanishes at infinity further out.
-
-    Args:
-        assembly: The model.
-        unknowns: Its unknowns.
-        share: Of each amplitude's distance from its neutral value.
-    """
+    """The unknowns with the last effect's amplitudes at a share of theirs, what vanishes at infinity further out."""
     common = unknowns.common.copy()
     for index, neutral in amplitudes(assembly):
         common[index] = common[index] / share if np.isinf(neutral) else neutral + share * (common[index] - neutral)
@@ -90,23 +92,25 @@ def amplitudes(assembly: Assembly) -> list[tuple[int, float]]:
 
 
 MOST_OBSERVED, MOVING_OBSERVED = 12, 0.01
-"""A fit in observer form ends after so many iterations, or when one gains less than the second share."""
+"""End a fit in observer form after so many iterations, or when one gains less than the second share."""
 BETTER = 0.9
-"""The given linear parameters are the better start where the first fit from them costs less than this share."""
+"""Start from the given linear parameters where the first fit from them costs less than this share."""
 SOFT, SOFTER = 0.03, 0.1
-"""Width of sharp laws in first fits, as a share of the motion's scale; the wider one beside a linear model."""
-TENTH = 0.1
-"""Share of the observer gain that shows what the whole one hides."""
+"""Smooth sharp laws in first fits to this width, as a share of the motion's scale; the wider one beside a linear
+model."""
+MUCH_WEAKER = 0.1
+"""Try this share of an observer gain for what the whole one hides, and of a law's strength where no step leads on from
+the whole."""
 FIRST_WORK, BEHIND = 40.0, 3.0
-"""Simulations after which a fit waits for the others, and ends where it costs so many times as much as the best one:
-those that go astray take longest, and a good one was seen to take eight to sixty."""
+"""Let a fit wait for the others after so many simulations, and end it where it costs so many times as much as the best
+one: those that go astray take longest, and a good one was seen to take eight to sixty."""
 CLEAR, MUCH_LESS = 0.05, 0.5
-"""Where a fit leaves less than the first share of what is above the floor, others are fitted only if the screen
-promised at least the second share of what it promised of that one."""
+"""Where a fit leaves less than the first share of what is above the floor, fit another only if the screen promised at
+least the second share of what it promised of that one."""
 MOST_OF_IT = 0.1
-"""Share of what is left of the budget for these fits that the rest of one may take."""
+"""Spend at most this share of what is left of the budget for these fits on the rest of one."""
 HIDDEN = 1.5
-"""Where smoothing the laws that are there multiplies the cost by more than this, it hides what a further one does."""
+"""Keep the laws that are there sharp where smoothing them multiplies the cost by more than this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -122,12 +126,8 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
     """The model in observer form along the records; as it is where a correction is not needed or leads astray.
 
     A wrong sensor makes the correction worse than none: it pulls the states towards what the sensor says.
-
-    Args:
-        fitted: The model in free run.
-        task: Records to fit.
     """
-    gain = observer_gain(fitted, task.fit, task.upsampling)
+    gain = observer_gain(fitted, task.fit)
     if gain is None:
         return fitted
     found = _again(fitted, task, gain, fitted.smoothing)
@@ -137,16 +137,11 @@ def observed_form(fitted: Estimate, task: Task) -> Estimate:
 def weaker_form(observed: Estimate, task: Task) -> Estimate | None:
     """The model with a tenth of its observer gain.
 
-    Args:
-        observed: The model in observer form.
-        task: Records to fit.
-
-    Returns:
-        None where it has no gain, or cannot be simulated so.
+    None where it has no gain, or cannot be simulated so.
     """
     if observed.gain is None:
         return None
-    return _again(observed, task, TENTH * observed.gain, observed.smoothing)
+    return _again(observed, task, MUCH_WEAKER * observed.gain, observed.smoothing)
 
 
 def _again(found: Estimate, task: Task, gain: FloatArray | None, smoothing: float) -> Estimate | None:
@@ -163,12 +158,6 @@ def observed_fits(
 
     A calibration without the effect bends the linear parameters to take its place. Where it drove one onto its bound
     that is plain; else the first candidate is fitted both ways, and the better way is gone with the others too.
-
-    Args:
-        node: The model without them.
-        observed: The same in observer form.
-        candidates: From `modal.discrepancy.selection.screening`, best first.
-        task: Records to fit.
 
     Returns:
         Those that could be simulated, and for which the budget was enough; those that cannot lead any more as far as

@@ -1,16 +1,12 @@
-"""The observer form of a model that is still wrong: a Kalman gain that lays what is missing to random port forces.
+"""The observer form of a model that is still wrong, and the way to the free run by smaller and smaller gains.
 
 A free run of a wrong model drifts away from the measured motion, and a law evaluated along it is the law of another
-motion. Corrected by the measured outputs, the states stay near the true ones, whatever is missing; the fit in this form
-has hardly any local minima. The nearer the model, the smaller the forces and the gain: the form turns into the free
-run.
-
-From the observer form to the free run by smaller and smaller gains, where the way in one step is lost.
+motion. A Kalman gain that lays what is missing to random port forces keeps the states near the true ones, whatever is
+missing; the fit in this form has hardly any local minima. The nearer the model, the smaller the forces and the gain.
 
 With hard laws and little damping the free run of a model that is slightly off is out of step with the record after a
 few impacts, and no step of a fit leads back. A weaker correction asks for a little more of the model each time: the
-right one follows all the way, and needs less correction from fit to fit, while what is left of a wrong one grows from
-gain to gain and soon ends the attempt.
+right one follows all the way, while what is left of a wrong one grows from gain to gain and soon ends the attempt.
 """
 
 import numpy as np
@@ -22,16 +18,11 @@ from okid.arrays import TINY, FloatArray
 __all__ = ["LOST", "LostMotion", "graded_run", "observer_gain"]
 
 
-def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> FloatArray | None:
+def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
     """The steady Kalman gain for forces at the ports that would explain what the model leaves.
 
     The forces are white between samples, all ports alike, of the size at which the model's outputs would have the
     residual's mean square above the floor; the measurement noise is the floor.
-
-    Args:
-        current: A model in free run.
-        problem: The records it is compared with.
-        upsampling: Steps of the simulation per sample.
 
     Returns:
         L (n_states, n_outputs) for one step of the simulation, or None where no gain is needed (no residual above the
@@ -40,7 +31,7 @@ def observer_gain(current: Estimate, problem: Problem, upsampling: int) -> Float
     References:
         Anderson, Moore, Optimal Filtering, 1979 (correlated process and measurement noise, section 5.4).
     """
-    scheme = current.scheme
+    scheme, upsampling = current.scheme, problem.upsampling
     n = len(scheme.Ad)
     floor = np.exp(np.mean(np.log(problem.floor), axis=0))
     excess = np.nanmean(np.maximum(current.mean_square - 1.0, 0.0), axis=0) * floor
@@ -79,18 +70,18 @@ def _damped(A: FloatArray) -> FloatArray:
 
 
 SHRINK, GENTLEST, LEAST = 0.5, 0.8, 0.2
-"""Share of the gain that is left from one fit to the next: at first, the largest one once that led nowhere, and the
+"""Leave this share of the gain from one fit to the next: at first, the largest one once that led nowhere, and the
 least."""
 SMALLEST = 0.003
-"""Share of the first gain from which the free run is tried."""
+"""Try the free run from this share of the first gain on."""
 ITERATIONS, MOVING = 3, 0.03
-"""Each is fitted by so many iterations at most, or until one gains less than the second share."""
+"""Fit each by so many iterations at most, or until one gains less than the second share."""
 ENOUGH, MISSED, FAR_OFF = 2.0, 0.03, 1000.0
 HARDLY_ANY = 0.05
-"""A motion is lost where with hardly any of the gain the level is below the first or the model misses less than the
+"""Call a motion lost where with hardly any of the gain the level is below the first or the model misses less than the
 second share of the outputs, root mean square, and no free run is found or its cost is so many times as large."""
 LOST = 10.0
-"""A model whose cost has grown by this factor since the full gain is not followed on."""
+"""Follow no model whose cost has grown by this factor since the full gain."""
 
 
 class LostMotion(Exception):  # noqa: N818 - no error: the search begins again on shorter records
@@ -99,11 +90,6 @@ class LostMotion(Exception):  # noqa: N818 - no error: the search begins again o
 
 def graded_run(fit: Estimate, problem: Problem, *, smoothing: float) -> Estimate | None:
     """The model near its free run, fitted gain by gain.
-
-    Args:
-        fit: Fitted in observer form.
-        problem: The records it was fitted to.
-        smoothing: Width of sharp laws, as a share of the motion's scale.
 
     Returns:
         The model in free run, not fitted yet; None where it is lost on the way, or there is no gain to begin with.
@@ -141,7 +127,7 @@ def _weaker(current: Estimate, problem: Problem, shrink: float) -> FloatArray:
     gain = np.asarray(current.gain)
     if shrink != SHRINK:
         return shrink * gain
-    wanted = observer_gain(current, problem, int(problem.drive.rows[1]) if len(problem.drive.rows) > 1 else 1)
+    wanted = observer_gain(current, problem)
     if wanted is None or _size(wanted) > shrink * _size(gain):
         return shrink * gain
     return wanted * max(LEAST * _size(gain) / _size(wanted), 1.0)

@@ -3,7 +3,9 @@
 Everything that the workflow decides is a ratio to this number, so it comes with the way it was found and with its
 standard error. In order of trust:
 
-1. repeated records: the same input twice; what differs after the transient is noise, whatever its spectrum.
+1. repeated records: the same input twice. The difference of the two responses holds twice the variance of all that does
+   not repeat, whatever its spectrum. It begins with a transient, since the states at the start were not the same; that
+   part is left out: it is the model's to explain, not noise.
 2. repeated periods: the same within a record.
 3. quiet band: the level of the spectrum where neither inputs nor response carry anything; the noise is taken to be
    white.
@@ -20,7 +22,7 @@ There the floor is an upper limit with a wide standard error, until the residual
 
 Estimate over truth, 60 of each law: one mass, 30 to 60 samples a period, 2048 samples, noise of 0.5 to 5 %, multisines
 and random steps, random starts; quantiles 5, 25, 50, 75 and 95 %, and the share with a standard error below 0.15
-(`pytest -m slow -s tests/modal/discrepancy/test_noise_floor.py` prints it):
+(`pytest -m slow -s tests/modal/discrepancy/noise/test_noise_floor.py` prints it):
 
     displacement, six laws, from 0.90 0.97 1.00 1.03  1.07  0.58
                               to 0.93 0.98 1.01 1.05  1.09  0.97
@@ -32,22 +34,16 @@ and random steps, random starts; quantiles 5, 25, 50, 75 and 95 %, and the share
     acceleration, coulomb        1.19 1.56 3.44 6.48 30.00  0.05
 
 Of the 720 floors, 3 with a standard error below 0.15 were more than 1.3 times too high, all from accelerations.
-
-What differs between responses to the same input: the noise, and whatever else does not repeat; no model is needed.
-
-The same input comes back in a second record, or after a period of the same record. The difference of the two responses
-holds twice the variance of all that does not repeat. It begins with a transient, since the states at the start were not
-the same; that part is left out: it is the model's to explain, not noise.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy
 
-from modal.discrepancy.noise.spectral import SpectralFloor, smallest_variance, spectral_floor
+from modal.discrepancy.noise.spectral import FEWEST_ROWS, SpectralFloor, smallest_variance, spectral_floor
 from modal.localisation.lines import input_period, measure_lines
 from modal.simulation.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray, frozen_with_gaps
@@ -55,27 +51,15 @@ from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = [
-    "FloorMethod",
-    "NoiseFloor",
-    "Scatter",
-    "exact_period",
-    "lowered_floor",
-    "noise_floor",
-    "period_scatter",
-    "repeat_scatter",
-    "repeated_records",
-]
+__all__ = ["SAME_NUMBER", "FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "stacked_floors"]
 
-_SAME_INPUT = 1e-6
-"""Of an input's size: numbers that went through a text file agree as well as this."""
+SAME_NUMBER = 1e-6
+"""Take numbers for the same that differ by less than this share, as after a way through a text file."""
 _SAME_PERIOD = 1e-7
-"""Of the mean square: the response to what differs stays below a tenth of noise of 0.1 %."""
-_FEWEST_ROWS = 64
-"""Differences that must be left after the transient."""
+"""Take an input for periodic where periods differ by less than this share of the mean square: the response to that
+stays below a tenth of noise of 0.1 %."""
 _N_BLOCKS = 24
-_LATEST = 18
-"""Block by which a transient must have died out."""
+"""Look for the end of a transient in so many blocks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -123,8 +107,7 @@ def repeated_records(records: Sequence[Record]) -> tuple[tuple[int, ...], ...]:
 def exact_period(record: Record) -> int | None:
     """Period [samples] at which the inputs repeat so well that the response to what differs is nothing beside noise.
 
-    An input that was measured with noise of its own has a period (`periods.input_period`), but no exact one: what the
-    inputs do not repeat the outputs need not.
+    An input that was measured with noise of its own has a period (`input_period`), but no exact one.
 
     Example:
         >>> force = np.tile(np.random.default_rng(0).standard_normal(50), 3)
@@ -198,7 +181,7 @@ def _memory(apart: FloatArray) -> FloatArray:
 def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) -> Scatter | None:
     """Mean square over the rows after the transient; freedom per row and output."""
     n_rows = len(squares)
-    if n_rows < _FEWEST_ROWS:
+    if n_rows < FEWEST_ROWS:
         return None
     edges = np.linspace(0, n_rows, _N_BLOCKS + 1).astype(int)
     total = np.add.reduceat(squares, edges[:-1], axis=0)
@@ -208,7 +191,7 @@ def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) ->
         return None
     first = int(edges[start])
     kept = freedom[first:].sum(axis=0)
-    if n_rows - first < _FEWEST_ROWS or (kept < _FEWEST_ROWS).any():
+    if n_rows - first < FEWEST_ROWS or (kept < FEWEST_ROWS).any():
         return None
     return Scatter(
         variance=squares[first:].sum(axis=0) / kept,
@@ -221,13 +204,13 @@ def _settled(squares: FloatArray, freedom: np.ndarray, *, memory: FloatArray) ->
 
 def _onset(total: FloatArray, count: FloatArray, memory: FloatArray) -> int | None:
     """First block after the transient: from there on no block stands out, and the end is not quieter than the start."""
-    mean = total / np.maximum(count, 1.0)
-    late = np.median(mean[_LATEST:], axis=0)
+    mean, latest = total / np.maximum(count, 1.0), _N_BLOCKS - _N_BLOCKS // 4  # the last quarter is settled
+    late = np.median(mean[latest:], axis=0)
     freedom = np.maximum(count.min(axis=0) / memory, 1.0)
     limit = late * scipy.special.gammainccinv(freedom / 2.0, UNLIKELY) * 2.0 / freedom
-    loud = np.flatnonzero((mean[:_LATEST] > limit).any(axis=1))
+    loud = np.flatnonzero((mean[:latest] > limit).any(axis=1))
     start = 0 if loud.size == 0 else int(loud[-1]) + 1
-    start += min(max(1, start // 2), _LATEST - start) if start else 0  # what is below the limit fades for a while yet
+    start += min(max(1, start // 2), latest - start) if start else 0  # what is below the limit fades for a while yet
     third = (_N_BLOCKS - start) // 3
     before, after = (
         total[part].sum(axis=0) / np.maximum(count[part].sum(axis=0), 1.0)
@@ -247,7 +230,7 @@ def _same_input(one: Record, other: Record) -> bool:
     moves = np.ptp(a, axis=0)
     return bool(
         moves.max() > 0.0
-        and (np.abs(a - b).max(axis=0) <= _SAME_INPUT * np.maximum(moves, np.abs(a).max(axis=0))).all()
+        and (np.abs(a - b).max(axis=0) <= SAME_NUMBER * np.maximum(moves, np.abs(a).max(axis=0))).all()
     )
 
 
@@ -262,14 +245,14 @@ def _copies(one: Record, other: Record) -> bool:
 FloorMethod = Literal["repeated records", "repeated periods", "quiet band", "incoherent part"]
 
 _SAME_LEVEL = 1.25
-"""Scatter over level of the spectrum up to which both are the same noise."""
+"""Take scatter and level of the spectrum for the same noise up to this ratio."""
 _NARROW = 25.0
-"""Samples that are as sure as one of white noise (6 to 10 in noise that is ten times as strong at low frequencies)
-above which a scatter beyond that level is motion at a resonance: a response that has not settled, or never repeats."""
+"""Call a scatter beyond that level motion at a resonance where so many samples are as sure as one of white noise (6 to
+10 in noise that is ten times as strong at low frequencies)."""
 _NO_NOISE = 30.0
-"""Scatter over level above which it is motion whatever its spectrum."""
+"""Call a scatter motion above this ratio to the level, whatever its spectrum."""
 _DRIVEN = 0.3
-"""Share of a band's level from which on the inputs drive it."""
+"""Call a band driven where the inputs explain more than this share of its level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -294,17 +277,46 @@ class NoiseFloor:
     random: FloatArray
     distortion: FloatArray
 
+    def of_records(self, chosen: Sequence[int]) -> "NoiseFloor":
+        """The rows of some records, in this order; a record may come several times."""
+        return stacked_floors([(self, i) for i in chosen])
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Floor:
-    """One record's row of a `NoiseFloor`."""
 
-    variance: FloatArray
-    method: FloorMethod
-    reason: str
-    standard_error: FloatArray
-    random: FloatArray
-    distortion: FloatArray
+def stacked_floors(rows: Sequence[tuple[NoiseFloor, int]]) -> NoiseFloor:
+    """A floor of records of several floors, each by its floor and its number there."""
+
+    def of(name: Literal["variance", "standard_error", "random", "distortion"]) -> FloatArray:
+        return frozen_with_gaps([getattr(floor, name)[i] for floor, i in rows], name=name)
+
+    return NoiseFloor(
+        variance=of("variance"),
+        method=tuple(floor.method[i] for floor, i in rows),
+        reason=tuple(floor.reason[i] for floor, i in rows),
+        standard_error=of("standard_error"),
+        random=of("random"),
+        distortion=of("distortion"),
+    )
+
+
+def _one_floor(
+    variance: FloatArray,
+    method: FloorMethod,
+    reason: str,
+    standard_error: FloatArray,
+    *,
+    random: FloatArray | None = None,
+    distortion: FloatArray | None = None,
+) -> NoiseFloor:
+    """Of one record, from (n_outputs,) each; nan for what nothing shows."""
+    unknown = np.full(len(variance), np.nan)
+    return NoiseFloor(
+        variance=variance[np.newaxis],
+        method=(method,),
+        reason=(reason,),
+        standard_error=standard_error[np.newaxis],
+        random=(unknown if random is None else random)[np.newaxis],
+        distortion=(unknown if distortion is None else distortion)[np.newaxis],
+    )
 
 
 def noise_floor(records: Record | Sequence[Record]) -> NoiseFloor:
@@ -342,7 +354,7 @@ def noise_floor(records: Record | Sequence[Record]) -> NoiseFloor:
             continue
         words = f"{record.n_samples / period:.3g} periods of {period} samples"
         found.append(_repeated(record, spectrum, period_scatter(record.outputs, period), words, "repeated periods"))
-    return _stacked(found)
+    return stacked_floors([(one, 0) for one in found])
 
 
 def lowered_floor(floor: NoiseFloor, records: Record | Sequence[Record], residuals: Sequence[FloatArray]) -> NoiseFloor:
@@ -387,42 +399,23 @@ def lowered_floor(floor: NoiseFloor, records: Record | Sequence[Record], residua
         variance[i, lower], error[i, lower] = left.variance[lower], left.standard_error[lower]
         if lower.any():
             reasons[i] += f" Lower by the residual of a model: {left.words(record, lower)}."
-    return NoiseFloor(
+    return replace(
+        floor,
         variance=frozen_with_gaps(variance, name="variance"),
-        method=floor.method,
         reason=tuple(reasons),
         standard_error=frozen_with_gaps(error, name="standard_error"),
-        random=floor.random,
-        distortion=floor.distortion,
     )
 
 
-def _stacked(found: Sequence[_Floor]) -> NoiseFloor:
-    return NoiseFloor(
-        variance=frozen_with_gaps([one.variance for one in found], name="variance"),
-        method=tuple(one.method for one in found),
-        reason=tuple(one.reason for one in found),
-        standard_error=frozen_with_gaps([one.standard_error for one in found], name="standard_error"),
-        random=frozen_with_gaps([one.random for one in found], name="random"),
-        distortion=frozen_with_gaps([one.distortion for one in found], name="distortion"),
-    )
-
-
-def _of_spectrum(record: Record, spectrum: SpectralFloor, *, why: str = "") -> _Floor:
-    unknown = np.full(record.n_outputs, np.nan)
-    return _Floor(
-        variance=spectrum.variance,
-        method="incoherent part" if (spectrum.driven_share > _DRIVEN).any() else "quiet band",
-        reason=f"{why}{spectrum.words(record)}; taken to be white.",
-        standard_error=spectrum.standard_error,
-        random=unknown,
-        distortion=unknown,
-    )
+def _of_spectrum(record: Record, spectrum: SpectralFloor, *, why: str = "") -> NoiseFloor:
+    method: FloorMethod = "incoherent part" if (spectrum.driven_share > _DRIVEN).any() else "quiet band"
+    reason = f"{why}{spectrum.words(record)}; taken to be white."
+    return _one_floor(spectrum.variance, method, reason, spectrum.standard_error)
 
 
 def _repeated(
     record: Record, spectrum: SpectralFloor, scatter: Scatter | None, words: str, method: FloorMethod
-) -> _Floor:
+) -> NoiseFloor:
     """The scatter of repeats where it is noise; the spectrum where the responses have not settled to repeating."""
     if scatter is None:
         return _of_spectrum(record, spectrum, why=f"{words}, but the transient never dies out or too few are left: ")
@@ -438,11 +431,11 @@ def _repeated(
         if coloured.any()
         else ""
     )
-    return _Floor(
-        variance=np.maximum(scatter.variance, smallest_variance(record)),
-        method=method,
-        reason=f"{words} differ{dropped}: {scatter.n_rows} samples, sure to {100 * error.max():.2g} %{more}.",
-        standard_error=error,
+    return _one_floor(
+        np.maximum(scatter.variance, smallest_variance(record)),
+        method,
+        f"{words} differ{dropped}: {scatter.n_rows} samples, sure to {100 * error.max():.2g} %{more}.",
+        error,
         random=scatter.variance,
         distortion=_line_distortion(record),
     )

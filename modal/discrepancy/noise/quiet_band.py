@@ -17,10 +17,9 @@ samples with jumps falls off no faster than 1 / (4 sin^2(w / 2)), w in radians a
 and a flat one cannot be mistaken for each other; over the last tenth of the band they look the same. The standard error
 is that of the flat part when such a tail is allowed for.
 
-Noise is the same at all times; impacts and reversals of friction fill the quiet band in bursts.
-
-The residual of the upper half of the spectrum, back in time, has an envelope: of steady Gaussian noise its square is
-exponentially distributed. Bursts stand out of that. The level of what lies between them is the mean below a limit, the
+Noise is the same at all times; impacts and reversals of friction fill the quiet band in bursts. The residual of the
+upper half of the spectrum, back in time, has an envelope: of steady Gaussian noise its square is exponentially
+distributed. Bursts stand out of that. The level of what lies between them is the mean below a limit, the
 limit being a multiple of the level itself: m = 1 - t / (exp(t) - 1) is the mean of an exponential variable below t.
 """
 
@@ -29,31 +28,35 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modal.localisation.lines import FALSE_ALARM
 from modal.simulation.tolerances import ROUNDING, SURE
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["QuietBand", "ResidualSpectrum", "SteadyLevel", "quiet_band", "residual_spectrum", "steady_level"]
+__all__ = ["UNKNOWN", "QuietBand", "ResidualSpectrum", "SteadyLevel", "quiet_band", "residual_spectrum", "steady_level"]
 
 _DEGREE = 2
-"""Of the polynomials in a window."""
+"""Fit polynomials of this degree in a window."""
 _LINES_A_COLUMN = 5
-"""Frequencies of a window for each of its unknowns: fewer waste data, more ask for smoother response functions."""
+"""Widen a window to so many frequencies for each of its unknowns: fewer waste data, more ask for smoother response
+functions."""
 _FEWEST_LINES = 16
+"""Make no window narrower than so many lines."""
 _MOST_BLOCKS = 120
-"""Stretches begin and end at block edges; their number grows with the square of the blocks."""
+"""Begin and end stretches at the edges of at most so many blocks; the stretches grow with their square."""
 _CAUTION = 5.0
-"""Standard errors added to a level before it is called the smallest: with fewer a short stretch wins by chance."""
+"""Add so many standard errors to a level before it is called the smallest: with fewer a short stretch wins by
+chance."""
 _SMALLEST_SHARE = 0.2
-"""Of the spectrum, for a stretch: the gap between two resonances is quiet too, but no place to measure a level."""
-_OUTLIER = 1e-4
-"""A window this unlikely in its stretch holds a line (a harmonic, hum), and is left out."""
+"""Take no stretch below this share of the spectrum: the gap between two resonances is quiet too, but no place to
+measure."""
 _LOWEST_TAIL = 0.1
-"""Cycles a sample below which no tail is followed: resonances stand there."""
-_LARGEST_ERROR = 3.0
+"""Follow no tail below so many cycles a sample: resonances stand there."""
+UNKNOWN = 3.0
+"""Give a floor that is no better than a guess this relative error."""
 _FEWEST_ABOVE = 8
-"""Windows above a stretch, to see a spectrum rise."""
+"""Ask for so many windows above a stretch to see a spectrum rise."""
 _UNDRIVEN = 1.2
-"""Level with the response to the inputs over that without, up to which inputs drive nothing there."""
+"""Call what is above a band undriven up to this ratio of its level with the response to the inputs to that without."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -166,10 +169,6 @@ def residual_spectrum(inputs: FloatArray, outputs: FloatArray) -> ResidualSpectr
 def quiet_band(spectrum: ResidualSpectrum, output: int) -> QuietBand:
     """The quietest stretch of windows: the one with the smallest upper limit of its level.
 
-    Args:
-        spectrum: of all outputs.
-        output: which of them.
-
     Example:
         >>> rng = np.random.default_rng(1)
         >>> y = np.sin(0.2 * np.arange(4000)) ** 3 + 0.1 * rng.standard_normal(4000)
@@ -229,7 +228,7 @@ def _quietest(level: FloatArray, block: np.ndarray, choosing: BoolArray, freedom
 def _ordinary(level: FloatArray, inside: BoolArray, freedom: int) -> BoolArray:
     """False for windows that hold a line: far above the middle of their stretch."""
     middle = float(np.median(level[inside]))
-    limit = scipy.special.gammainccinv(freedom, _OUTLIER) / scipy.special.gammainccinv(freedom, 0.5)
+    limit = scipy.special.gammainccinv(freedom, FALSE_ALARM) / scipy.special.gammainccinv(freedom, 0.5)
     ordinary: BoolArray = level <= limit * middle
     return ordinary
 
@@ -256,16 +255,18 @@ def _standard_error(spectrum: ResidualSpectrum, weight: FloatArray) -> float:
     own, cross, square = weight.sum(), weight @ tail, weight @ tail**2
     known = own * square - cross**2
     if known <= ROUNDING * own * square:
-        return _LARGEST_ERROR
-    return float(min(_LARGEST_ERROR, np.sqrt(square / known / spectrum.freedom)))
+        return UNKNOWN
+    return float(min(UNKNOWN, np.sqrt(square / known / spectrum.freedom)))
 
 
 _LIMIT = 3.0
-"""Of the level: 5 % of steady noise lies above."""
+"""Cut bursts off at this multiple of the level: 5 % of steady noise lies above."""
 _FROM, _FULL = 0.25, 0.35
-"""Cycles a sample where the taper begins and where it is 1: sharp edges would smear bursts over time."""
+"""Begin the taper at the first, in cycles a sample, and end it at the second: sharp edges would smear bursts over
+time."""
 _SPREAD = 0.82
-"""Standard deviation of clipped over plain level of steady noise, times the root of the independent envelope values."""
+"""Expect this standard deviation of clipped over plain level of steady noise, times the root of the independent
+envelope values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -287,10 +288,6 @@ class SteadyLevel:
 
 def steady_level(spectrum: ResidualSpectrum, output: int) -> SteadyLevel | None:
     """Level of the noise between bursts; None where the record is too short to tell.
-
-    Args:
-        spectrum: residual spectrum of all outputs.
-        output: which of them.
 
     Example:
         >>> from modal.discrepancy.noise.quiet_band import residual_spectrum

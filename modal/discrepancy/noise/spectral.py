@@ -1,11 +1,8 @@
 """The noise of the outputs of one record from its spectrum: gaps bridged, quiet band found, bursts set aside.
 
-Missing samples, bridged so that a spectrum can be taken.
-
 A missing sample gets the value that the samples beside it foretell: the regression of a sample of this output on its
 neighbours before and after and on the inputs at the same times, learnt from the rows where all of them are there. That
-follows a smooth response and the jumps that an input makes alike. Smooth as it is, it brings hardly any noise to
-high frequencies: there the level of the noise falls by the share of bridged samples. A long gap is not bridged.
+brings hardly any noise to high frequencies: there the level of the noise falls by the share of bridged samples.
 """
 
 from dataclasses import dataclass
@@ -13,19 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modal.discrepancy.noise.quiet_band import QuietBand, SteadyLevel, quiet_band, residual_spectrum, steady_level
+from modal.discrepancy.noise.quiet_band import (
+    UNKNOWN,
+    QuietBand,
+    SteadyLevel,
+    quiet_band,
+    residual_spectrum,
+    steady_level,
+)
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = ["SpectralFloor", "bridgeable_runs", "bridged", "smallest_variance", "spectral_floor"]
+__all__ = ["FEWEST_ROWS", "SpectralFloor", "bridgeable_runs", "bridged", "smallest_variance", "spectral_floor"]
 
 _LONGEST_GAP = 6
+"""Bridge no gap of more samples than this."""
 _REACHES = (6, 4, 3, 2)
-"""Neighbours on either side: fewer where missing samples leave too few whole rows to learn from."""
+"""Foretell from so many neighbours on either side: fewer where missing samples leave too few whole rows to learn
+from."""
 _FEWEST_WHOLE_ROWS = 4
-"""Whole rows for each neighbour and input, without which nothing is learnt."""
+"""Learn from no fewer whole rows for each neighbour and input."""
 
 
 def bridgeable_runs(there: BoolArray) -> list[tuple[int, int]]:
@@ -107,19 +113,18 @@ def _foretold(rows: FloatArray, whole: FloatArray, centre: int) -> FloatArray:
     return result
 
 
-_FEWEST_ROWS = 64
-"""Samples in succession below which there is no spectrum to speak of."""
+FEWEST_ROWS = 64
+"""Take no spectrum, and no scatter, of fewer samples than this."""
 _MOST_BRIDGED = 0.3
-"""Share of bridged samples above which only whole rows count."""
+"""Take whole rows only where more than this share of the samples would be bridged."""
 _BURSTS_ERROR = 0.5
-"""Least relative error of a level among bursts: how much of them lies below the limit is not known."""
-_UNKNOWN = 3.0
-"""Relative error of a floor that is no better than a guess."""
+"""Give a level among bursts at least this relative error: how much of them lies below the limit is not known."""
 _ROUNDED = 0.1
-"""Share of quantisation in a level from which on bursts are its own."""
+"""Look for no bursts where quantisation is more than this share of the level: it makes its own."""
 _DIFFERENCES = 4
+"""Guess a floor from differences of this order."""
 _REGULAR = 0.05
-"""Of a quantisation step: how near to multiples of it all values must lie."""
+"""Call an output quantised where all steps lie this near to multiples of the smallest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -236,7 +241,7 @@ def _with_gaps(inputs: FloatArray, values: FloatArray, whole: BoolArray, dt: flo
     if missing > _MOST_BRIDGED:
         start, stop = max(runs_of(there & whole), key=lambda run: run[1] - run[0], default=(0, 0))
         missing = 0.0
-    if stop - start < _FEWEST_ROWS:
+    if stop - start < FEWEST_ROWS:
         return _guess(values)
     filled = bridged(values[start:stop], inputs[start:stop])
     return _levels(inputs[start:stop], filled[:, np.newaxis], dt, missing, least)[0]
@@ -249,7 +254,7 @@ def _stride(there: BoolArray) -> int:
 
 
 def _levels(inputs: FloatArray, outputs: FloatArray, dt: float, missing: float, least: FloatArray) -> list[_Level]:
-    spectrum = residual_spectrum(inputs, outputs) if len(outputs) >= _FEWEST_ROWS else None
+    spectrum = residual_spectrum(inputs, outputs) if len(outputs) >= FEWEST_ROWS else None
     if spectrum is None:
         return [_guess(column) for column in outputs.T]
     levels = []
@@ -266,10 +271,10 @@ def _level(band: QuietBand, steady: SteadyLevel | None, dt: float, missing: floa
     how = ", rising above it" if band.rise > 1.0 else ""
     if steady is not None and steady.bursts:
         lower = min(variance, steady.variance)
-        error = max(error, _BURSTS_ERROR, variance / lower - 1.0 if lower > 0.0 else _UNKNOWN)
+        error = max(error, _BURSTS_ERROR, variance / lower - 1.0 if lower > 0.0 else UNKNOWN)
         variance, how = lower, ", in the pauses of bursts (impacts, rubbing) that reach into it"
     # bridged samples hold no noise at high frequencies
-    variance, error = variance / (1.0 - missing), min(_UNKNOWN, float(np.hypot(error, 0.5 * missing)))
+    variance, error = variance / (1.0 - missing), min(UNKNOWN, float(np.hypot(error, 0.5 * missing)))
     bridges = f", {100 * missing:.2g} % of the samples bridged" if missing else ""
     doubt = "; the band is too narrow to tell noise from distortion" if error > _BURSTS_ERROR and not how else ""
     return _Level(
@@ -289,7 +294,7 @@ def _guess(values: FloatArray) -> _Level:
     differences = np.diff(there, order)
     return _Level(
         variance=float(np.mean(differences**2) / scipy.special.binom(2 * order, order)) if order else 0.0,
-        standard_error=_UNKNOWN,
+        standard_error=UNKNOWN,
         driven_share=0.0,
         note="by differences of its samples, since too few follow each other: a guess, rather an upper limit",
     )

@@ -4,8 +4,6 @@ It is run along every record, and its linear part is identified from its own out
 part on records from which the rest is taken off, y - (f(u) - L(u)): what a model then has to explain is exactly what
 the callable itself leaves, also where the linear part does not quite reproduce it. The result is proved with the
 callable: changed inputs and outputs by running it again, forces by the difference that they make in the linear part.
-
-The diagnosis of a callable: the figures of its linear part replaced by those of the callable itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +13,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from era.simulation import simulate
-from modal.discrepancy.noise.floor import NoiseFloor, noise_floor
+from modal.discrepancy.noise.floor import NoiseFloor, noise_floor, stacked_floors
 from modal.discrepancy.programs.corrected import CorrectedCallable, along_plant
 from modal.discrepancy.programs.program import (
     IdentifiedPart,
@@ -51,9 +49,6 @@ from okid.record import Record
 
 __all__ = ["diagnose_callable", "proved", "without_search"]
 
-FOLLOWS = 0.3
-"""Share of an output's deviation that a callable may leave where nothing but the noise floor speaks for it."""
-
 
 def proved(
     found: Diagnosis,
@@ -65,14 +60,6 @@ def proved(
     between: Sequence[Step],
 ) -> Diagnosis:
     """What was found in the linear part, with the callable's own figures.
-
-    Args:
-        found: The diagnosis of the linear part.
-        runs: The callable and the records.
-        proof: The callable with what was found.
-        realisation: The linear part.
-        decision: What was decided of the linear part.
-        between: Steps between the callable as given and the proof.
 
     Returns:
         "named" and "none" stand only where the callable itself comes within 1.5 of the noise floor on held-out data;
@@ -112,19 +99,12 @@ def proved(
 def without_search(runs: Runs, floor: NoiseFloor, location: Location, warnings: tuple[str, ...]) -> Diagnosis:
     """All that can be said of a callable whose linear part could not be identified.
 
-    Args:
-        runs: The callable and the records.
-        floor: Noise floor of the records.
-        location: Where callable and records disagree.
-        warnings: Why no effect was tried.
-
-    Returns:
-        "none" where the callable explains the records as it is, else "unresolved".
+    "none" where the callable explains the records as it is, else "unresolved".
     """
     before = unproved(runs, None)
     # the floor of a nonlinear system without repeats counts motion as noise
     spread = np.array([np.nanstd(record.outputs, axis=0) for record in runs.held_out])
-    follows = bool((before.rmse <= FOLLOWS * spread).all())
+    follows = bool((before.rmse <= USEFUL * spread).all())
     fits = follows and max(before.fit_level, before.held_out_level) <= NEAR_FLOOR
     found = Diagnosis(
         status="none" if fits else "unresolved",
@@ -210,9 +190,10 @@ def _how_to_build_in(proof: Proof) -> tuple[str, ...]:
 
 
 LINEAR = 0.02
-"""Share of its output's rms that the linear part of a callable may miss before the callable is called nonlinear."""
+"""Call a callable nonlinear where its linear part misses more than this share of an output's rms."""
 USEFUL = 0.3
-"""Share on the quietest records up to which the search with the linear part is worth its while."""
+"""Search with the linear part of a callable, and believe what it simulates, where it leaves at most this share of an
+output's deviation."""
 
 
 def diagnose_callable(
@@ -227,17 +208,7 @@ def diagnose_callable(
 ) -> Diagnosis:
     """Find what a callable lacks.
 
-    Args:
-        model: Takes a Record and returns one with simulated outputs; started from rest, deterministic.
-        fits: Records to fit.
-        helds: Held-out records.
-        catalogue: The effects to try.
-        sensor_kind: What the outputs are, as in `diagnose`.
-        progress: Called with a sentence and the share that is done.
-        notes: What is known of the records already; they lead the warnings.
-
-    Returns:
-        The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
+    The diagnosis; its `model` is a `CorrectedCallable`, its gaps are those of the callable itself.
 
     Raises:
         InvalidDataError: No input, or a callable that fails, is not deterministic, or returns no record that matches.
@@ -270,14 +241,15 @@ def diagnose_callable(
         tuple(shifted[i] for i in to_hold),
         catalogue,
         progress,
-        floor=_rows(floor, [*to_fit, *to_hold]),
+        floor=floor.of_records([*to_fit, *to_hold]),
     )
     as_given, root = roots(setup)
     progress("locating the gap", 0.05)
     along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
     location = _located([records[i] for i in to_fit], along, setup.floor)
     setup, nodes, as_given = with_uncovered_floor(setup, search_effects(root, setup.task), as_given)
-    floor = _with_rows(floor, [*to_fit, *to_hold], setup.floor)
+    at = {record: row for row, record in enumerate([*to_fit, *to_hold])}
+    floor = stacked_floors([(setup.floor, at[i]) if i in at else (floor, i) for i in range(len(records))])
     runs = replace(runs, floor=floor.variance)
     progress("deciding", 0.9)
     circumstances = circumstances_of(setup.given.plant, setup.fit, root)
@@ -329,34 +301,6 @@ def _worth_searching(misses: Sequence[float], n_fit: int) -> tuple[list[int], li
     to_fit = [i for i, miss in enumerate(misses[:n_fit]) if miss <= USEFUL]
     to_hold = [i for i, miss in enumerate(misses) if miss <= USEFUL and i >= n_fit]
     return to_fit, to_hold or list(range(n_fit, len(misses)))
-
-
-def _rows(floor: NoiseFloor, chosen: Sequence[int]) -> NoiseFloor:
-    rows = list(chosen)
-    return replace(
-        floor,
-        variance=floor.variance[rows],
-        method=tuple(floor.method[i] for i in rows),
-        reason=tuple(floor.reason[i] for i in rows),
-        standard_error=floor.standard_error[rows],
-        random=floor.random[rows],
-        distortion=floor.distortion[rows],
-    )
-
-
-def _with_rows(floor: NoiseFloor, chosen: Sequence[int], rows: NoiseFloor) -> NoiseFloor:
-    """The floor of all records with that of some in place."""
-    at = {record: row for row, record in enumerate(chosen)}
-    source = [(rows, at[i]) if i in at else (floor, i) for i in range(len(floor.method))]
-    return replace(
-        floor,
-        variance=np.array([one.variance[i] for one, i in source]),
-        method=tuple(one.method[i] for one, i in source),
-        reason=tuple(one.reason[i] for one, i in source),
-        standard_error=np.array([one.standard_error[i] for one, i in source]),
-        random=np.array([one.random[i] for one, i in source]),
-        distortion=np.array([one.distortion[i] for one, i in source]),
-    )
 
 
 def _between(found: Diagnosis, rest: Sequence[FloatArray]) -> list[Step]:

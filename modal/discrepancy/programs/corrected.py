@@ -135,11 +135,6 @@ class CorrectedCallable:
 def along_plant(model: PlantModel, record: Record, catalogue: Mapping[str, Effect] = CATALOGUE) -> FloatArray:
     """Outputs of a plant with its effects along a record, from rest; laws that jump with finer steps.
 
-    Args:
-        model: The plant and its effects.
-        record: What drives it.
-        catalogue: Where the effects are found.
-
     Returns:
         (n_samples, n_outputs).
 

@@ -1,14 +1,12 @@
-"""Run a simulation program: a callable that takes a Record and returns one with simulated outputs.
+"""A simulation program: a callable that takes a Record and returns one with simulated outputs; and its linear part.
 
 What comes back is checked each time, because nothing else is known of the program: a wrong channel order, a missing
 sample or a random number in it would pose as an effect.
 
-The linear part of a simulation program, identified from its own noise-free outputs by OKID and ERA.
-
-Observer orders and model orders are tried from small to large, and the smallest model is taken whose free run
-reproduces the program; nothing else would be a proof, and nothing less is needed without noise. Records that drive too
-narrow a band do not determine the model outside it, so the program is then also run along a broadband record of the
-same level.
+The linear part is identified from the program's own noise-free outputs by OKID and ERA. Observer orders and model
+orders are tried from small to large, and the smallest model is taken whose free run reproduces the program. Records
+that drive too narrow a band do not determine the model outside it, so the program is then also run along a broadband
+record of the same level.
 """
 
 import warnings
@@ -20,6 +18,7 @@ import numpy as np
 from era.balanced import decompose, order_choice, realise_from
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, simulate
+from modal.discrepancy.noise.floor import SAME_NUMBER
 from modal.localisation.gap import SAME_LEVEL
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
@@ -44,10 +43,6 @@ Simulator = Callable[[Record], Record]
 
 def run_callable(simulator: Simulator, record: Record) -> Record:
     """The record with the simulated outputs in place of the measured ones.
-
-    Args:
-        simulator: Takes a Record and returns one.
-        record: What it is to be run along.
 
     Raises:
         InvalidDataError: It fails, returns no Record or one of another size, time step or order of outputs, or numbers
@@ -77,7 +72,7 @@ def run_callable(simulator: Simulator, record: Record) -> Record:
             f"the callable must return outputs of shape {record.outputs.shape} for {name}, but returned "
             f"{found.outputs.shape}; return one row a sample and one column an output of the record."
         )
-    if abs(found.dt - record.dt) > 1e-6 * record.dt:
+    if abs(found.dt - record.dt) > SAME_NUMBER * record.dt:
         raise InvalidDataError(
             f"the callable must return {name} at its time step of {record.dt:.6g} s, but returned {found.dt:.6g} s; "
             "interpolate its outputs to the times of the record."
@@ -128,16 +123,21 @@ def _named(record: Record) -> str:
 
 
 OBSERVER_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+"""Try these observer orders, the smallest first."""
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
-"""Hankel singular values below these shares of the largest are left out, one model each."""
+"""Leave out Hankel singular values below these shares of the largest, one model each."""
 N_LAGS = 120
+"""Realise from so many Markov parameters."""
 MOST_STATES = 30
+"""Try no model of more states than this."""
 EXACT = 1e-6
-"""Relative miss of the free run at which no larger model is tried: tolerances of integrators are of this size."""
+"""Try no larger model once the free run misses this share: tolerances of integrators are of this size."""
 AS_GOOD = 1.5
-"""A smaller model is preferred to one whose free run misses by less than this factor less."""
+"""Prefer a smaller model to one whose free run misses by less than this factor less."""
 STABLE = 1.0 + 1e-7
+"""Reject a model with a pole beyond this radius."""
 PROBE_SAMPLES = 4000
+"""Probe a callable along so many samples at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -147,12 +147,10 @@ class IdentifiedPart:
     Attributes:
         realisation: Discrete model at the time step of the records.
         miss: What its free run misses of the callable's outputs on the quietest records, relative, worst output.
-        source: "records" or "probe": what it was identified from.
     """
 
     realisation: Realisation
     miss: float
-    source: str
 
 
 def identify_callable(
@@ -160,14 +158,7 @@ def identify_callable(
 ) -> IdentifiedPart | None:
     """Identify the linear part about the quietest level.
 
-    Args:
-        simulator: Takes a Record and returns one.
-        runs: The records with the callable's outputs.
-        usable: Whether a model can be worked with (that a continuous-time system samples to it, say); others are
-            passed over.
-
-    Returns:
-        The smallest model that reproduces the callable as well as any; None where there is none.
+    The smallest model that reproduces the callable as well as any; None where there is none.
 
     References:
         Juang, Phan, Horta, Longman, Identification of observer/Kalman filter Markov parameters: theory and experiments,
@@ -187,11 +178,11 @@ def identify_callable(
         (1, array([[0.9]]))
     """
     quiet = quietest(runs)
-    known, narrow = _best(quiet, quiet, "records", usable)
+    known, narrow = _best(quiet, quiet, usable)
     if known is not None and not narrow and known.miss <= EXACT:
         return known
     try:
-        probed, _ = _best([run_callable(simulator, _probe(quiet[0]))], quiet, "probe", usable)
+        probed, _ = _best([run_callable(simulator, _probe(quiet[0]))], quiet, usable)
     except IdentificationError:
         # it may know nothing but the records (a table of stored runs)
         probed = None
@@ -211,10 +202,6 @@ def quietest(records: Sequence[Record]) -> list[Record]:
 def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
     """What the free run misses of the outputs, constant and initial state fitted.
 
-    Args:
-        realisation: The model.
-        run: A record with the outputs that the model should have.
-
     Returns:
         (n_outputs,) rms of the miss over the rms of the output about its mean; 0 where both rest.
     """
@@ -231,7 +218,7 @@ def relative_miss(realisation: Realisation, run: Record) -> FloatArray:
 
 
 def _best(
-    runs: Sequence[Record], judges: Sequence[Record], source: str, usable: Callable[[Realisation], bool]
+    runs: Sequence[Record], judges: Sequence[Record], usable: Callable[[Realisation], bool]
 ) -> tuple[IdentifiedPart | None, bool]:
     """The smallest of the models that miss least, and whether the records drove too little to tell."""
     found: list[IdentifiedPart] = []
@@ -243,7 +230,7 @@ def _best(
             except IdentificationError:
                 continue
             if np.isfinite(miss) and usable(realisation):
-                found.append(IdentifiedPart(realisation=realisation, miss=miss, source=source))
+                found.append(IdentifiedPart(realisation=realisation, miss=miss))
         least = min((part.miss for part in found), default=np.inf)
         narrow = poor
         if least <= EXACT:

@@ -1,10 +1,8 @@
-"""Prove what was found with the callable itself, on the records to fit and on the held-out ones.
-
-A linear model of what a simulation leaves, by OKID and ERA: a mode that it lacks shows here without any catalogue.
+"""Prove what was found with the callable itself, and model what it leaves.
 
 The residual of a linear simulation that lacks linear dynamics is itself the output of a linear system with the same
-inputs, so it is identified like any record. The order is chosen on the records to fit, the proof is the free run on
-held-out ones.
+inputs, so it is identified like any record, by OKID and ERA: a mode that it lacks shows without any catalogue. The
+order is chosen on the records to fit, the proof is the free run on held-out ones.
 """
 
 import warnings
@@ -17,7 +15,7 @@ from era.balanced import decompose, order_choice, realise_from
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, simulate
 from modal.discrepancy.fitting.estimation import Estimate
-from modal.discrepancy.fitting.nodes import Node
+from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node
 from modal.discrepancy.programs.corrected import CorrectedCallable
 from modal.discrepancy.programs.program import Simulator, run_callable
 from modal.effects.effect import Effect, ForceEffect, SensorEffect
@@ -34,8 +32,7 @@ from okid.record import Record
 __all__ = ["Proof", "ResidualModel", "Runs", "mean_squares", "prove", "residual_model", "unproved", "with_start"]
 
 MOST_STATES = 12
-SMALLEST_SHARE = 0.1
-"""Share of the held-out gap above the floor that a model must take away to be one."""
+"""Model what is left by no more states than this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -104,7 +101,7 @@ def residual_model(
         after = _excess([_missed(best, record) for record in held_out], floor_held_out)
     except IdentificationError:
         return None
-    if before <= 0.0 or after > (1.0 - SMALLEST_SHARE) * before:
+    if before <= 0.0 or after > (1.0 - SMALLEST_FALL) * before:
         return None
     poles = np.log(np.linalg.eigvals(best.A).astype(complex)) / best.dt
     modes = sorted((abs(pole), -pole.real / abs(pole)) for pole in poles if 0.0 < pole.imag < 0.99 * np.pi / best.dt)
@@ -186,10 +183,6 @@ def _excess(left: Sequence[FloatArray], floor: FloatArray) -> float:
     )
 
 
-AS_GOOD = 1.1
-"""A simpler correction is preferred to one that leaves less than a tenth less on the records to fit."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Runs:
     """A callable and the records.
@@ -248,15 +241,7 @@ class Proof:
 
 
 def unproved(runs: Runs, realisation: Realisation | None) -> Proof:
-    """The callable as it was given.
-
-    Args:
-        runs: The callable and the records.
-        realisation: Its linear part, by which the free motion that a record began with is fitted; None: none is.
-
-    Returns:
-        The same as for a corrected one.
-    """
+    """The callable as it was given, with the free motion of its linear part that each record began with."""
     records = (*runs.fit, *runs.held_out)
     simulated = tuple(
         with_start(realisation, record, run.outputs) for record, run in zip(records, runs.own, strict=True)
@@ -270,21 +255,12 @@ def prove(runs: Runs, plant: PlantModel, realisation: Realisation, node: Node) -
     Three corrections are tried where they make sense: the callable alone with changed inputs and outputs, with the
     forces in its linear part as it was identified, and with calibrated linear parameters too. The first that leaves
     hardly more on the records to fit than the best is taken.
-
-    Args:
-        runs: The callable and the records.
-        plant: Its linear part as it was identified.
-        realisation: The same, discrete.
-        node: The effects found in it, fitted.
-
-    Returns:
-        The proof.
     """
     proofs = [_proof(runs, plant, realisation, node, linear) for linear in _choices(runs, plant, node)]
     known = [proof for proof in proofs if proof is not None]
     if not known:
         return unproved(runs, realisation)
-    enough = AS_GOOD * min(proof.fit_level for proof in known)
+    enough = (1.0 + SMALLEST_FALL) * min(proof.fit_level for proof in known)
     return next(proof for proof in known if proof.fit_level <= enough)
 
 

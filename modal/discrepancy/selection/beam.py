@@ -8,15 +8,8 @@ samples a criterion on the likelihood alone finds an effect in nearly every reco
 count, the beam has room for models that take away half of what is left on the records to fit: of two effects that
 counteract each other, the right one alone may be worse than none on the held-out record.
 
-The work is bounded, and the budget says what was left untried for want of it. Beside models that another one with as
-many effects has beaten by explaining the data, that does not matter. A single fit that goes astray ends
-early without a word.
-
-Try every effect beside a model: screen, fit in observer form, let the promising ones run free, sharpen the best.
-
-What is worth a fit beside a model: the best of a screen, along a motion that shows what is missing.
-
-Settle what the data cannot: a stiffness that an effect and the linear model share.
+The work is bounded, and the budget says what was left untried for want of it; beside models that another one with as
+many effects has beaten by explaining the data, that does not matter.
 
 A gap spring has a stiffness within the gap and one beyond it, and the element has a linear stiffness beside them: only
 two of the three are determined. The one of the effect's that is nearer to zero is put to the linear stiffness and held
@@ -28,10 +21,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
-from modal.discrepancy.fitting.nodes import Node, Task, counts, node_of, polished, rested
+from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, node_of, polished, rested
 from modal.discrepancy.fitting.observed_fits import (
     CLEAR,
+    MUCH_LESS,
+    MUCH_WEAKER,
     SOFT,
     amplitudes,
     observed_fits,
@@ -51,19 +46,14 @@ __all__ = ["expand", "search_effects", "seen", "settled_stiffness"]
 
 PLACES, SHAPES = 2, 2
 LEAST_SHARE = 0.1
-"""A candidate is followed while it takes away at least this share of what the best one takes away."""
+"""Follow a candidate, and a fit, that wins at least this share of what the best one wins."""
 
 CONVINCING, FEWEST = 0.5, 4
-"""Where the best one takes away less than the first share, so many different effects are followed in any case."""
+"""Follow so many different effects in any case where the best one takes away less than the first share."""
 
 TELLING = 1.5
-"""With a weaker gain the best candidate must take away so many times the share that it does with the whole one."""
-BLIND = 10.0
-"""A level above which a screen without an observer form is not trusted, where its best candidate takes away less than
-the share above."""
-
-SIMPLE = 0.5
-"""A limit of a richer law is fitted before it where it takes away this share of what that takes away."""
+"""Screen along a weaker gain where its best candidate takes away so many times the share that it does with the whole
+one."""
 
 
 def seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
@@ -71,10 +61,6 @@ def seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
 
     The outputs follow the records so closely under a strong gain that it hides what is narrow in frequency or acts on
     the outputs alone.
-
-    Args:
-        node: A model.
-        task: Records to fit, catalogue.
 
     Returns:
         The model along the records, and the candidates: the best first, of the others limits before richer laws.
@@ -101,7 +87,7 @@ def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -
     by friction it sees neither the right law nor even its sign.
     """
     candidates = _promising(screened)
-    if observed.gain is not None or observed.level <= BLIND or _convincing(screened):
+    if observed.gain is not None or observed.level <= FAR_ABOVE or _convincing(screened):
         return candidates
     every = screen_candidates(observed, task.fit, task.catalogue, signs="turned")
     tried = {one.key for one in candidates}
@@ -135,16 +121,13 @@ def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
 def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
     """The best first, of the others limits before richer laws."""
     others = simple_first(
-        candidates[1:], lambda one: (one.key, one.where), lambda simple, rich: simple.fall >= SIMPLE * rich.fall
+        candidates[1:], lambda one: (one.key, one.where), lambda simple, rich: simple.fall >= MUCH_LESS * rich.fall
     )
     return [*candidates[:1], *others]
 
 
 def settled_stiffness(fitted: Estimate) -> tuple[Assembly, Unknowns] | None:
     """The model with the smallest of such stiffnesses moved to the linear one.
-
-    Args:
-        fitted: A fitted model.
 
     Returns:
         The model and the values to start from; None where there is nothing to settle, or the linear stiffness would
@@ -177,31 +160,26 @@ def settled_stiffness(fitted: Estimate) -> tuple[Assembly, Unknowns] | None:
     return settled, Unknowns(common=np.clip(common, lower, upper), local=fitted.unknowns.local)
 
 
-WORTH_A_TRY = 0.1
-"""Beside a model that explains the data, effects are tried only where the screen promises a fall by this share."""
-
-"""A fit is followed while it wins at least this share of what the best one wins."""
-
 RUNS = 8
+"""Let at most so many fits run free, beside the best of each family."""
 FINALISTS = 5
+"""Sharpen at most so many free runs, beside the best of each family."""
 NEAR = 20.0
+"""Drop a fit whose cost is more than this factor above the best one's."""
 FIRST_ITERATIONS, LAST_ITERATIONS = 15, 6
 STANDSTILL = {FIRST_ITERATIONS: 3e-4, LAST_ITERATIONS: 3e-3}
-"""The most promising finalist and its close rivals are fitted longest; a fit ends when an iteration gains less than
-this share."""
+"""End a finalist's fit when an iteration gains less than this share; the most promising one and its close rivals are
+fitted longest."""
 MOST_FREE, MOVING_FREE = 6, 0.03
-"""First fits in free run end when an iteration gains less than this share."""
-POLISHED = 1.5
+"""End first fits in free run after so many iterations, or when one gains less than the second share."""
 REACH, REACH_SHARP = 10.0, 2.0
-"""Once a finalist explains the data, others are sharpened whose cost is within this factor of its own; the lower one
-where the fits are sharp already."""
+"""Sharpen others, once a finalist explains the data, whose cost is within this factor of its own; the lower one where
+the fits are sharp already."""
 RIVAL = 1.5
-"""Once a model explains the data, others are followed whose cost in observer form is within this factor of the best."""
+"""Follow, once a model explains the data, others whose cost is within this factor of the best."""
 NEARLY, RIVAL_SHARP = 1.5, 1.03
-"""The same where the fits are sharp already: then a model that nearly explains the data is enough; costs compare."""
-
-MUCH_WEAKER = 0.1
-"""Share of a law's strength from which it starts again where no step leads anywhere from the whole."""
+"""Ask only for this level, and follow only rivals within this factor, where the fits are sharp already: costs compare
+then."""
 
 
 def expand(node: Node, task: Task) -> list[Node]:
@@ -209,7 +187,7 @@ def expand(node: Node, task: Task) -> list[Node]:
     observed, candidates = seen(node, task)
     if not candidates:
         return []
-    if node.held_out_level <= AT_FLOOR and candidates[0].fall < WORTH_A_TRY:
+    if node.held_out_level <= AT_FLOOR and candidates[0].fall < SMALLEST_FALL:
         return []
     found: list[Node] = []
     while candidates and not _clear(found, node):
@@ -236,7 +214,7 @@ def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node]
         if id(fit) not in known and not far and (not found or task.budget.allows()):
             found.append(_finished(fit, finalists[0], task))
     lowest = min((node.coarse.cost for node in found), default=0.0)
-    return [polished(node, task) if node.coarse.cost <= POLISHED * lowest else node for node in found]
+    return [polished(node, task) if node.coarse.cost <= RIVAL * lowest else node for node in found]
 
 
 def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
@@ -370,24 +348,20 @@ def _sharpened(fit: Estimate, task: Task, *, iterations: int) -> Estimate:
 
 
 BEAM = 3
+"""Carry on so many models from effect to effect."""
 MOST_EFFECTS = 4
+"""Look for at most so many effects."""
 SHARE_OF_ONE = 0.6
-"""Share of what is left of the budget that looking for effects beside one model may cost."""
+"""Spend at most this share of what is left of the budget on effects beside one model."""
 LARGE_FALL = 0.5
-"""Share of what a model leaves on the records to fit that a further effect must take away to be gone on from although
-the held-out record does not show it yet."""
+"""Go on from a model that leaves at most this share on the records to fit although the held-out record does not show it
+yet."""
 
 
 def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
 
-    Args:
-        root: The calibrated linear model.
-        task: Records, catalogue.
-        known: Models that an earlier search found, to go on from.
-
-    Returns:
-        Every model judged on held-out records, in the order found.
+    Every model judged on held-out records, in the order found.
     """
     everything = list(known) if known else [root]
     front = _distinct([node for node in known if counts(root, node, task)])

@@ -4,28 +4,21 @@
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
 
-A gain that a free calibration has taken up: the records do not tell, but how far the model had to move does.
-
 Where any linear force inside a state space is free (`internal_changes`), a wrong gain of a sensor or an input is hardly
 more than another set of such forces: both explain the records. The model as given tells them apart, because with the
 gain it stays where it was.
 
-How far the effects of a model are from none, in deviations of the noise.
-
-An effect is none in many ways: a brim without a flow over it, at whatever limit, or a limit that no level reaches, at
-whatever rate. Its distance from none cannot be that of one parameter from its neutral value: of a hard limit any large
-rate does, and the deviation of the rate is as large as itself. What counts is what the effect does to the outputs. With
-delta the outputs with it less those without it, in deviations of the noise, and J what all else in the model could do
-instead,
+An effect is none in many ways: a brim without a flow over it, or a limit that no level reaches, at whatever rate. Its
+distance from none cannot be that of one parameter from its neutral value. What counts is what the effect does to the
+outputs. With delta the outputs with it less those without it, in deviations of the noise, and J what all else in the
+model could do instead,
 
     z^2 = delta' (I - J (J' J + prior)^-1 J') delta
 
 For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test); it is the
 same however the parameters are chosen; and z^2 is what 2 ln L would lose at first order without the effect. The
-effect's own shapes count as what could be done instead, as in Wald's test, its amplitudes do not; of an effect that has
-no amplitude (a delay, the limit of a drive) nothing of its own does.
-
-How sure an estimate is: the covariance of its unknowns, and which of them are held.
+effect's own shapes count as what could be done instead, its amplitudes do not; of an effect that has no amplitude (a
+delay, the limit of a drive) nothing of its own does.
 """
 
 from collections.abc import Sequence
@@ -36,6 +29,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.fitting.estimation import (
+    FAR_ABOVE,
     Estimate,
     Problem,
     estimate,
@@ -45,6 +39,7 @@ from modal.discrepancy.fitting.estimation import (
     weights_along,
 )
 from modal.discrepancy.fitting.nodes import (
+    SMALLEST_FALL,
     SMALLEST_GAIN,
     Node,
     Task,
@@ -68,7 +63,7 @@ from okid.arrays import TINY, FloatArray
 __all__ = ["AbsorbedGain", "Decision", "absorbed_gain", "covariance", "decide_nodes", "held_unknowns", "sureness"]
 
 ITERATIONS, LONGEST = 20, 60
-"""Of the fit that finds the gain, and of one to its end."""
+"""End the fit that finds a gain after the first, and one to its end after the second number of iterations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,12 +84,7 @@ class AbsorbedGain:
 def absorbed_gain(root: Node, task: Task) -> AbsorbedGain | None:
     """The one gain that explains the calibration of a model, where there is one.
 
-    Args:
-        root: The calibrated model; it explains the data.
-        task: Records, catalogue.
-
-    Returns:
-        The best one; None where no internal force is free, or no gain is worth 30.
+    The best one; None where no internal force is free, or no gain is worth 30.
     """
     plant = root.coarse.assembly.plant
     if not any(one.name.startswith(INTERNAL_FORCE) for one in plant.parameters):
@@ -181,12 +171,7 @@ def held_unknowns(current: Estimate) -> IndexArray:
 def sureness(node: Node, task: Task) -> list[float]:
     """How many deviations each effect of a model is from none.
 
-    Args:
-        node: A fitted model.
-        task: Records.
-
-    Returns:
-        One number an effect; infinite where the model without it escapes.
+    One number for each effect; infinite where the model without it escapes.
     """
     current, problem = node.coarse, task.fit
     slopes = sensitivity_of(current, problem)
@@ -240,24 +225,23 @@ def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
 
 
 MOST_ON_FIT = 2.0
-"""The same on the records to fit, where a firm name is wanted: they hold levels that the held-out ones may lack."""
+"""Name nothing firmly above this level on the records to fit: they hold levels that the held-out ones may lack."""
 
 MOST_FIRM = 2
-"""Effects that are named together without doubt: combinations of more were never proved."""
-
-FAR_ABOVE = 10.0
-"""Held-out mean square, in units of the floor, beyond which a likelihood of white noise means nothing."""
+"""Name at most so many effects together without doubt: combinations of more were never proved."""
 
 SAME = 1.05
-"""Models whose held-out mean squares differ by less than this are ranked by the likelihood of all records."""
+"""Rank models by the likelihood of all records where their held-out mean squares differ by less than this."""
 
-CLOSE_COMPANY = 30.0
+CLOSE_COMPANY = SMALLEST_GAIN
+"""Call a lead in 2 ln L below this no lead."""
 CLEAR_RISE = 3.0
-"""Factor by which the held-out mean square rises without an effect that is needed, however uncertain its size."""
+"""Keep an effect without which the held-out mean square rises by this factor, however uncertain its size."""
 LEAST_SURE = 5.0
-"""Standard deviations that an effect must be from none: 2 ln L of 30 is five and a half."""
+"""Drop an effect nearer to none than so many standard deviations: 2 ln L of 30 is five and a half."""
 SHARP_SHARE = 0.05
-"""A parameter is found at its known value when it lies within three deviations of it and these are below 5 % of it."""
+"""Count a parameter as found at its known value within three deviations of it, where these are below this share of
+it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -282,16 +266,7 @@ class Decision:
 def decide_nodes(
     nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset()
 ) -> Decision:
-    """Choose among the models that the search has fitted, the first being the linear one.
-
-    Args:
-        nodes: From `search`; the first is the calibrated model as it was given.
-        task: Records and catalogue.
-        circumstances: What holds of plant and records, for the table of ambiguities.
-
-    Returns:
-        The decision.
-    """
+    """Choose among the models that the search has fitted, the first being the linear one."""
     root = nodes[0]
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
@@ -404,7 +379,7 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
         return root
     enough = max(SAME * lowest, 1.0)
     good = [node for node in nodes if node.held_out_level <= enough]
-    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, 1.1 * enough)]
+    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, (1.0 + SMALLEST_FALL) * enough)]
     fewest = min(len(node.effects) for node in (within or good))
     equals = [node for node in (within or good) if len(node.effects) == fewest]
     if lowest > FAR_ABOVE:

@@ -5,19 +5,12 @@ response after everything that the model could still adjust (linear parameters, 
 is projected out. The fall of the residual's square is what a first Gauss-Newton step would win, so one screen ranks a
 hundred candidates for the price of as many right-hand sides.
 
-What each candidate effect would do by itself: its force at a place along the current trajectory, at a few shapes.
-
 A law that is linear in its amplitudes gives one history an amplitude; what is not linear (a gap, a yield displacement,
 a frequency, a delay) is tried at the values that the effect proposes from the motion at its place and from the peaks of
 what the model leaves.
-
-An effect's own states along a given motion, by Newton's method on the whole of it.
-
-A rate-independent law goes straight through where the motion does not turn round: it depends on the turning points
-alone. These are solved for first, a small share of the samples, and all others follow from the last one before them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -35,30 +28,36 @@ from modal.simulation.tolerances import ROUNDING
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray
 
-__all__ = ["Candidate", "TriedShape", "memory_along", "screen_candidates", "trials_of"]
+__all__ = ["Candidate", "screen_candidates"]
 
 TRIES, MISS = 40, 1e-6
-"""Iterations, and the last change that counts as none, as a share of the largest state."""
+"""Give an effect's states up after so many iterations; end where the last change is this share of the largest state."""
 
 
-def memory_along(effect: ForceEffect, values: Values, motion: Motion, drive: Drive) -> FloatArray | None:
-    """The states of an effect that remembers.
+def _memories_along(
+    effect: ForceEffect, shapes: Sequence[Values], motion: Motion, drive: Drive
+) -> list[FloatArray | None]:
+    """The states (n_times, n_memory) of an effect that remembers, along a given motion; None where they do not settle.
 
-    Args:
-        effect: The effect.
-        values: Its parameters.
-        motion: Motion at its place, at all times of the drive.
-        drive: The records; each begins without memory.
-
-    Returns:
-        (n_times, n_memory); None where they do not settle.
+    A rate-independent law goes straight through where the motion does not turn round: it depends on the turning points
+    alone. These are solved for first, a small share of the samples, and all others follow from the last one before
+    them. All its shapes are solved for together, as if each were a record of its own.
     """
     firsts = np.array(drive.firsts[:-1])
     if not effect.rate_independent:
-        return _solved(effect, values, motion, nodes=np.arange(drive.n_times), firsts=firsts, dt=drive.dt)
+        every = np.arange(drive.n_times)
+        return [_solved(effect, [values], motion, nodes=every, firsts=firsts, dt=drive.dt)[0] for values in shapes]
     nodes = _nodes(motion, firsts)
-    found = _solved(effect, values, motion, nodes=nodes, firsts=np.searchsorted(nodes, firsts), dt=drive.dt)
-    return None if found is None else _filled(effect, values, motion, nodes=nodes, found=found, dt=drive.dt)
+    found = _solved(effect, shapes, motion, nodes=nodes, firsts=np.searchsorted(nodes, firsts), dt=drive.dt)
+    # straight from the last node before each sample to all samples
+    last = np.searchsorted(nodes, np.arange(drive.n_times), side="right") - 1
+    straight = np.ones(len(last), dtype=np.bool_)
+    begin, end = _taken(motion, nodes[last], straight), _taken(motion, np.arange(len(last)), straight)
+    for i, at_nodes in enumerate(found):
+        if at_nodes is not None:
+            z = at_nodes[last]
+            found[i] = effect.advance(shapes[i], replace(begin, memory=z), replace(end, memory=z), drive.dt).value
+    return found
 
 
 def _nodes(motion: Motion, firsts: IndexArray) -> IndexArray:
@@ -73,39 +72,48 @@ def _nodes(motion: Motion, firsts: IndexArray) -> IndexArray:
 
 
 def _solved(
-    effect: ForceEffect, values: Values, motion: Motion, *, nodes: IndexArray, firsts: IndexArray, dt: float
-) -> FloatArray | None:
-    """The states at the nodes."""
-    following = np.minimum(np.arange(len(nodes)) + 1, len(nodes) - 1)
+    effect: ForceEffect,
+    shapes: Sequence[Values],
+    motion: Motion,
+    *,
+    nodes: IndexArray,
+    firsts: IndexArray,
+    dt: float,
+) -> list[FloatArray | None]:
+    """The states at the nodes for each shape, by Newton's method on all shapes; None where they do not settle."""
+    n, n_shapes = len(nodes), len(shapes)
+    following = np.minimum(np.arange(n) + 1, n - 1)
     straight = nodes[following] > nodes + 1
-    lasts = np.append(firsts[1:], len(nodes)) - 1
-    z = np.zeros((len(nodes), effect.n_memory))
-    begin, end = _taken(motion, nodes, straight), _taken(motion, nodes[following], straight)
+    values = shapes[0] if n_shapes == 1 else [np.repeat(column, n) for column in np.array(shapes).T]
+    begin = _taken(motion, np.tile(nodes, n_shapes), np.tile(straight, n_shapes))
+    end = _taken(motion, np.tile(nodes[following], n_shapes), np.tile(straight, n_shapes))
+    starts = (firsts + n * np.arange(n_shapes)[:, None]).ravel()
+    lasts = np.append(starts[1:], n * n_shapes) - 1
+    ahead = (following + n * np.arange(n_shapes)[:, None]).ravel()
+    z = np.zeros((n * n_shapes, effect.n_memory))
+    found: list[FloatArray | None] = [None] * n_shapes
     for _ in range(TRIES):
-        step = effect.advance(values, replace(begin, memory=z), replace(end, memory=z[following]), dt)
+        step = effect.advance(values, replace(begin, memory=z), replace(end, memory=z[ahead]), dt)
         forcing = np.zeros((1, *z.shape))
-        forcing[0, 1:] = (step.value - z[following])[:-1]
-        forcing[0, firsts] = -z[firsts]
+        forcing[0, 1:] = (step.value - z[ahead])[:-1]
+        forcing[0, starts] = -z[starts]
         transitions = step.by_memory.transpose(1, 2, 0).copy()
         transitions[:, :, lasts] = 0.0
         change = solve_band(band_of(transitions), forcing)[0]
         z = z + change
-        if not np.isfinite(z).all():
-            return None
-        if np.abs(change).max() <= MISS * max(np.abs(z).max(), TINY):
-            return z
-    return None
-
-
-def _filled(
-    effect: ForceEffect, values: Values, motion: Motion, *, nodes: IndexArray, found: FloatArray, dt: float
-) -> FloatArray:
-    """The states at all samples, straight from the last node before each."""
-    last = np.searchsorted(nodes, np.arange(len(motion.displacement)), side="right") - 1
-    straight = np.ones(len(last), dtype=np.bool_)
-    begin = replace(_taken(motion, nodes[last], straight), memory=found[last])
-    end = replace(_taken(motion, np.arange(len(last)), straight), memory=found[last])
-    return effect.advance(values, begin, end, dt).value
+        if not np.isfinite(z).all():  # one shape that escapes would take the others along
+            one_by_one = [shapes[i : i + 1] for i in range(n_shapes) if found[i] is None]
+            if n_shapes == 1:
+                return found
+            alone = iter([_solved(effect, one, motion, nodes=nodes, firsts=firsts, dt=dt)[0] for one in one_by_one])
+            return [next(alone) if one is None else one for one in found]
+        each = z.reshape(n_shapes, n, -1)
+        size = np.maximum(np.abs(each).max(axis=(1, 2)), TINY)
+        settled = np.abs(change).reshape(n_shapes, -1).max(axis=1) <= MISS * size
+        found = [each[i] if one is None and settled[i] else one for i, one in enumerate(found)]
+        if all(one is not None for one in found):
+            break
+    return found
 
 
 def _taken(motion: Motion, rows: IndexArray, straight: BoolArray) -> Motion:
@@ -121,10 +129,11 @@ def _taken(motion: Motion, rows: IndexArray, straight: BoolArray) -> Motion:
 
 
 N_PEAKS = 4
+"""Propose frequencies from so many of the highest peaks of what the model leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TriedShape:
+class _Trial:
     """An effect at a place, at one shape.
 
     Attributes:
@@ -138,18 +147,12 @@ class TriedShape:
     sources: tuple[Source, ...]
 
 
-def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, smoothing: float) -> list[TriedShape]:
-    """An effect at a place, at each shape worth a try.
+def _trials_of(
+    current: Estimate, effect: Effect, where: str, smoothing: float, peaks: tuple[float, ...]
+) -> list[_Trial]:
+    """An effect at a place, at each shape worth a try: by the motion there, and the peaks of what the model leaves.
 
-    Args:
-        current: The model so far.
-        problem: The records to fit.
-        effect: The effect.
-        where: Name of the place.
-        smoothing: Width of sharp laws, as a share of the motion's scale.
-
-    Returns:
-        The trials; none where the model has that effect there already, or none of its shapes shows.
+    None where the model has that effect there already, or none of its shapes shows.
     """
     assembly, trajectory = current.assembly, current.trajectory
     drive = trajectory.drive
@@ -171,15 +174,20 @@ def trials_of(current: Estimate, problem: Problem, effect: Effect, where: str, s
     item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
     situation = Situation(
         motion=motion,
-        residual_frequencies=_peaks(current, problem),
+        residual_frequencies=peaks,
         dt=drive.dt,
         longest=float(drive.time.max()),
     )
+    shapes = effect.starts(situation)
+    motions: list[Motion | None] = [motion] * len(shapes)
+    if isinstance(effect, ForceEffect) and effect.n_memory and shapes:
+        memories = _memories_along(effect, shapes, motion, drive)
+        motions = [None if memory is None else replace(motion, memory=memory) for memory in memories]
     found = []
-    for values in effect.starts(situation):
-        sources = _sources(current, item, values, motion)
+    for values, moved in zip(shapes, motions, strict=True):
+        sources = [] if moved is None else _sources(current, item, values, moved)
         if sources:
-            found.append(TriedShape(placement=item, values=values, sources=tuple(sources)))
+            found.append(_Trial(placement=item, values=values, sources=tuple(sources)))
     return found
 
 
@@ -198,11 +206,6 @@ def _sources(current: Estimate, item: EffectPlacement, values: tuple[float, ...]
     effect, drive, n = item.effect, current.trajectory.drive, current.assembly.plant.n_states
     n_all = current.trajectory.states.shape[1]
     if isinstance(effect, ForceEffect):
-        if effect.n_memory:
-            memory = memory_along(effect, values, motion, drive)
-            if memory is None:
-                return []
-            motion = replace(motion, memory=memory)
         histories = effect.screen_columns(values, motion)
         _, port = item.force_and_port
         return [
@@ -262,6 +265,7 @@ def _peaks(current: Estimate, problem: Problem) -> tuple[float, ...]:
 
 
 CHUNK = 48
+"""Respond to so many trials at once: more only cost memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -274,7 +278,6 @@ class Candidate:
         local: (n_records, n) start of the unknowns that each record has for itself.
         fall: Share of the residual's weighted square that it would take away, records and outputs alike; of a
             "turned" one the share at the amplitude that its sign forbids.
-        significance: Fall of the weighted square over what chance gives a column, a chi-square per column.
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """
 
@@ -282,7 +285,6 @@ class Candidate:
     common: FloatArray
     local: FloatArray
     fall: float
-    significance: float
     deviation: float
 
     @property
@@ -313,15 +315,13 @@ def screen_candidates(
         smoothing: Width of sharp laws in the screen, as a share of the motion's scale.
         signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is;
             "turned": none is, and those start from the opposite amplitudes.
-
-    Returns:
-        Candidates, best first.
     """
+    peaks = _peaks(current, problem)
     trials = [
         trial
         for effect in catalogue.values()
         for where in possible_places(current.assembly.plant, effect)
-        for trial in trials_of(current, problem, effect, where, smoothing)
+        for trial in _trials_of(current, effect, where, smoothing, peaks)
     ]
     nuisance = _Nuisance.of(current, problem)
     found: list[Candidate] = []
@@ -330,11 +330,12 @@ def screen_candidates(
         sources = [source for trial in part for source in trial.sources]
         _, outputs = respond(current.assembly, current.unknowns, current.trajectory, sources, gain=current.gain)
         columns = (outputs * nuisance.weights).reshape(len(sources), -1)
+        projections = nuisance.projected(columns)
         used = 0
         for trial in part:
-            n_columns = len(trial.sources)
-            scored = _score(trial, columns[used : used + n_columns], nuisance, problem.drive, signs)
-            used += n_columns
+            own = slice(used, used + len(trial.sources))
+            scored = _score(trial, columns[own], projections[:, own], nuisance, problem.drive, signs=signs)
+            used = own.stop
             if scored is not None:
                 found.append(scored)
     return tuple(sorted(found, key=lambda candidate: -candidate.fall))
@@ -349,6 +350,12 @@ class _Nuisance:
     residual: FloatArray
     weights: FloatArray
     total: float
+
+    def projected(self, columns: FloatArray) -> FloatArray:
+        """(n_nuisance, n_columns) what columns have in common with these, by orthonormal ones."""
+        whole, lower = self.factor
+        seen = self.columns @ columns.T
+        return np.asarray(scipy.linalg.solve_triangular(whole, seen, trans=0 if lower else 1, lower=lower))
 
     @staticmethod
     def of(current: Estimate, problem: Problem) -> "_Nuisance":
@@ -385,13 +392,15 @@ class _Nuisance:
         )
 
 
-def _score(trial: TriedShape, columns: FloatArray, nuisance: _Nuisance, drive: Drive, signs: str) -> Candidate | None:
+def _score(
+    trial: _Trial, columns: FloatArray, projection: FloatArray, nuisance: _Nuisance, drive: Drive, *, signs: str
+) -> Candidate | None:
     local = bool(trial.placement.local)
     if local:
         spread = np.repeat(np.arange(drive.n_records), np.diff(drive.row_firsts) * drive.outputs.shape[1])
         columns = np.concatenate([columns * (spread == record) for record in range(drive.n_records)])
-    seen = nuisance.columns @ columns.T
-    gram = columns @ columns.T - seen.T @ scipy.linalg.cho_solve(nuisance.factor, seen)
+        projection = nuisance.projected(columns)
+    gram = columns @ columns.T - projection.T @ projection
     score = columns @ nuisance.residual
     size = np.sqrt(np.maximum(np.diag(gram), TINY))
     if (
@@ -412,13 +421,12 @@ def _score(trial: TriedShape, columns: FloatArray, nuisance: _Nuisance, drive: D
     return replace(
         _candidate(trial, weights, drive, local=local),
         fall=fall / max(nuisance.total, TINY),
-        significance=fall / len(weights),
         deviation=float(np.sqrt(np.linalg.inv(scaled)[0, 0]) / size[0]),
     )
 
 
 def _signed(
-    trial: TriedShape, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
+    trial: _Trial, weights: FloatArray, gram: FloatArray, score: FloatArray, *, local: bool
 ) -> FloatArray | None:
     """The weights within the sign bounds of the amplitudes: those that would cross are zero; None if none is left."""
     kinds = [kind for kind in trial.placement.effect.parameters if kind.role == "amplitude"]
@@ -440,7 +448,7 @@ def _signed(
     return found
 
 
-def _candidate(trial: TriedShape, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
+def _candidate(trial: _Trial, weights: FloatArray, drive: Drive, *, local: bool) -> Candidate:
     item, values = trial.placement, trial.values
     effect = item.effect
     own = np.zeros((drive.n_records, len(item.local)))
@@ -468,6 +476,5 @@ def _candidate(trial: TriedShape, weights: FloatArray, drive: Drive, *, local: b
         common=np.concatenate([[started[j] for j in item.common], directions]),
         local=own,
         fall=0.0,
-        significance=0.0,
         deviation=np.nan,
     )

@@ -1,7 +1,5 @@
 """A model with an effect less, or with a simpler law in its place, fitted again: whether it needs what it has.
 
-Laws that are the limit of a richer one: where the richer one explains the data, its limits are fitted as well.
-
 A link that never slips is a gap spring, one that slips at once is dry friction. The search fits the most promising laws
 first and may end with the richer one, whose further parameter then stands for nothing; only a fit of its limit at the
 same place tells.
@@ -15,6 +13,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task, node_of, polished
+from modal.discrepancy.fitting.observed_fits import SOFT
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns
@@ -37,21 +36,13 @@ __all__ = [
     "without",
 ]
 
-SOFT = 0.03
-"""Width of a sharp law in the first fit, as a share of the motion's scale."""
 ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
-"""Without an effect that it needs, a model is fitted, and then judged, only as far as its cost, after every four
-iterations, stays within these factors of the whole model's; an iteration that gains less than the first share ends the
-four."""
+"""Fit a model without an effect that it needs, and judge it, only as far as its cost, after every four iterations,
+stays within these factors of the whole model's; an iteration that gains less than the first share ends the four."""
 
 
 def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
-    """The model without one of its effects, all else as it is.
-
-    Args:
-        fitted: The model.
-        placement: Which effect, by its position.
-    """
+    """The model without one of its effects, all else as it is."""
     assembly = fitted.assembly
     kept = [i for i in range(len(assembly.placements)) if i != placement]
     smaller = replace(assembly, placements=tuple(assembly.placements[i] for i in kept))
@@ -63,14 +54,7 @@ def dropped(fitted: Estimate, placement: int) -> tuple[Assembly, Unknowns]:
 def run_without(fitted: Estimate, placement: int, problem: Problem, *, smoothing: float) -> Estimate | None:
     """The model run without one of its effects, all else as it is.
 
-    Args:
-        fitted: The model.
-        placement: Which effect, by its position.
-        problem: Its records.
-        smoothing: Width of sharp laws, as a share of the motion's scale.
-
-    Returns:
-        None where the motion escapes.
+    None where the motion escapes.
     """
     smaller, unknowns = dropped(fitted, placement)
     return simulate_at(smaller, unknowns, problem, states=_other_states(fitted, placement), smoothing=smoothing)
@@ -82,13 +66,7 @@ def _other_states(fitted: Estimate, placement: int) -> FloatArray:
 
 
 def without(node: Node, placement: int, task: Task) -> Node:
-    """The model refitted without one of its effects.
-
-    Args:
-        node: The model.
-        placement: Which effect, by its position.
-        task: Records.
-    """
+    """The model refitted without one of its effects."""
     return _compared(run_without(node.coarse, placement, task.fit, smoothing=SHARP), node, task)
 
 
@@ -97,13 +75,6 @@ def instead(node: Node, placement: int, law: EffectPlacement, values: Sequence[f
 
     The law has no states and no values of a record of its own. It is fitted softened first, because a sharp law along a
     motion that it does not fit is hard to simulate.
-
-    Args:
-        node: The model.
-        placement: Which effect, by its position.
-        law: What stands there instead.
-        values: Of its common parameters.
-        task: Records.
     """
     fitted = node.coarse
     assembly = fitted.assembly
@@ -188,17 +159,9 @@ def is_limit(simple: Law, rich: Law) -> bool:
 
 
 def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T, T], bool]) -> list[T]:
-    """The items in their order, but a limit of a richer law before that law where it is near it.
+    """The items in their order, but a limit of a richer law before that law where it is `near`: does nearly as well.
 
     It is quick to fit, and where it explains the data the richer one need not be followed far.
-
-    Args:
-        items: In an order of their own.
-        law: The law of an item and its place.
-        near: Whether a limit (first) does nearly as well as the richer law (second).
-
-    Returns:
-        All of them.
     """
     ordered: list[T] = []
     for item in items:
@@ -210,12 +173,7 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
 def with_limits(node: Node, task: Task) -> list[Node]:
     """The models with one of the node's effects replaced by a limit of it, at the same place.
 
-    Args:
-        node: A fitted model.
-        task: Records and catalogue; a law that is not in the catalogue is not tried.
-
-    Returns:
-        One model a limit that is near and not there already.
+    One for each limit that is near, in the catalogue and not there already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     found: list[Node] = []
@@ -248,15 +206,8 @@ TWINS = {
 def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node]:
     """The models with one of the node's effects replaced by the law that is nearly the same.
 
-    The search may have lost it on the way, and without it a name would lead for want of a rival.
-
-    Args:
-        node: A fitted model.
-        task: Records and catalogue; a law that is not in the catalogue is not tried.
-        fitted: Models that need not be fitted again.
-
-    Returns:
-        One model an effect that has such a law and stands beside a linear stiffness.
+    The search may have lost it on the way, and without it a name would lead for want of a rival. One for each effect
+    that stands beside a linear stiffness and whose twin is in the catalogue, but for models `fitted` already.
     """
     assembly, common = node.coarse.assembly, node.coarse.unknowns.common
     there = [set(one.effects) for one in fitted]

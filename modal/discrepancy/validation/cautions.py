@@ -1,11 +1,4 @@
-"""What a finished diagnosis must still say of its records, whatever the model.
-
-Nothing is explained, a channel is spoiled, outputs come before their inputs, a hold is in doubt.
-
-Gains that look like something else: a wrong unit, a turned or dead channel, or the error of a simulation.
-
-How far the parameters of a sharp law may be off because time and the law itself are taken in steps.
-"""
+"""What a finished diagnosis must still say of its records and numbers, whatever the model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,11 +19,7 @@ __all__ = ["doubted_units", "early_words", "free_words", "grid_error", "spoiled_
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
-    """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt."""
     warnings = [words for words in (explained_words(found), early_words(found)) if words]
     warnings += spoiled_words(found) + free_words(found)
     hold = hold_words(found)
@@ -46,9 +35,6 @@ def spoiled_words(found: Diagnosis) -> list[str]:
 
     No effect of a model explains these, and one may be found that only stands for them; friction does hold a mass
     still, and play takes away coherence.
-
-    Args:
-        found: Of any kind of model.
     """
     sentences: dict[tuple[str, tuple[str, ...]], str] = {}
     for name, records in (("to fit", found.fit), ("held out", found.held_out)):
@@ -59,11 +45,7 @@ def spoiled_words(found: Diagnosis) -> list[str]:
 
 
 def free_words(found: Diagnosis) -> list[str]:
-    """What a calibration may take up that is free in every force between the states of a state space.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """What a calibration may take up that is free in every force between the states of a state space."""
     free = [one for one in found.calibrated if one.name.startswith(INTERNAL_FORCE)]
     gains = any(one.effect in {"input_gain", "sensor_gain"} for one in found.findings)
     if not free or gains:
@@ -92,11 +74,7 @@ def _alike(records: Sequence[Record]) -> list[Record]:
 
 
 def early_words(found: Diagnosis) -> str:
-    """What a negative delay means: no effect answers before its cause; "" where there is none.
-
-    Args:
-        found: Of any kind of model.
-    """
+    """What a negative delay means: no effect answers before its cause; "" where there is none."""
     delays = [(one.where, one.parameters[0].value) for one in found.findings if one.effect == "input_delay"]
     early = [(where, -delay) for where, delay in delays if delay < 0.0]
     if not early:
@@ -110,11 +88,11 @@ def early_words(found: Diagnosis) -> str:
 
 
 PLAUSIBLE_GAIN = (0.3, 3.0)
-"""Gains that may be an effect; beyond them a unit is wrong (a thousand, g, degrees)."""
+"""Doubt a gain beyond these: a unit is wrong (a thousand, g, degrees)."""
 SLIGHT = 0.01
-"""A gain that differs from one by less is no finding."""
+"""Doubt a gain that differs from one by less."""
 HARDLY_FOLLOWS = 0.03
-"""Size of a gain below which a channel may as well be dead, or another one."""
+"""Call a channel dead or another one where its gain is below this size."""
 
 
 def doubted_units(decision: Decision) -> Decision:
@@ -147,7 +125,7 @@ def _doubted_gain(gain: float, where: str) -> str:
 
 
 LEAST_RATIO = 2.0
-"""Where only the smoothing was sharpened, the grid's own error is as unknown as if it had been halved."""
+"""Take the grid's own error for as unknown as if it had been halved where only the smoothing was sharpened."""
 
 
 def grid_error(node: Node) -> FloatArray:
@@ -155,9 +133,6 @@ def grid_error(node: Node) -> FloatArray:
 
     Fitted on two grids, one `r` times as fine as the other, an unknown whose error is in proportion to the step still
     has 1 / (r - 1) of its change from one to the other as its error.
-
-    Args:
-        node: A fitted model.
 
     Returns:
         (n_common,) in the unknowns' units; zero where there was one grid only, and

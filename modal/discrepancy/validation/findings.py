@@ -1,9 +1,4 @@
-"""The effects found, with parameters, evidence and what they cannot be told from.
-
-The largest effects that the data could still hide.
-
-What cannot be told apart in these data, and the experiment that would tell.
-"""
+"""The effects found with their evidence, what they cannot be told from, what would tell, and what could still hide."""
 
 from collections.abc import Sequence
 
@@ -97,12 +92,7 @@ def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tup
 def even_rivals(decision: Decision, i: int) -> tuple[str, ...]:
     """Keys of the effects that explain the data as well as effect number i of the chosen model.
 
-    Args:
-        decision: The decision.
-        i: Number of the effect in the chosen model.
-
-    Returns:
-        Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
+    Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
     """
     runner = decision.runners[i]
     if runner is None or decision.margins[i] >= CLOSE_COMPANY:
@@ -133,13 +123,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
     shape (a gap, a frequency) is hidden best at its least visible shape; the limit is the largest over the shapes that
     the screen tries. Effects without an amplitude (a delay) are left out.
 
-    Args:
-        current: The model as found.
-        task: Records and catalogue.
-        plant: The plant.
-
-    Returns:
-        One limit an effect and place, in the order of the catalogue.
+    One limit for each effect and place, in the order of the catalogue.
     """
     candidates = screen_candidates(current, task.fit, task.catalogue, signs="free")
     largest: dict[tuple[str, str], Candidate] = {}
@@ -169,16 +153,7 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
 
 
 def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
-    """What holds of the plant and its records, for the table of ambiguities.
-
-    Args:
-        plant: The plant.
-        fits: Records to fit.
-        root: The calibrated model along them.
-
-    Returns:
-        The circumstances.
-    """
+    """What holds of the plant and its records, for the table of ambiguities."""
     found: set[Circumstance] = set()
     if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
         found.add("one_dof")
@@ -204,16 +179,7 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozen
 
 
 def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
-    """What to measure next.
-
-    Args:
-        decision: What was decided.
-        fits: Records to fit.
-        circumstances: From `circumstances_of`.
-
-    Returns:
-        Sentences, the most useful first.
-    """
+    """What to measure next."""
     words: list[str] = []
     by_level = False
     for i, ((effect, where), runner) in enumerate(zip(decision.node.effects, decision.runners, strict=False)):

@@ -10,14 +10,10 @@ true output (a drift over time); a delay is no function of the input: it has a l
 
 Where the direction of a force is not known, its law is that of the component in the port's first column, and the points
 are such components of forces in the direction that was found.
-
-The laws of effects at inputs and sensors, each over what the data say of it without any law.
-
-One law as a curve: over its grid, with its deviation, the data's points and the loop along a record.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -25,7 +21,7 @@ import numpy as np
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.results import LawCurve
 from modal.discrepancy.validation.law_forces import binned_force, force_law, loaded_law, reading_of
-from modal.discrepancy.validation.law_points import Bins, bins_of, drive_before, input_sources, told_by_sources
+from modal.discrepancy.validation.law_points import Bins, Told, bins_of, drive_before, input_sources, told_by_sources
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
@@ -35,155 +31,114 @@ from modal.simulation.sensitivity import Source
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
-__all__ = [
-    "N_GRID",
-    "LawAt",
-    "LawGrid",
-    "LawTask",
-    "input_law_curve",
-    "law_curve",
-    "law_curves",
-    "law_grid",
-    "law_loop",
-    "sensor_law_curve",
-]
+__all__ = ["law_curves"]
 
 N_GRID = 201
+"""Draw a law at so many points."""
 LONGEST_LOOP = 400
+"""Draw a loop along at most so many samples."""
 LawAt = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """The law at values of its motion (n,), and its derivative (n, p) by the parameters that all records share."""
+Points = Callable[[FloatArray], tuple[FloatArray, FloatArray] | None]
+"""From the law's derivative (m, p) in the bins, what the data add to it there and the deviation; None where unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LawTask:
-    """What the laws are drawn of.
+class _LawTask:
+    """A fitted model and one of its effects, whose law is drawn.
 
     Attributes:
         fitted: The model, in free run.
         problem: The records it was fitted to.
         plant: The plant.
+        placement: Index of the effect.
+        spread: (p, p) covariance of its parameters that all records share.
     """
 
     fitted: Estimate
     problem: Problem
     plant: Plant
+    placement: int
+    spread: FloatArray
 
     @property
     def drive(self) -> Drive:
         """The drive after all effects at the inputs."""
         return self.fitted.trajectory.drive
 
-    def item(self, placement: int) -> EffectPlacement:
-        """An effect at its place."""
-        return self.fitted.assembly.placements[placement]
+    @property
+    def item(self) -> EffectPlacement:
+        """The effect at its place."""
+        return self.fitted.assembly.placements[self.placement]
 
-    def values(self, placement: int) -> list[FloatArray]:
+    @property
+    def values(self) -> list[FloatArray]:
         """Its parameters."""
-        return self.fitted.unknowns.values(self.fitted.assembly, placement)
+        return self.fitted.unknowns.values(self.fitted.assembly, self.placement)
+
+    def deviation(self, told: Told, slope: FloatArray, squares: float) -> FloatArray:
+        """(m,) deviation of points, with the law's derivative (m, p) there and the squares that are left with them."""
+        return told.deviation(slope, self.spread, self.fitted, squares)
+
+    def by_sources(self, sources: Sequence[Source]) -> Points:
+        """Points of a law at an input or a sensor, whose bins act as these sources."""
+
+        def points(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
+            told = told_by_sources(self.fitted, self.problem, self.placement, list(sources))
+            return told.added, self.deviation(told, slope, self.fitted.squares - told.fall)
+
+        return points
+
+    def curve(
+        self,
+        law_at: LawAt,
+        grid: FloatArray,
+        *,
+        bins: Bins | None,
+        points: Points,
+        against: Literal["displacement", "velocity", "time", "input", "output"],
+        units: tuple[str, str],
+        loop: tuple[FloatArray, FloatArray] | None = None,
+    ) -> LawCurve:
+        """The law over a grid with its standard deviation, the data's points in bins, and its loop.
+
+        Args:
+            law_at: The law.
+            grid: (n,) values of what it is drawn against.
+            bins: Of the data's points; None where there are none.
+            points: What the data add to the law in the bins.
+            against: What it is drawn against.
+            units: Of what it is drawn against, and of the law.
+            loop: Motion and force along the loudest record; None where it has no loop.
+        """
+        nothing = np.zeros(0)
+        value, slope = law_at(grid)
+        knots, force, deviation = nothing, nothing, nothing
+        if bins is not None:
+            bin_value, bin_slope = law_at(bins.knots)
+            found = points(bin_slope)
+            if found is not None:
+                knots, force, deviation = bins.knots, bin_value + found[0], found[1]
+        loop_motion, loop_force = (nothing, nothing) if loop is None else loop
+        return LawCurve(
+            effect=self.item.effect.key,
+            where=self.item.where,
+            against=against,
+            motion=grid,
+            force=value,
+            deviation=np.sqrt(np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0)),
+            points_motion=knots,
+            points_force=force,
+            points_deviation=deviation,
+            loop_motion=loop_motion,
+            loop_force=loop_force,
+            motion_unit=units[0],
+            force_unit=units[1],
+        )
 
 
-def _nothing() -> FloatArray:
-    return np.zeros(0)
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LawGrid:
-    """A law over its grid and in its bins, each with its derivative by the parameters that all records share.
-
-    Attributes:
-        grid: (n,) values of what the law is drawn against.
-        value: (n,) the law there.
-        slope: (n, p) its derivative.
-        bins: Bins of the data's points; None where the law has none.
-        bin_value: The law at the bins' knots.
-        bin_slope: Its derivative there.
-    """
-
-    grid: FloatArray
-    value: FloatArray
-    slope: FloatArray
-    bins: Bins | None
-    bin_value: FloatArray = field(default_factory=_nothing)
-    bin_slope: FloatArray = field(default_factory=_nothing)
-
-
-def law_grid(law_at: LawAt, grid: FloatArray, bins: Bins | None) -> LawGrid:
-    """A law over a grid and in its bins.
-
-    Args:
-        law_at: The law and its derivative.
-        grid: (n,) values of what it is drawn against.
-        bins: Bins of the data's points; None where there are none.
-
-    Returns:
-        The law there.
-    """
-    value, slope = law_at(grid)
-    if bins is None:
-        return LawGrid(grid=grid, value=value, slope=slope, bins=None)
-    bin_value, bin_slope = law_at(bins.knots)
-    return LawGrid(grid=grid, value=value, slope=slope, bins=bins, bin_value=bin_value, bin_slope=bin_slope)
-
-
-def law_curve(
-    task: LawTask,
-    placement: int,
-    law: LawGrid,
-    points: tuple[FloatArray, FloatArray] | None,
-    spread: FloatArray,
-    *,
-    against: Literal["displacement", "velocity", "time", "input", "output"],
-    units: tuple[str, str],
-    loop: tuple[FloatArray, FloatArray] | None = None,
-) -> LawCurve:
-    """The curve of a law with its standard deviation, the data's points and its loop.
-
-    Args:
-        task: What the laws are drawn of.
-        placement: Index of the effect.
-        law: The law over its grid.
-        points: Additions to the law in its bins, and their deviations; None without points.
-        spread: Covariance of the effect's parameters that all records share.
-        against: What it is drawn against.
-        units: Units of what it is drawn against and of the law.
-        loop: Motion and force along the loudest record; None where it has no loop.
-
-    Returns:
-        The curve.
-    """
-    item = task.item(placement)
-    knots, force, deviation = _nothing(), _nothing(), _nothing()
-    loop_motion, loop_force = (_nothing(), _nothing()) if loop is None else loop
-    if law.bins is not None and points is not None:
-        knots, force, deviation = law.bins.knots, law.bin_value + points[0], points[1]
-    return LawCurve(
-        effect=item.effect.key,
-        where=item.where,
-        against=against,
-        motion=law.grid,
-        force=law.value,
-        deviation=np.sqrt(np.maximum(np.einsum("np,pq,nq->n", law.slope, spread, law.slope), 0.0)),
-        points_motion=knots,
-        points_force=force,
-        points_deviation=deviation,
-        loop_motion=loop_motion,
-        loop_force=loop_force,
-        motion_unit=units[0],
-        force_unit=units[1],
-    )
-
-
-def law_loop(motion: FloatArray, force: FloatArray, drive: Drive) -> tuple[FloatArray, FloatArray]:
-    """Motion and force along the loudest record, about the largest motion.
-
-    Args:
-        motion: (n_times,) the motion.
-        force: (n_times,) the force.
-        drive: The drive of all records.
-
-    Returns:
-        Both over the stretch to show.
-    """
+def _loop(motion: FloatArray, force: FloatArray, drive: Drive) -> tuple[FloatArray, FloatArray]:
+    """Motion and force (n_times,) along the stretch of the loudest record to show: about its largest motion."""
     record = int(np.argmax([drive.level[drive.firsts[r]] for r in range(drive.n_records)]))
     rows = drive.rows[drive.rows_of(record)]
     length = min(LONGEST_LOOP, len(rows))
@@ -193,40 +148,30 @@ def law_loop(motion: FloatArray, force: FloatArray, drive: Drive) -> tuple[Float
     return motion[shown], force[shown]
 
 
-def input_law_curve(task: LawTask, placement: int, effect: InputEffect, spread: FloatArray) -> LawCurve:
-    """The law of an effect at an input.
-
-    Args:
-        task: What the laws are drawn of.
-        placement: Index of the effect.
-        effect: The effect.
-        spread: Covariance of its parameters that all records share.
-
-    Returns:
-        Its curve.
-    """
-    item, dt = task.item(placement), task.drive.dt
+def _input_curve(task: _LawTask, effect: InputEffect) -> LawCurve:
+    """The law of an effect at an input."""
+    fitted, item, dt = task.fitted, task.item, task.drive.dt
     units = (task.plant.input_units[item.channel],) * 2
-    before = drive_before(task.fitted, task.problem, placement)
+    before = drive_before(fitted, task.problem, task.placement)
     signal = before.sample[:, item.channel]
-    values = [float(np.mean(value)) for value in task.values(placement)]
+    values = [float(np.mean(value)) for value in task.values]
     grid = np.linspace(float(signal.min()), float(signal.max()), N_GRID)
     common = list(item.common)
-    if not _of_the_moment(effect, values, grid, dt):
-        after = drive_inputs(task.fitted.assembly, task.fitted.unknowns, before, first=placement)
-        loop = law_loop(signal, after.sample[:, item.channel], task.drive)
-        law = LawGrid(grid=grid, value=grid, slope=np.zeros((N_GRID, len(common))), bins=None)
-        return law_curve(task, placement, law, None, spread, against="input", units=units, loop=loop)
+    of_the_moment = _of_the_moment(effect, values, grid, dt)
 
     def law_at(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if not of_the_moment:
+            return motion, np.zeros((len(motion), len(common)))
         slope = effect.by_parameter(values, motion, motion, motion, dt)[2]
         return effect.at_samples(values, motion, motion, motion, dt), np.asarray(slope.T[:, common])
 
-    bins = bins_of(signal)
-    sources = [] if bins is None else input_sources(task.fitted, placement, before, bins)
-    law = law_grid(law_at, grid, bins)
-    points = _points(task, placement, law, sources, spread)
-    return law_curve(task, placement, law, points, spread, against="input", units=units)
+    bins = bins_of(signal) if of_the_moment else None
+    points = task.by_sources([] if bins is None else input_sources(fitted, task.placement, before, bins))
+    loop = None
+    if not of_the_moment:
+        after = drive_inputs(fitted.assembly, fitted.unknowns, before, first=task.placement)
+        loop = _loop(signal, after.sample[:, item.channel], task.drive)
+    return task.curve(law_at, grid, bins=bins, points=points, against="input", units=units, loop=loop)
 
 
 def _of_the_moment(effect: InputEffect, values: list[float], grid: FloatArray, dt: float) -> bool:
@@ -236,21 +181,11 @@ def _of_the_moment(effect: InputEffect, values: list[float], grid: FloatArray, d
     return bool(np.allclose(forward, backward, rtol=ROUNDING, atol=1e-12 * float(np.abs(grid).max())))
 
 
-def sensor_law_curve(task: LawTask, placement: int, effect: SensorEffect, spread: FloatArray) -> LawCurve:
-    """The law of an effect at a sensor.
-
-    Args:
-        task: What the laws are drawn of.
-        placement: Index of the effect.
-        effect: The effect.
-        spread: Covariance of its parameters that all records share.
-
-    Returns:
-        Its curve.
-    """
-    item, drive = task.item(placement), task.drive
+def _sensor_curve(task: _LawTask, effect: SensorEffect) -> LawCurve:
+    """The law of an effect at a sensor."""
+    item, drive = task.item, task.drive
     unit = task.plant.output_units[item.channel]
-    values = [float(np.mean(value)) for value in task.values(placement)]
+    values = [float(np.mean(value)) for value in task.values]
     gain = float(np.mean(effect.gain(values)))
     time = drive.time[drive.rows]
     one = np.ones(1)
@@ -273,20 +208,7 @@ def sensor_law_curve(task: LawTask, placement: int, effect: SensorEffect, spread
     grid = np.linspace(float(signal.min()), float(signal.max()), N_GRID)
     against: Literal["time", "output"] = "time" if drifts else "output"
     units = ("s" if drifts else unit, unit)
-    law = law_grid(law_at, grid, bins)
-    points = _points(task, placement, law, sources, spread)
-    return law_curve(task, placement, law, points, spread, against=against, units=units)
-
-
-def _points(
-    task: LawTask, placement: int, law: LawGrid, sources: list[Source], spread: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Additions to a law at an input or a sensor, and their deviations; None where it has no bins."""
-    if not sources:
-        return None
-    told = told_by_sources(task.fitted, task.problem, placement, sources)
-    left = task.fitted.squares - told.fall
-    return told.added, told.deviation(law.bin_slope, spread, task.fitted, left)
+    return task.curve(law_at, grid, bins=bins, points=task.by_sources(sources), against=against, units=units)
 
 
 def law_curves(fitted: Estimate, problem: Problem, plant: Plant, spread: FloatArray) -> tuple[LawCurve, ...]:
@@ -297,31 +219,25 @@ def law_curves(fitted: Estimate, problem: Problem, plant: Plant, spread: FloatAr
         problem: The records it was fitted to.
         plant: The plant.
         spread: (n, n) covariance of all unknowns, common ones first (`covariance.covariance`).
-
-    Returns:
-        One curve an effect, in their order.
     """
-    assembly = fitted.assembly
-    if not assembly.placements:
-        return ()
-    task = LawTask(fitted=fitted, problem=problem, plant=plant)
     found = []
-    for i, item in enumerate(assembly.placements):
-        first = assembly.common_of(i).start
+    for i, item in enumerate(fitted.assembly.placements):
+        first = fitted.assembly.common_of(i).start
         own = slice(first, first + len(item.common))
+        task = _LawTask(fitted=fitted, problem=problem, plant=plant, placement=i, spread=spread[own, own])
         if isinstance(item.effect, ForceEffect) and item.port is not None:
-            found.append(_force_curve(task, i, item.effect, item.port, spread[own, own]))
+            found.append(_force_curve(task, item.effect, item.port))
         elif isinstance(item.effect, InputEffect):
-            found.append(input_law_curve(task, i, item.effect, spread[own, own]))
+            found.append(_input_curve(task, item.effect))
         elif isinstance(item.effect, SensorEffect):
-            found.append(sensor_law_curve(task, i, item.effect, spread[own, own]))
+            found.append(_sensor_curve(task, item.effect))
     return tuple(found)
 
 
-def _force_curve(task: LawTask, placement: int, effect: ForceEffect, port: Port, spread: FloatArray) -> LawCurve:
-    item, drive, about = task.item(placement), task.drive, task.fitted.trajectory.linearisation
+def _force_curve(task: _LawTask, effect: ForceEffect, port: Port) -> LawCurve:
+    item, drive, about = task.item, task.drive, task.fitted.trajectory.linearisation
     n = task.plant.n_states
-    values = task.values(placement)
+    values = task.values
     means = [float(np.mean(value)) for value in values]
     reading = reading_of(item, effect, means)
     motion = motion_at(item, about.states[:, :n], drive, np.zeros((drive.n_times, effect.n_memory)), 0.0)
@@ -345,26 +261,19 @@ def _force_curve(task: LawTask, placement: int, effect: ForceEffect, port: Port,
             kept[:, [k for k, j in enumerate(common) if effect.parameters[j].role == "shape"]] = 0.0
         return value, kept
 
-    law = law_grid(law_at, grid, bins)
-    points = None
-    if bins is not None:
-        found = binned_force(task.fitted, task.problem, placement, bins=bins, reading=reading, ahead=ahead)
-        points = None if found is None else (found[0], found[1].deviation(law.bin_slope, spread, task.fitted, found[2]))
+    def points(slope: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        if bins is None:
+            return None
+        found = binned_force(task.fitted, task.problem, task.placement, bins=bins, reading=reading, ahead=ahead)
+        return None if found is None else (found[0], task.deviation(found[1], slope, found[2]))
+
     along = {"displacement": port.length_unit, "velocity": f"{port.length_unit}/s", "time": "s"}[reading.against]
     loop = None
     if effect.n_memory:
-        force = about.forces[task.fitted.assembly.forces.index(placement)].value
-        loop = law_loop(motion.displacement, force, drive)
-    return law_curve(
-        task,
-        placement,
-        law,
-        points,
-        spread,
-        against=reading.against,
-        units=(along, port.force_unit),
-        loop=loop,
-    )
+        force = about.forces[task.fitted.assembly.forces.index(task.placement)].value
+        loop = _loop(motion.displacement, force, drive)
+    units = along, port.force_unit
+    return task.curve(law_at, grid, bins=bins, points=points, against=reading.against, units=units, loop=loop)
 
 
 def _folded(

@@ -1,10 +1,8 @@
-"""A force free of any form beside a law: the bins' values as parameters of an effect of their own, fitted for real.
+"""A force law by itself over what it is drawn against, and beside it a force free of any form, in bins.
 
 Where the law found has the right form one linear step is enough. Where it has not, the motion that it makes is wrong as
 well, and so is a response linearised about that motion; so the step is taken, the model simulated anew with law and
 bins, and the next step starts there.
-
-A force law by itself: what it is drawn against, its value over a grid of that, and its derivatives.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +20,7 @@ from okid.arrays import FloatArray
 __all__ = ["BinnedForce", "Reading", "binned_force", "force_law", "loaded_law", "reading_of", "still_motion"]
 
 LOADING_STEPS = 60
-"""Steps in which a law with memory is loaded from rest to either side."""
+"""Load a law with memory from rest to either side in so many steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -65,11 +63,11 @@ def reading_of(item: EffectPlacement, effect: ForceEffect, values: Values) -> Re
     """What a force law is drawn against: time where it depends on it, else displacement, else velocity."""
     n = 7
     d, v = item.displacement_scale, item.velocity_scale
-    at = _moved(still_motion(item, n), displacement=np.full(n, d), velocity=np.full(n, v))
-    later = _moved(at, time=np.linspace(0.0, 1.0, n) ** 2 * 7.3)
+    at = replace(still_motion(item, n), displacement=np.full(n, d), velocity=np.full(n, v))
+    later = replace(at, time=np.linspace(0.0, 1.0, n) ** 2 * 7.3)
     then = effect.force(values, later).value
     if effect.n_memory == 0 and not np.allclose(then, effect.force(values, at).value, rtol=ROUNDING, atol=0.0):
-        at_rest = effect.force(values, _moved(later, displacement=np.zeros(n))).value
+        at_rest = effect.force(values, replace(later, displacement=np.zeros(n))).value
         scaled = not np.allclose(then, at_rest, rtol=ROUNDING, atol=0.0)
         rates = [j for j, kind in enumerate(effect.parameters) if kind.dimension == (0, 0, -1)]
         rate = float(np.mean(values[rates[0]])) if rates else 0.0
@@ -91,11 +89,11 @@ def force_law(
     """The law (n,) over a grid of what it is drawn against, and its derivative (n, n_parameters)."""
     still = still_motion(item, len(grid))
     if reading.against == "time":
-        moved = _moved(still, time=grid, displacement=np.full(len(grid), reading.at_displacement))
+        moved = replace(still, time=grid, displacement=np.full(len(grid), reading.at_displacement))
     elif reading.against == "velocity":
-        moved = _moved(still, velocity=grid)
+        moved = replace(still, velocity=grid)
     else:
-        moved = _moved(still, displacement=grid)
+        moved = replace(still, displacement=grid)
     force = effect.force(values, moved)
     return force.value, force.by_parameter
 
@@ -115,10 +113,10 @@ def loaded_law(
     at = still_motion(item, displacement.shape[1])
     forces = np.zeros_like(displacement)
     for k, following in enumerate(displacement):
-        after = _moved(at, displacement=following)
+        after = replace(at, displacement=following)
         if k:
             memory = effect.advance(parameters, at, after, dt).value
-            after = _moved(after, memory=memory)
+            after = replace(after, memory=memory)
         forces[k] = effect.force(parameters, after).value
         at = after
     found = np.concatenate([forces[:0:-1, 0::2], forces[:, 1::2]]).T
@@ -128,30 +126,10 @@ def loaded_law(
     return law[0], ((law[1::2] - law[2::2]) / (2.0 * steps[:, None])).T
 
 
-def _moved(
-    motion: Motion,
-    *,
-    displacement: FloatArray | None = None,
-    velocity: FloatArray | None = None,
-    time: FloatArray | None = None,
-    memory: FloatArray | None = None,
-) -> Motion:
-    return Motion(
-        displacement=motion.displacement if displacement is None else displacement,
-        velocity=motion.velocity if velocity is None else velocity,
-        time=motion.time if time is None else time,
-        memory=motion.memory if memory is None else memory,
-        displacement_scale=motion.displacement_scale,
-        velocity_scale=motion.velocity_scale,
-        stiffness=motion.stiffness,
-        mass=motion.mass,
-        smoothing=motion.smoothing,
-    )
-
-
 STEPS = 4
+"""Fit the bins in at most so many steps."""
 WORTH = 0.02
-"""A step is worth a simulation where it takes away more than this share of the squares that are left."""
+"""Simulate a step that takes away more than this share of the squares that are left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,8 +21,6 @@ References:
     Larsen, McCleary, The use of partial residual plots in regression analysis, Technometrics 14(3), 1972,
     https://doi.org/10.1080/00401706.1972.10488966 (points of a component with the others fitted); Worden, Tomlinson,
     Nonlinearity in Structural Dynamics, 2001, chapter 7 (restoring force surfaces).
-
-What a change of an input in each bin of it does to the model: hats of the input as inputs of their own.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +33,7 @@ from modal.discrepancy.fitting.estimation import Estimate, Problem, score_equati
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.sensitivity import Sensitivity, Source, respond, sensitivity
-from modal.simulation.tolerances import ROUNDING
+from modal.simulation.tolerances import DIFFERENCE_STEP, ROUNDING
 from okid.arrays import TINY, FloatArray
 
 __all__ = [
@@ -54,8 +52,9 @@ __all__ = [
 IndexArray = npt.NDArray[np.intp]
 
 N_BINS = 12
+"""Cut a motion into so many bins."""
 INDISTINCT = 0.01
-"""Share of a correction's response below which the rest of the model stands for it."""
+"""Leave a correction to the rest of the model that can stand for all but this share of its response."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -243,9 +242,6 @@ def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources:
     return told_by(whole, seen, len(score) + np.arange(len(sources)), unknowns_but(fitted, [placement]))
 
 
-RELATIVE_STEP = 1e-6
-
-
 def drive_before(fitted: Estimate, problem: Problem, placement: int) -> Drive:
     """The drive as it reaches an effect at an input: after the effects before it."""
     earlier = replace(fitted.assembly, placements=fitted.assembly.placements[:placement])
@@ -253,17 +249,7 @@ def drive_before(fitted: Estimate, problem: Problem, placement: int) -> Drive:
 
 
 def input_sources(fitted: Estimate, placement: int, before: Drive, bins: Bins) -> list[Source]:
-    """What a unit of each bin's hat, added to the input behind the effect, does by itself.
-
-    Args:
-        fitted: The model.
-        placement: The effect at the input.
-        before: The drive as it reaches the effect (`drive_before`).
-        bins: Bins of the input before the effect.
-
-    Returns:
-        One source a bin.
-    """
+    """What a unit of each bin's hat, added to the input behind the effect, does by itself."""
     channel = fitted.assembly.placements[placement].channel
     hats = [bins.hats(signal[:, channel])[0] for signal in (before.start, before.end, before.sample)]
     found = []
@@ -285,7 +271,7 @@ def _carried(
         return slopes[0], slopes[1], slopes[2]
     first = replace(assembly, placements=assembly.placements[: placement + 1])
     behind = drive_inputs(first, fitted.unknowns, before, first=placement)
-    size = RELATIVE_STEP * max(float(np.abs(behind.sample).max()), TINY)
+    size = DIFFERENCE_STEP * max(float(np.abs(behind.sample).max()), TINY)
     after = []
     for step in (size, -size):
         moved = replace(

@@ -1,14 +1,9 @@
-"""A delay that is off by about half a sample may be a wrongly declared hold: the records are taken the other way too.
+"""Half a sample: a wrongly declared hold of the inputs, and records cut into spans where no simulation can follow.
 
-With many samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a
-wrong hold leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough.
-
-A wrongly declared hold of the inputs poses as half a sample of delay or as damping: when to think of it.
-
-Between a held and a straight or band-limited input lies half a sample, pi f dt in phase at the frequency f: that share
-of the motion at most, a fifth of it at 16 samples a period. A gap that is larger is not due to the hold alone.
-
-Records cut into spans, each with its own initial state, where the motion cannot be followed along the whole.
+A delay that is off by about half a sample may be a wrong hold: then the records are taken the other way too. With many
+samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a wrong hold
+leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough. Between a
+held and a straight input lies half a sample, pi f dt in phase at the frequency f: that share of the motion at most.
 
 Hard springs under a strong drive, and stops, part neighbouring motions exponentially: from the initial state to the end
 of a long record no simulation, of the true model either, stays with the measurement. Over a few dozen periods it does.
@@ -20,19 +15,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal.discrepancy.noise.floor import NoiseFloor
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.numbers import number
-from okid.arrays import FloatArray, frozen_with_gaps
+from okid.arrays import FloatArray
 from okid.record import InputHold, Record
 
 __all__ = [
     "by_the_better_hold",
     "cut_into_spans",
-    "floor_of_spans",
     "half_a_sample",
     "has_half_a_sample",
     "highest_frequency",
@@ -42,7 +35,7 @@ __all__ = [
 ]
 
 HALF_A_SAMPLE = (0.25, 0.75)
-"""Delays, beyond whole samples, that a wrong hold may stand behind."""
+"""Suspect a wrong hold behind a delay that lies between these beyond whole samples."""
 
 Diagnose = Callable[[Sequence[Record], Sequence[Record], Mapping[str, Effect]], Diagnosis]
 """Records to fit, held-out records and the effects to try in, the diagnosis out."""
@@ -83,13 +76,7 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
     Where the declared one explains them too, the other can do with fewer of the same effects, or it is no better.
 
-    Args:
-        found: By the declared hold.
-        diagnose: Makes another one.
-        catalogue: The effects that were tried.
-
-    Returns:
-        One of the two, the other hold's with a warning that says so.
+    One of the two, the other hold's with a warning that says so.
     """
     if not has_half_a_sample(found):
         return found
@@ -132,7 +119,7 @@ def _named(found: Diagnosis) -> str:
 
 
 MOST_OF_IT = 0.95
-"""Share of an output's power above the noise that lies below the highest frequency that matters."""
+"""Call that frequency the highest that matters below which this share of an output's power above the noise lies."""
 
 
 def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
@@ -155,11 +142,7 @@ def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
 
 
 def hold_words(diagnosis: Diagnosis) -> str:
-    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain.
-
-    Args:
-        diagnosis: What was found.
-    """
+    """What to check of the declared hold; "" where it cannot matter or nothing is left that it could explain."""
     first = diagnosis.fit[0]
     if not first.n_inputs:
         return ""
@@ -190,8 +173,9 @@ def _left_over(diagnosis: Diagnosis) -> float:
 
 
 PERIODS = 20.0
-"""Length of a span in periods of the highest frequency that matters."""
+"""Make a span so many periods of the highest frequency that matters long."""
 FEWEST_SAMPLES = 200
+"""Make no span shorter than so many samples."""
 
 
 def cut_into_spans(
@@ -240,28 +224,6 @@ def _edges(record: Record, count: int) -> list[int]:
         if not any(np.isnan(record.outputs[first:last]).all(axis=0).any() for first, last in pairwise(edges)):
             return edges
     return [0, record.n_samples]
-
-
-def floor_of_spans(floor: NoiseFloor, origin: Sequence[int]) -> NoiseFloor:
-    """The floor of each span, which is that of its record.
-
-    Args:
-        floor: Of whole records.
-        origin: Position of each span's record.
-    """
-    rows = list(origin)
-
-    def of(values: FloatArray) -> FloatArray:
-        return frozen_with_gaps(values[rows], name="floor")
-
-    return NoiseFloor(
-        variance=of(floor.variance),
-        method=tuple(floor.method[row] for row in rows),
-        reason=tuple(floor.reason[row] for row in rows),
-        standard_error=of(floor.standard_error),
-        random=of(floor.random),
-        distortion=of(floor.distortion),
-    )
 
 
 def span_words(spans: Sequence[Record]) -> str:

@@ -41,20 +41,7 @@ def diagnosis_of(
     circumstances: frozenset[Any],
     notes: tuple[str, ...],
 ) -> Diagnosis:
-    """Put a decision into words, numbers and an updated model.
-
-    Args:
-        setup: Model, records and floor.
-        as_given: The model as given along the records.
-        nodes: All models that were fitted, the calibrated one first.
-        decision: What was decided.
-        location: Where the two disagree.
-        circumstances: For the table of ambiguities.
-        notes: What the reader must know of the records.
-
-    Returns:
-        The diagnosis.
-    """
+    """Put a decision into words, numbers and an updated model."""
     root, best, task = nodes[0], decision.node, setup.task
     circumstances = circumstances | _of_the_delay(best, setup.fit[0].dt)
     problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit

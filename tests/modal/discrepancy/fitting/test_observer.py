@@ -39,7 +39,7 @@ def riccati(A, C, Q, R, S):
 @pytest.mark.parametrize("outputs", [(0,), (1, 0), (2,), (0, 1, 2)])
 def test_it_is_the_steady_kalman_gain(outputs):
     current, problem = current_of(outputs=outputs)
-    gain = observer_gain(current, problem, 1)
+    gain = observer_gain(current, problem)
     A, C = current.scheme.Ad, current.scheme.C
     E = current.scheme.E0 + current.scheme.E1
     length = np.linalg.norm(E, axis=0)
@@ -59,7 +59,7 @@ def test_it_is_the_steady_kalman_gain(outputs):
 @pytest.mark.parametrize("upsampling", [1, 2, 5])
 def test_the_corrected_model_is_stable_between_and_across_samples(upsampling):
     current, problem = current_of(upsampling)
-    gain = observer_gain(current, problem, upsampling)
+    gain = observer_gain(current, problem)
     A, C = current.scheme.Ad, current.scheme.C
     across = np.linalg.matrix_power(A, upsampling - 1) @ (A - gain @ C)
     assert np.abs(np.linalg.eigvals(across)).max() < 1.0
@@ -72,7 +72,7 @@ def test_a_model_that_fits_needs_none():
     current, problem = current_of()
     exact = replace(problem, drive=replace(problem.drive, outputs=current.trajectory.outputs))
     fitted = simulate_at(current.assembly, current.unknowns, exact)
-    assert observer_gain(fitted, exact, 1) is None
+    assert observer_gain(fitted, exact) is None
 
 
 def test_the_nearer_the_model_the_smaller_the_gain():
@@ -81,5 +81,5 @@ def test_the_nearer_the_model_the_smaller_the_gain():
     for share in (1.0, 0.1, 0.01):
         outputs = current.trajectory.outputs + share * (problem.drive.outputs - current.trajectory.outputs)
         one = replace(problem, drive=replace(problem.drive, outputs=outputs))
-        gains.append(np.linalg.norm(observer_gain(simulate_at(current.assembly, current.unknowns, one), one, 1)))
+        gains.append(np.linalg.norm(observer_gain(simulate_at(current.assembly, current.unknowns, one), one)))
     assert gains[0] > gains[1] > gains[2]
