@@ -28,7 +28,7 @@ __all__ = [
     "SensorEffect",
     "Situation",
     "StepForce",
-    "StepLift",
+    "StepValue",
     "Values",
     "is_sharp",
     "jumps",
@@ -88,13 +88,13 @@ class Force:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StepLift:
-    """What a sensor at the start of each step hears of a force besides the law's own value there.
+class StepValue:
+    """A value over each step and its derivatives by the motion that the law reads.
 
     Attributes:
         value: (n,).
-        by_before: (n,) derivative by the motion at the start of the step.
-        by_after: (n,) derivative by the motion at its end.
+        by_before: (n,) by the motion at the start of the step.
+        by_after: (n,) by the motion at its end.
         by_parameter: (n, n_parameters).
     """
 
@@ -109,27 +109,16 @@ class StepForce:
     """The straight line that stands for a force over each step, for laws that jump or stop the motion within it.
 
     Attributes:
-        start: (n,) value at the start of the step.
-        end: (n,) value at its end.
-        start_by_before: (n,) derivative of `start` by the motion at the start of the step.
-        start_by_after: (n,) derivative of `start` by the motion at its end.
-        end_by_before: (n,) derivative of `end` by the motion at the start.
-        end_by_after: (n,) derivative of `end` by the motion at the end.
-        start_by_parameter: (n, n_parameters).
-        end_by_parameter: (n, n_parameters).
-        lift: What a sensor hears of the force besides the law's own value; None for nothing.
+        start: At the start of the step.
+        end: At its end.
+        lift: What a sensor at the start of the step hears of the force besides the law's own value there; None for
+            nothing.
         reads: The motion that the law reads, and the derivatives are by.
     """
 
-    start: FloatArray
-    end: FloatArray
-    start_by_before: FloatArray
-    start_by_after: FloatArray
-    end_by_before: FloatArray
-    end_by_after: FloatArray
-    start_by_parameter: FloatArray
-    end_by_parameter: FloatArray
-    lift: StepLift | None = None
+    start: StepValue
+    end: StepValue
+    lift: StepValue | None = None
     reads: Literal["displacement", "velocity"] = "velocity"
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepValue, Values
 from modal.effects.memoryless import WALL, memoryless, positive_part, share_of_end
 from okid.arrays import FloatArray
 
@@ -79,14 +79,18 @@ class Overflow(ForceEffect):
         by_parameter = np.expand_dims(of_start, -1) * start.by_parameter + np.expand_dims(of_end, -1) * end.by_parameter
         by_parameter[:, 0] += 2.0 * stiffer * softer * before.step_compliance * (end.value - start.value)
         return StepForce(
-            start=of_start * start.value + of_end * end.value,
-            end=end.value,
-            start_by_before=of_start * start.by_displacement,
-            start_by_after=of_end * end.by_displacement,
-            end_by_before=np.zeros_like(end.value),
-            end_by_after=end.by_displacement,
-            start_by_parameter=by_parameter,
-            end_by_parameter=end.by_parameter,
+            start=StepValue(
+                value=of_start * start.value + of_end * end.value,
+                by_before=of_start * start.by_displacement,
+                by_after=of_end * end.by_displacement,
+                by_parameter=by_parameter,
+            ),
+            end=StepValue(
+                value=end.value,
+                by_before=np.zeros_like(end.value),
+                by_after=end.by_displacement,
+                by_parameter=end.by_parameter,
+            ),
             reads="displacement",
         )
 

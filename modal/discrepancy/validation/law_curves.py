@@ -353,7 +353,7 @@ def _force_curve(task: LawTask, placement: int, effect: ForceEffect, port: Port,
     along = {"displacement": port.length_unit, "velocity": f"{port.length_unit}/s", "time": "s"}[reading.against]
     loop = None
     if effect.n_memory:
-        force = about.forces[task.fitted.assembly.forces.index(placement)].value
+        force = about.acting[task.fitted.assembly.forces.index(placement)].force.value
         loop = law_loop(motion.displacement, force, drive)
     return law_curve(
         task,
