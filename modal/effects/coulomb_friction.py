@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepValue, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, StepForce, StepValue, Values
 from modal.effects.jump import jump, jump_line
 from modal.effects.memoryless import memoryless
 from okid.arrays import FloatArray
@@ -44,10 +44,6 @@ class CoulombFriction(ForceEffect):
     signature = "odd lines; damping falls with the level"
     reference = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     needs = frozenset({"velocity"})
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

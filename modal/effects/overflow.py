@@ -11,7 +11,7 @@ from okid.arrays import FloatArray
 __all__ = ["Overflow"]
 
 QUANTILES = (0.95, 0.9, 0.8, 0.65)
-"""Shares of the samples below the brims to start from."""
+"""Start from brims that these shares of the samples stay below."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -62,6 +62,7 @@ def updated_structure(model: "StructuralModel", linear: FloatArray) -> "Structur
         linear: (n_parameters,) values in the order of `structural_plant(model).parameters`.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> updated_structure(model, np.array([810.0, 1.1])).stiffness
         array([[810.]])
@@ -189,6 +190,7 @@ def structural_plant(model: "StructuralModel") -> Plant:
         model: What to convert.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> plant = structural_plant(model)
         >>> plant.system[0].round(3), [parameter.name for parameter in plant.parameters]
@@ -291,6 +293,7 @@ def place_name(model: "StructuralModel", where: str) -> str:
     """The name of a place as the plant has it: that of the element where "dof_i" is the moving end of a grounded one.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> place_name(model, "dof_0")
         'element_0'
