@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import InputEffect, ParameterKind, Situation, Values
-from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray
 
 __all__ = ["DelayedInput"]
@@ -25,13 +24,15 @@ COUNTS = (-0.5, 0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 7.5, 10.5, 15.5, 22.5, 31.5)
 """Start from these delays, in steps: each lies between whole steps, where a held drive has no bend in tau; a broadband
 drive that is held has lost its correlation after one step, so the first are dense. The negative one is for skew: a
 wrong hold, or outputs that were written down a step after their inputs."""
+WHOLE = 1e-6
+"""Take a delay within this share of a step of a whole number of steps for that number: division by dt rounds."""
 
 
 def _split(tau: float, dt: float, longest: int) -> tuple[int, float]:
-    """Whole steps, rounded down, and the share of a step that is left; division by dt rounds."""
+    """Whole steps, rounded down, and the share of a step that is left."""
     steps = min(max(tau / dt, -float(longest)), float(longest))
     whole = round(steps)
-    if abs(steps - whole) < ROUNDING:
+    if abs(steps - whole) < WHOLE:
         return whole, 0.0
     return math.floor(steps), steps - math.floor(steps)
 
@@ -137,7 +138,7 @@ class DelayedInput(InputEffect):
     def unheard(self, values: Values, dt: float) -> tuple[int, int]:
         """As many times at the start as the delay is long, or at the end where it is negative."""
         steps = float(values[0]) / dt
-        count = math.ceil(abs(steps) - ROUNDING)
+        count = math.ceil(abs(steps) - WHOLE)
         return (count, 0) if steps > 0.0 else (0, count)
 
     def by_parameter(
