@@ -46,7 +46,6 @@ class Overflow(ForceEffect):
     family = "flow"
     signature = "level flat at the top"
     reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
-    needs = frozenset({"displacement"})
     acts_at = "flow"
     is_brim = True
 

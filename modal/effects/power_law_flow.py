@@ -59,7 +59,6 @@ class PowerLawFlow(ForceEffect):
     family = "flow"
     signature = "time constant changes with the level"
     reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
-    needs = frozenset({"displacement"})
     acts_at = "flow"
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
