@@ -29,7 +29,7 @@ from modal.structure.checks import (
     tolerance,
 )
 from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
-from modal.structure.equations import equations_of_motion
+from modal.structure.equations import equations_of_structure
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
@@ -279,7 +279,7 @@ class StructuralModel(KeptModel):
 
     def equations(self) -> str:
         """The equations of motion with numbers and units, effects included, in plain text."""
-        return equations_of_motion(self)
+        return equations_of_structure(self)
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""
