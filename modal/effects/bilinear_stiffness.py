@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import memoryless, positive_part
 
 __all__ = ["BilinearStiffness"]
@@ -38,10 +38,6 @@ class BilinearStiffness(ForceEffect):
     has_corners = True
     signature = "even lines, static shift; the same relative gap at every level"
     reference = "Chu, Shen 1992, doi 10.2514/3.11271"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

@@ -1,8 +1,7 @@
 """Bouc-Wen hysteresis: a spring that gives way smoothly and keeps what it gave.
 
-The Bouc-Wen state over a straight stretch of the displacement.
-
-In units of the yield displacement, with the sign of the motion taken out, the state s follows
+Over a straight stretch of the displacement, in units of the yield displacement and with the sign of the motion taken
+out, the state s follows
 
     ds/dh = 1 - s^n  for s > 0 (loading),      ds/dh = 1  for s < 0 (unloading)
 
@@ -19,17 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import levels
-from modal.effects.rate_independent import SETTLED, Leg, advance_along
+from modal.effects.memoryless import least_length, levels
+from modal.effects.rate_independent import SETTLED, SHARES, Leg, advance_along
 from okid.arrays import FloatArray
 
 __all__ = ["BoucWenHysteresis", "Flow", "bouc_wen_flow"]
 
 STEP, REACH = 0.02, 20.0
-"""Cells of the table in q and where it ends: from there on g is n to the eighth digit. Between the nodes cubics follow
-the curve to 1e-6 for n up to 10."""
-GAUSS = np.polynomial.legendre.leggauss(3)
-"""Points and weights by which a cell is integrated: to 1e-7 in the first cell for n below 2, to 1e-12 elsewhere."""
+"""Cut the table in q into such cells up to this end: beyond it g is n to the eighth digit. Between the nodes cubics
+follow the curve to 1e-6 for n up to 10."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -87,9 +84,9 @@ def bouc_wen_flow(state: FloatArray, stretch: FloatArray, n: FloatArray) -> Flow
         for one in np.unique(exponent):
             kind = exponent == one
             q[kind], by_n[kind] = _loaded(start[kind], loading[kind], float(one))
-    left = np.minimum(np.exp(-q), 1.0 - 1e-16)
+    left = np.minimum(np.exp(-q), BELOW_ONE)
     to_yield, from_start = (
-        -np.expm1(exponent * np.log1p(-rest)) for rest in (left, np.minimum(1.0 - begun, 1.0 - 1e-16))
+        -np.expm1(exponent * np.log1p(-rest)) for rest in (left, np.minimum(1.0 - begun, BELOW_ONE))
     )  # 1 - s^n
     return Flow(
         value=np.where(loads, 1.0 - left, state + unloading),
@@ -126,8 +123,10 @@ def _at(curve: _Curve, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 @functools.lru_cache(maxsize=64)
 def _curve(n: float) -> _Curve:
     nodes: FloatArray = STEP * np.arange(round(REACH / STEP) + 1, dtype=np.float64)
-    inside = nodes[:-1, None] + 0.5 * STEP * (1.0 + GAUSS[0])
-    (slope, by_n), cells = _slope(nodes, n), [0.5 * STEP * values @ GAUSS[1] for values in _slope(inside, n)]
+    # Gauss points integrate the first cell to 1e-7 for n below 2, the others to 1e-12
+    points, weights = np.polynomial.legendre.leggauss(3)
+    inside = nodes[:-1, None] + 0.5 * STEP * (1.0 + points)
+    (slope, by_n), cells = _slope(nodes, n), [0.5 * STEP * values @ weights for values in _slope(inside, n)]
     stretch, stretch_by_n = (np.concatenate([[0.0], np.cumsum(cell)]) for cell in cells)
     width = np.diff(stretch)
     return _Curve(
@@ -157,17 +156,15 @@ def _cubic(coefficients: FloatArray, share: FloatArray) -> FloatArray:
 def _slope(q: FloatArray, n: float) -> tuple[FloatArray, FloatArray]:
     """1 / g(q) and its derivative by n."""
     left = np.exp(-q)
-    log = np.log1p(-np.minimum(left, 1.0 - 1e-16))
+    log = np.log1p(-np.minimum(left, BELOW_ONE))
     whole = -np.expm1(n * log)
     return left / whole, left * np.exp(n * log) * log / whole**2
 
 
-SHARES = (0.1, 0.3, 0.6, 0.9)
-"""Shares of the motion that stay below the yield displacements to start from."""
+BELOW_ONE = 1.0 - float(np.finfo(float).epsneg)
+"""Stop just below one, where the logarithm of what is left has no value."""
 SHARPEST = 10.0
-"""Greatest n: beyond it the law is elastoplastic to the eye and n cannot be found."""
-SHORTEST = 1e-12
-"""Least yield displacement, as a share of the displacement scale: a friction that gives way at once."""
+"""Hold n below this: beyond it the law is elastoplastic to the eye and n cannot be found."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +228,7 @@ class BoucWenHysteresis(ForceEffect):
 
     def advance(self, values: Values, before: Motion, after: Motion, dt: float) -> Memory:
         """The state z one sample on."""
-        shortest = max(SHORTEST * before.displacement_scale, 1e-200)
+        shortest = least_length(before.displacement_scale)
 
         def move(state: FloatArray, stretch: FloatArray, spread: Sequence[FloatArray]) -> Leg:
             return _move(state, stretch, np.maximum(spread[1], shortest), np.clip(spread[2], 1.0, SHARPEST))

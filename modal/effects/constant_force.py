@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import memoryless
 
 __all__ = ["ConstantForce"]
@@ -39,10 +39,6 @@ class ConstantForce(ForceEffect):
     reference = "Worden, Tomlinson, Nonlinearity in Structural Dynamics, 2001"
     needs = frozenset()
     acts_at = "force"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - one start in any case
-        """One: it has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The offset at every sample; no motion changes it."""

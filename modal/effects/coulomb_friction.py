@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepLift, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, StepForce, StepValue, Values
 from modal.effects.jump import jump, jump_line
 from modal.effects.memoryless import memoryless
+from okid.arrays import FloatArray
 
 __all__ = ["CoulombFriction"]
 
@@ -44,10 +45,6 @@ class CoulombFriction(ForceEffect):
     reference = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     needs = frozenset({"velocity"})
 
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
-
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
         sign, slope = jump(motion.velocity, motion.smoothing * motion.velocity_scale)
@@ -60,19 +57,13 @@ class CoulombFriction(ForceEffect):
             return None
         size, mobility = values[0], before.mobility
         line = jump_line(before.velocity, after.velocity, width, change=size * mobility)
-        return StepForce(
-            start=size * line.start,
-            end=size * line.end,
-            start_by_before=size * line.start_by_before,
-            start_by_after=size * line.start_by_after,
-            end_by_before=size * line.end_by_before,
-            end_by_after=size * line.end_by_after,
-            start_by_parameter=(line.start + size * mobility * line.start_by_change)[:, None],
-            end_by_parameter=(line.end + size * mobility * line.end_by_change)[:, None],
-            lift=StepLift(
-                value=size * line.lift,
-                by_before=size * line.lift_by_before,
-                by_after=size * line.lift_by_after,
-                by_parameter=(line.lift + size * mobility * line.lift_by_change)[:, None],
-            ),
-        )
+
+        def part(line: FloatArray) -> StepValue:
+            return StepValue(
+                value=size * line[0],
+                by_before=size * line[1],
+                by_after=size * line[2],
+                by_parameter=(line[0] + size * mobility * line[3])[:, None],
+            )
+
+        return StepForce(start=part(line.start), end=part(line.end), lift=part(line.lift))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import cut_to_finite, memoryless
 
 __all__ = ["CubicStiffness"]
@@ -35,10 +35,6 @@ class CubicStiffness(ForceEffect):
     family = "odd stiffness"
     signature = "odd lines, third harmonic; the resonance moves with the level"
     reference = "Kerschen et al. 2006, doi 10.1016/j.ymssp.2005.04.008"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

@@ -4,8 +4,6 @@ A force law is given with its derivatives, so that the simulation's Newton steps
 arrays run over samples; parameter values arrive as a sequence with one entry a parameter, each a float or, where the
 parameter has a value of its own in each record, an array over the samples: `values[j]` broadcasts either way.
 Force laws stand on the left-hand side of the equation of motion: a positive force opposes positive motion.
-
-What a force law reads and what it gives back: the motion at a port, the force, its line over a step, its states.
 """
 
 from collections.abc import Sequence
@@ -28,7 +26,7 @@ __all__ = [
     "SensorEffect",
     "Situation",
     "StepForce",
-    "StepLift",
+    "StepValue",
     "Values",
     "is_sharp",
     "jumps",
@@ -88,13 +86,13 @@ class Force:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StepLift:
-    """What a sensor at the start of each step hears of a force besides the law's own value there.
+class StepValue:
+    """A value over each step and its derivatives by the motion that the law reads.
 
     Attributes:
         value: (n,).
-        by_before: (n,) derivative by the motion at the start of the step.
-        by_after: (n,) derivative by the motion at its end.
+        by_before: (n,) by the motion at the start of the step.
+        by_after: (n,) by the motion at its end.
         by_parameter: (n, n_parameters).
     """
 
@@ -109,27 +107,16 @@ class StepForce:
     """The straight line that stands for a force over each step, for laws that jump or stop the motion within it.
 
     Attributes:
-        start: (n,) value at the start of the step.
-        end: (n,) value at its end.
-        start_by_before: (n,) derivative of `start` by the motion at the start of the step.
-        start_by_after: (n,) derivative of `start` by the motion at its end.
-        end_by_before: (n,) derivative of `end` by the motion at the start.
-        end_by_after: (n,) derivative of `end` by the motion at the end.
-        start_by_parameter: (n, n_parameters).
-        end_by_parameter: (n, n_parameters).
-        lift: What a sensor hears of the force besides the law's own value; None for nothing.
+        start: At the start of the step.
+        end: At its end.
+        lift: What a sensor at the start of the step hears of the force besides the law's own value there; None for
+            nothing.
         reads: The motion that the law reads, and the derivatives are by.
     """
 
-    start: FloatArray
-    end: FloatArray
-    start_by_before: FloatArray
-    start_by_after: FloatArray
-    end_by_before: FloatArray
-    end_by_after: FloatArray
-    start_by_parameter: FloatArray
-    end_by_parameter: FloatArray
-    lift: StepLift | None = None
+    start: StepValue
+    end: StepValue
+    lift: StepValue | None = None
     reads: Literal["displacement", "velocity"] = "velocity"
 
 
@@ -227,9 +214,13 @@ class Effect:
     signature: ClassVar[str]
     reference: ClassVar[str]
 
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
-        """Values to start from: one tuple for each shape worth a try, amplitudes of 1 (they enter linearly)."""
-        raise NotImplementedError
+    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - for laws with shapes
+        """Values to start from: one tuple for each shape worth a try, amplitudes of 1 (they enter linearly).
+
+        Unless an effect has shapes to choose from, it is one start at its neutral shape.
+        """
+        neutral = zip(self.parameters, self.neutral, strict=True)
+        return (tuple(1.0 if kind.role == "amplitude" else value for kind, value in neutral),)
 
     def known_values(self, length_unit: str) -> tuple[float | None, ...]:  # noqa: ARG002 - for laws of angles
         """Value of each parameter that is known before any data, where the port's displacement has this unit.
@@ -356,13 +347,13 @@ class InputEffect(Effect):
 class SensorEffect(Effect):
     """A change of an output after the plant: y becomes gain(values) y + offset(values, time)."""
 
-    def gain(self, values: Values) -> float | FloatArray:
-        """Factor on the output."""
-        raise NotImplementedError
+    def gain(self, values: Values) -> float | FloatArray:  # noqa: ARG002 - for changes of the gain
+        """Factor on the output; 1 unless an effect says otherwise."""
+        return 1.0
 
-    def offset(self, values: Values, time: FloatArray) -> FloatArray:
-        """What is added, (n,)."""
-        raise NotImplementedError
+    def offset(self, values: Values, time: FloatArray) -> FloatArray:  # noqa: ARG002 - for offsets
+        """What is added, (n,); nothing unless an effect says otherwise."""
+        return np.zeros_like(time)
 
     def by_parameter(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:
         """Derivative (n, n_parameters) for the true output `output` (n,)."""

@@ -8,7 +8,7 @@ from modal.effects.memoryless import levels, memoryless, positive_part
 __all__ = ["GapSpring"]
 
 SHARES = (0.2, 0.5, 0.8, 0.95)
-"""Shares of the motion that stay within the gaps to start from."""
+"""Start from gaps that these shares of the motion stay within."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,11 +21,11 @@ from okid.arrays import FloatArray
 __all__ = ["DelayedInput"]
 
 COUNTS = (-0.5, 0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 7.5, 10.5, 15.5, 22.5, 31.5)
-"""Delays to start from, in steps: each lies between whole steps, where a held drive has no bend in tau; a broadband
+"""Start from these delays, in steps: each lies between whole steps, where a held drive has no bend in tau; a broadband
 drive that is held has lost its correlation after one step, so the first are dense. The negative one is for skew: a
 wrong hold, or outputs that were written down a step after their inputs."""
 WHOLE = 1e-6
-"""A delay within this share of a step of a whole number of steps is a whole number: division by dt rounds."""
+"""Take a delay within this share of a step of a whole number of steps for that number: division by dt rounds."""
 
 
 def _split(tau: float, dt: float, longest: int) -> tuple[int, float]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import InputEffect, ParameterKind, Situation, Values
+from modal.effects.effect import InputEffect, ParameterKind, Values
 from okid.arrays import FloatArray
 
 __all__ = ["InputGain"]
@@ -39,10 +39,6 @@ class InputGain(InputEffect):
     family = "input gain"
     signature = "flat ratio at every frequency and level"
     reference = "Worden, Tomlinson, Nonlinearity in Structural Dynamics, 2001"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - one start in any case
-        """The neutral gain: the screen's column is the derivative there."""
-        return (self.neutral,)
 
     def apply(self, values: Values, start: FloatArray, end: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002 - a gain needs no time
         """Start and end of each step times the gain."""

@@ -10,7 +10,7 @@ from okid.arrays import FloatArray
 __all__ = ["InputSaturation"]
 
 SHARES = (0.9, 0.7, 0.5, 0.3)
-"""Limits to start from, as shares of the largest drive of all records: of a random drive (largest about 3.5 standard
+"""Start from these shares of the largest drive of all records: of a random drive (largest about 3.5 standard
 deviations) they clip from one sample in 600 to one in three."""
 
 

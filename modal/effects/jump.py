@@ -3,7 +3,11 @@
 Where the velocity reverses or sticks inside a step, neither end of the step knows when. Two paths from v0 to v1 tell.
 
 A straight one, right while the law is resolved: mean and first moment of the law follow from its integrals
-(`modal.effects.jump`).
+
+    F(v) = sqrt(v^2 + e^2)        S(v) = (v sqrt(v^2 + e^2) + e^2 asinh(v / e)) / 2
+    mean = (F1 - F0) / (v1 - v0)  moment = (F1 + F0) / (2 (v1 - v0)) - (S1 - S0) / (v1 - v0)^2
+
+The moment is int (s - 1/2) f ds over the step's share s.
 
 That of a constant load, right where friction changes the velocity by c = mobility x size within the step, far more than
 the law's width. Between a start v0 > 0 and an end v1 = -b < 0 friction is +1 up to the reversal at the share t and -1
@@ -16,15 +20,6 @@ holds it: the mean rises over the law's width as in an implicit Euler step, so t
 On a straight path it would ring about zero for ever (mean of the ends: a trapezoidal rule on a stiff law).
 
 The line from mean - 6 moment to mean + 6 moment has both: impulse and displacement of the step are right.
-
-Mean and first moment of the smoothed sign over a step whose velocity moves in a straight line from v0 to v1.
-
-They follow from the law's first and second integrals
-
-    F(v) = sqrt(v^2 + e^2)        S(v) = (v sqrt(v^2 + e^2) + e^2 asinh(v / e)) / 2
-    mean = (F1 - F0) / (v1 - v0)  moment = (F1 + F0) / (2 (v1 - v0)) - (S1 - S0) / (v1 - v0)^2
-
-The moment is int (s - 1/2) f ds over the step's share s.
 """
 
 from dataclasses import dataclass
@@ -33,135 +28,74 @@ import numpy as np
 
 from okid.arrays import TINY, FloatArray
 
-__all__ = ["JumpLine", "PathMoments", "jump", "jump_line", "straight_path"]
+__all__ = ["JumpLine", "jump", "jump_line"]
 
 NEAR = 0.02
-"""Rise of the velocity, as a share of its size, below which the quotients would lose digits and a series takes their
-place: where the two meet they agree to 2e-9, because a step that ends there must not hop from one to the other."""
+"""Take a series where the velocity rises by less than this share of its size and the quotients would lose digits: where
+the two meet they agree to 2e-9, because a step that ends there must not hop from one to the other."""
+
+RESOLVED = 2.8
+"""Count both paths alike at this change of velocity by the law within a step, in widths: the greatest at which no
+change makes a sticking mass ring."""
+
+STUCK = 4.0
+"""Let a mass that is slower than so many widths stick at the start of a step: there the smoothed sign is 0.97."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PathMoments:
-    """Mean and moment of a law over each step, and their slopes by the velocity before and after, (n,) each."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JumpLine:
+    """The line over each step, and what to add to the law at its start.
 
-    mean: FloatArray
-    mean_by_before: FloatArray
-    mean_by_after: FloatArray
-    moment: FloatArray
-    moment_by_before: FloatArray
-    moment_by_after: FloatArray
+    Each is (4, n): the value, then its slopes by the velocity at the start of the step, by that at its end, and by the
+    change of velocity that the law makes in a step.
 
-    @property
-    def parts(self) -> tuple[FloatArray, ...]:
-        """All six, in the order above."""
-        return (
-            self.mean,
-            self.mean_by_before,
-            self.mean_by_after,
-            self.moment,
-            self.moment_by_before,
-            self.moment_by_after,
-        )
+    Attributes:
+        start: At the start of the step.
+        end: At its end.
+        lift: What to add to the law at the start of the step for its value at that moment: while a mass sticks, the
+            law at a time is the mean over the step before, and half of the rise to the next one is missing.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    lift: FloatArray
 
 
-def straight_path(before: FloatArray, after: FloatArray, width: float | FloatArray) -> PathMoments:
-    """Mean and moment of x / sqrt(x^2 + width^2) over each step.
+def jump_line(
+    before: FloatArray, after: FloatArray, width: float | FloatArray, *, change: float | FloatArray = 0.0
+) -> JumpLine:
+    """The line that stands for the law over each step.
 
     Args:
         before: (n,) velocity at the start of each step.
         after: (n,) at its end.
         width: Where the law bends, in the unit of the velocity, one for all or (n,); more than 0.
+        change: Velocity that the law takes away in a step, one for all or (n,); at least 0.
 
     Returns:
-        Mean, moment and their slopes.
+        The line and its slopes.
 
     Example:
-        >>> straight_path(np.array([1.0]), np.array([-3.0]), 1e-9).mean.round(6)
+        >>> line = jump_line(np.array([1.0]), np.array([-3.0]), 1e-9)
+        >>> (0.5 * (line.start + line.end))[0].round(6)  # a quarter of the step forwards, three back
         array([-0.5])
+        >>> line = jump_line(np.array([0.1]), np.array([0.0]), 1e-9, change=10.0)  # stops, and sticks without a load
+        >>> (0.5 * (line.start + line.end))[0].round(2)
+        array([0.])
     """
-    rise = after - before
-    middle = 0.5 * (before + after)
-    near = np.abs(rise) <= NEAR * np.hypot(middle, width)
-    series = _series(middle, rise, width)
-    rise = np.where(near, 1.0, rise)
-    F0, F1 = np.hypot(before, width), np.hypot(after, width)
-    value_before, value_after = before / np.maximum(F0, TINY), after / np.maximum(F1, TINY)
-    S0 = 0.5 * (before * F0 + width**2 * np.arcsinh(before / width))
-    S1 = 0.5 * (after * F1 + width**2 * np.arcsinh(after / width))
-    half, area = (F1 + F0) / 2.0, (S1 - S0) / rise
-    mean, moment = (F1 - F0) / rise, (half - area) / rise
-    exact = (
-        mean,
-        (mean - value_before) / rise,
-        (value_after - mean) / rise,
-        moment,
-        (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise,
-        (value_after / 2.0 - (half + F1 - 2.0 * area) / rise) / rise,
-    )
-    return PathMoments(*(np.where(near, close, far) for close, far in zip(series, exact, strict=True)))
-
-
-def _series(middle: FloatArray, rise: FloatArray, width: float | FloatArray) -> tuple[FloatArray, ...]:
-    """Mean and moment over a small rise, each followed by its slopes by the velocity before and after."""
-    size = np.maximum(np.hypot(middle, width), TINY)
-    x, w, r = middle / size, np.square(width / size), rise / size  # f = x, and its derivatives in units of the size
-    xx, rr = x * x, r * r
-    f1, f2, f3 = w, -3.0 * w * x, w * (12.0 * xx - 3.0 * w)
-    f4 = w * x * (45.0 * w - 60.0 * xx)
-    mean = x + rr * (f2 / 24.0 + f4 * rr / 1920.0)
-    mean_middle, mean_rise = (f1 + f3 * rr / 24.0) / size, r * (f2 / 12.0 + f4 * rr / 480.0) / size
-    moment = r * (f1 / 12.0 + f3 * rr / 480.0)
-    moment_middle, moment_rise = r * (f2 / 12.0 + f4 * rr / 480.0) / size, (f1 / 12.0 + f3 * rr / 160.0) / size
-    return (
-        mean,
-        0.5 * mean_middle - mean_rise,
-        0.5 * mean_middle + mean_rise,
-        moment,
-        0.5 * moment_middle - moment_rise,
-        0.5 * moment_middle + moment_rise,
-    )
-
-
-RESOLVED = 2.8
-"""Change of velocity by the law within a step, in widths, at which both paths count alike: the greatest at which no
-change makes a sticking mass ring."""
-
-STUCK = 4.0
-"""Velocity in widths below which a mass sticks at the start of a step: there the smoothed sign is 0.97."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class JumpLine:
-    """The line over each step and its slopes, (n,) each.
-
-    Attributes:
-        start: Value at the start of the step.
-        end: Value at its end.
-        start_by_before: Slope of `start` by the velocity at the start of the step.
-        start_by_after: Slope of `start` by the velocity at its end.
-        start_by_change: Slope of `start` by the change of velocity that the law makes in a step.
-        end_by_before: Slope of `end` by the velocity at the start of the step.
-        end_by_after: Slope of `end` by the velocity at its end.
-        end_by_change: Slope of `end` by that change.
-        lift: What to add to the law at the start of the step for its value at that moment: while a mass sticks, the
-            law at a time is the mean over the step before, and half of the rise to the next one is missing.
-        lift_by_before: Slope of `lift` by the velocity at the start of the step.
-        lift_by_after: Slope of `lift` by the velocity at its end.
-        lift_by_change: Slope of `lift` by that change.
-    """
-
-    start: FloatArray
-    end: FloatArray
-    start_by_before: FloatArray
-    start_by_after: FloatArray
-    start_by_change: FloatArray
-    end_by_before: FloatArray
-    end_by_after: FloatArray
-    end_by_change: FloatArray
-    lift: FloatArray
-    lift_by_before: FloatArray
-    lift_by_after: FloatArray
-    lift_by_change: FloatArray
+    path = np.concatenate([_straight(before, after, width), np.zeros((2, 1, len(before)))], axis=1)
+    lift = np.zeros((4, len(before)))
+    size = np.asarray(change, dtype=float) + np.zeros_like(before)
+    if np.any(size > 0.0):
+        bend = (RESOLVED * np.asarray(width)) ** 2
+        share, share_by_change = size**2 / (size**2 + bend), 2.0 * size * bend / (size**2 + bend) ** 2
+        apart = _under_load(before, after, width, size) - path
+        path = path + share * apart
+        path[:, 3] += share_by_change * apart[:, 0]
+        rise = _rise_of_stuck(before, after, width)
+        lift[:3], lift[3] = share * rise, share_by_change * rise[0]
+    mean, moment = path
+    return JumpLine(start=mean - 6.0 * moment, end=mean + 6.0 * moment, lift=lift)
 
 
 def jump(x: FloatArray, width: float | FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,54 +121,52 @@ def jump(x: FloatArray, width: float | FloatArray) -> tuple[FloatArray, FloatArr
     return value, (1.0 - value) * (1.0 + value) / size
 
 
-def jump_line(
-    before: FloatArray, after: FloatArray, width: float | FloatArray, *, change: float | FloatArray = 0.0
-) -> JumpLine:
-    """The line that stands for the law over each step.
+def _straight(before: FloatArray, after: FloatArray, width: float | FloatArray) -> FloatArray:
+    """Mean and moment on a straight path, (2, 3, n): each with its slopes by the velocity before and after."""
+    rise = after - before
+    middle = 0.5 * (before + after)
+    near = np.abs(rise) <= NEAR * np.hypot(middle, width)
+    series = _series(middle, rise, width)
+    rise = np.where(near, 1.0, rise)
+    F0, F1 = np.hypot(before, width), np.hypot(after, width)
+    value_before, value_after = before / np.maximum(F0, TINY), after / np.maximum(F1, TINY)
+    S0 = 0.5 * (before * F0 + width**2 * np.arcsinh(before / width))
+    S1 = 0.5 * (after * F1 + width**2 * np.arcsinh(after / width))
+    half, area = (F1 + F0) / 2.0, (S1 - S0) / rise
+    mean, moment = (F1 - F0) / rise, (half - area) / rise
+    exact = [
+        [mean, (mean - value_before) / rise, (value_after - mean) / rise],
+        [
+            moment,
+            (value_before / 2.0 + (half + F0 - 2.0 * area) / rise) / rise,
+            (value_after / 2.0 - (half + F1 - 2.0 * area) / rise) / rise,
+        ],
+    ]
+    return np.where(near, series, exact)
 
-    Args:
-        before: (n,) velocity at the start of each step.
-        after: (n,) at its end.
-        width: Where the law bends, in the unit of the velocity, one for all or (n,); more than 0.
-        change: Velocity that the law takes away in a step, one for all or (n,); at least 0.
 
-    Returns:
-        The line and its slopes.
+def _series(middle: FloatArray, rise: FloatArray, width: float | FloatArray) -> list[list[FloatArray]]:
+    """The same over a small rise."""
+    size = np.maximum(np.hypot(middle, width), TINY)
+    x, w, r = middle / size, np.square(width / size), rise / size  # f = x, and its derivatives in units of the size
+    xx, rr = x * x, r * r
+    f1, f2, f3 = w, -3.0 * w * x, w * (12.0 * xx - 3.0 * w)
+    f4 = w * x * (45.0 * w - 60.0 * xx)
+    mean = x + rr * (f2 / 24.0 + f4 * rr / 1920.0)
+    mean_middle, mean_rise = (f1 + f3 * rr / 24.0) / size, r * (f2 / 12.0 + f4 * rr / 480.0) / size
+    moment = r * (f1 / 12.0 + f3 * rr / 480.0)
+    moment_middle, moment_rise = r * (f2 / 12.0 + f4 * rr / 480.0) / size, (f1 / 12.0 + f3 * rr / 160.0) / size
+    return [
+        [mean, 0.5 * mean_middle - mean_rise, 0.5 * mean_middle + mean_rise],
+        [moment, 0.5 * moment_middle - moment_rise, 0.5 * moment_middle + moment_rise],
+    ]
 
-    Example:
-        >>> line = jump_line(np.array([1.0]), np.array([-3.0]), 1e-9)
-        >>> (0.5 * (line.start + line.end)).round(6)  # a quarter of the step forwards, three back
-        array([-0.5])
-        >>> line = jump_line(np.array([0.1]), np.array([0.0]), 1e-9, change=10.0)  # stops, and sticks without a load
-        >>> (0.5 * (line.start + line.end)).round(2)
-        array([0.])
+
+def _under_load(before: FloatArray, after: FloatArray, width: float | FloatArray, change: FloatArray) -> FloatArray:
+    """Mean and moment under a constant load, (2, 4, n): as on a straight path, with the slope by the change.
+
+    `ahead`: velocity at the end in the direction of the start.
     """
-    straight = straight_path(before, after, width)
-    size = np.asarray(change, dtype=float) + np.zeros_like(before)
-    if not np.any(size > 0.0):
-        return _line(straight, np.zeros_like(before), np.zeros_like(before), _no_lift(before))
-    held = _under_load(before, after, width, size)
-    bend = (RESOLVED * np.asarray(width)) ** 2
-    share = size**2 / (size**2 + bend)
-    share_by_change = 2.0 * size * bend / (size**2 + bend) ** 2
-    path = PathMoments(
-        *(share * one + (1.0 - share) * other for one, other in zip(held.path.parts, straight.parts, strict=True))
-    )
-    mean_by_change = share * held.mean_by_change + share_by_change * (held.path.mean - straight.mean)
-    moment_by_change = share * held.moment_by_change + share_by_change * (held.path.moment - straight.moment)
-    lift = _lift(before, after, width)
-    return _line(path, mean_by_change, moment_by_change, (*(share * one for one in lift), share_by_change * lift[0]))
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Held:
-    path: PathMoments
-    mean_by_change: FloatArray
-    moment_by_change: FloatArray
-
-
-def _under_load(before: FloatArray, after: FloatArray, width: float | FloatArray, change: FloatArray) -> _Held:
-    """Mean and moment under a constant load. `ahead`: velocity at the end in the direction of the start."""
     direction = np.where(before < 0.0, -1.0, 1.0)
     start, ahead = np.abs(before), direction * after
     sign, slope = jump(ahead, width)
@@ -245,57 +177,30 @@ def _under_load(before: FloatArray, after: FloatArray, width: float | FloatArray
     t = 2.0 * start / (total + root)
     t_start, t_back, t_change = (1.0 - t) / root, -t / root, -2.0 * t * (1.0 - t) / root
     behind, lever = 1.0 - forward, 1.0 - 2.0 * t
-    mean = 2.0 * forward * (1.0 - t) + 2.0 * t - 1.0
-    moment = -behind * t * (1.0 - t)
-    return _Held(
-        path=PathMoments(
-            direction * mean,
-            2.0 * behind * t_start,
-            2.0 * forward_by * (1.0 - t) + 2.0 * behind * t_back * back_by,
-            direction * moment,
-            -behind * lever * t_start,
-            forward_by * t * (1.0 - t) - behind * lever * t_back * back_by,
-        ),
-        mean_by_change=direction * 2.0 * behind * t_change,
-        moment_by_change=-direction * behind * lever * t_change,
+    return np.array(
+        [
+            [
+                direction * (2.0 * forward * (1.0 - t) + 2.0 * t - 1.0),
+                2.0 * behind * t_start,
+                2.0 * forward_by * (1.0 - t) + 2.0 * behind * t_back * back_by,
+                direction * 2.0 * behind * t_change,
+            ],
+            [
+                -direction * behind * t * (1.0 - t),
+                -behind * lever * t_start,
+                forward_by * t * (1.0 - t) - behind * lever * t_back * back_by,
+                -direction * behind * lever * t_change,
+            ],
+        ]
     )
 
 
-def _lift(
-    before: FloatArray, after: FloatArray, width: float | FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Half of the law's rise over the step where the mass sticks at its start, and its slopes by both velocities."""
+def _rise_of_stuck(before: FloatArray, after: FloatArray, width: float | FloatArray) -> FloatArray:
+    """Half of the law's rise over the step where the mass sticks at its start, and its slopes, (3, n)."""
     sign_before, slope_before = jump(before, width)
     sign_after, slope_after = jump(after, width)
     reach = np.square(before / (STUCK * np.asarray(width)))
     stuck = 1.0 / (1.0 + reach**2)
     stuck_by = -4.0 * stuck**2 * reach * before / (STUCK * np.asarray(width)) ** 2
     rise = 0.5 * (sign_after - sign_before)
-    return stuck * rise, stuck_by * rise - 0.5 * stuck * slope_before, 0.5 * stuck * slope_after
-
-
-def _no_lift(like: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    none = np.zeros_like(like)
-    return none, none, none, none
-
-
-def _line(
-    path: PathMoments,
-    mean_by_change: FloatArray,
-    moment_by_change: FloatArray,
-    lift: tuple[FloatArray, ...],
-) -> JumpLine:
-    return JumpLine(
-        start=path.mean - 6.0 * path.moment,
-        end=path.mean + 6.0 * path.moment,
-        start_by_before=path.mean_by_before - 6.0 * path.moment_by_before,
-        start_by_after=path.mean_by_after - 6.0 * path.moment_by_after,
-        start_by_change=mean_by_change - 6.0 * moment_by_change,
-        end_by_before=path.mean_by_before + 6.0 * path.moment_by_before,
-        end_by_after=path.mean_by_after + 6.0 * path.moment_by_after,
-        end_by_change=mean_by_change + 6.0 * moment_by_change,
-        lift=lift[0],
-        lift_by_before=lift[1],
-        lift_by_after=lift[2],
-        lift_by_change=lift[3],
-    )
+    return np.array([stuck * rise, stuck_by * rise - 0.5 * stuck * slope_before, 0.5 * stuck * slope_after])

@@ -1,12 +1,7 @@
-"""The force of a law without memory, from its value and slopes.
+"""What laws without memory share: force from value and slopes, contact, finite motion, the step of a stiff flow.
 
-Contact, sharp and smooth, and motion cut where the powers in a law would overflow.
-
-A law with a corner gives Newton steps two slopes to jump between. A width of 0 gives the sharp law exactly.
-
-Lengths to start from: where a share of the motion stays below.
-
-How much of the force at the end of a step a stiff flow has over the step, so that it neither rings nor runs astray.
+A law with a corner gives Newton steps two slopes to jump between, so contact is smoothed; a width of 0 gives the sharp
+law exactly.
 
 A level that a flow calls back, h' = -s h, dies down by exp(-z) in a step dt, z = s dt. With the share theta of the flow
 at the end of the step in its mean over the step it dies down by (1 - (1 - theta) z) / (1 + theta z). A line between
@@ -27,7 +22,7 @@ import numpy as np
 from modal.effects.effect import Force, Motion
 from okid.arrays import FloatArray
 
-__all__ = ["LARGEST", "WALL", "cut_to_finite", "levels", "memoryless", "positive_part", "share_of_end"]
+__all__ = ["LARGEST", "WALL", "cut_to_finite", "least_length", "levels", "memoryless", "positive_part", "share_of_end"]
 
 
 def memoryless(
@@ -61,12 +56,20 @@ def memoryless(
 
 
 LARGEST = 1e60
-"""Motion beyond this is cut there: a run that diverges is rejected by its size, and no law overflows on the way."""
+"""Cut motion beyond this: a run that diverges is rejected by its size, and no law overflows on the way."""
+
+SHORTEST = 1e-12
+"""Count no length that shapes a law as less than this share of the scale: below it the law is at its limit."""
 
 
 def cut_to_finite(motion: FloatArray) -> FloatArray:
     """Displacement or velocity, cut at +-`LARGEST` so that its powers stay finite."""
     return np.clip(motion, -LARGEST, LARGEST)
+
+
+def least_length(scale: float) -> float:
+    """The least length that shapes a law, for motion of this scale."""
+    return max(SHORTEST * scale, 1.0 / LARGEST)
 
 
 def positive_part(x: FloatArray, width: float | FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,7 +119,7 @@ def levels(motion: FloatArray, shares: Sequence[float]) -> tuple[float, ...]:
 
 
 WALL = 1e4
-"""Stiffness z beyond which a limit is a wall: the level over it is then less than a ten thousandth of what it would
+"""Call a limit stiffer than this z a wall: the level over it is then less than a ten thousandth of what it would
 have risen by in a step; at a hundred times that Newton's steps are lost in rounding."""
 
 

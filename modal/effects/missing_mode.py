@@ -12,15 +12,14 @@ import numpy as np
 import scipy
 
 from modal.effects.effect import N_PEAKS, Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
+from modal.simulation.tolerances import UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
 __all__ = ["MissingMode"]
 
 RATIOS = (1.0, 0.9, 1.11)
-"""Frequencies to start from, by each peak: an absorber splits the resonance of its host, so its own frequency lies
+"""Start from these frequencies, by each peak: an absorber splits the resonance of its host, so its own frequency lies
 between two peaks, and each peak is off by about the root of the mass ratio."""
-DAMPING = 0.02
-"""Damping ratio to start from."""
 
 
 def _flow(frequency: float, damping: float, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -97,7 +96,7 @@ class MissingMode(ForceEffect):
             role="shape",
         ),
     )
-    neutral = (0.0, 1.0, DAMPING)
+    neutral = (0.0, 1.0, UNDAMPED_DEVIATION)
     family = "narrow band"
     signature = "narrow band, same relative size at every level"
     reference = "Ormondroyd, Den Hartog, Transactions of the ASME 50, 1928, 9-22"
@@ -111,7 +110,7 @@ class MissingMode(ForceEffect):
         peaks = tuple(peak for peak in situation.residual_frequencies[:N_PEAKS] if peak > 0.0)
         if not peaks and motion.displacement_scale > 0.0 and motion.velocity_scale > 0.0:
             peaks = (motion.velocity_scale / (2.0 * np.pi * motion.displacement_scale),)  # Rice: rate of up-crossings
-        return tuple((1.0, ratio * peak, DAMPING) for peak in peaks for ratio in RATIOS)
+        return tuple((1.0, ratio * peak, UNDAMPED_DEVIATION) for peak in peaks for ratio in RATIOS)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force of spring and damper on the place, and its derivatives."""

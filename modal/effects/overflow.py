@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepValue, Values
 from modal.effects.memoryless import WALL, memoryless, positive_part, share_of_end
 from okid.arrays import FloatArray
 
 __all__ = ["Overflow"]
 
 QUANTILES = (0.95, 0.9, 0.8, 0.65)
-"""Shares of the samples below the brims to start from."""
+"""Start from brims that these shares of the samples stay below."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +46,6 @@ class Overflow(ForceEffect):
     family = "flow"
     signature = "level flat at the top"
     reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
-    needs = frozenset({"displacement"})
     acts_at = "flow"
     is_brim = True
 
@@ -79,14 +78,18 @@ class Overflow(ForceEffect):
         by_parameter = np.expand_dims(of_start, -1) * start.by_parameter + np.expand_dims(of_end, -1) * end.by_parameter
         by_parameter[:, 0] += 2.0 * stiffer * softer * before.step_compliance * (end.value - start.value)
         return StepForce(
-            start=of_start * start.value + of_end * end.value,
-            end=end.value,
-            start_by_before=of_start * start.by_displacement,
-            start_by_after=of_end * end.by_displacement,
-            end_by_before=np.zeros_like(end.value),
-            end_by_after=end.by_displacement,
-            start_by_parameter=by_parameter,
-            end_by_parameter=end.by_parameter,
+            start=StepValue(
+                value=of_start * start.value + of_end * end.value,
+                by_before=of_start * start.by_displacement,
+                by_after=of_end * end.by_displacement,
+                by_parameter=by_parameter,
+            ),
+            end=StepValue(
+                value=end.value,
+                by_before=np.zeros_like(end.value),
+                by_after=end.by_displacement,
+                by_parameter=end.by_parameter,
+            ),
             reads="displacement",
         )
 

@@ -12,11 +12,11 @@ from okid.arrays import FloatArray
 __all__ = ["PeriodicDisturbance"]
 
 OFF_PEAK = 1.0 / 3.0
-"""The highest peak is also tried this share of a spectral line 1 / longest to either side: a peak is known to half a
+"""Try the highest peak also this share of a spectral line 1 / longest to either side: a peak is known to half a
 line only, where a sine that is off by half a line loses 59 % of its power and one off by a sixth of a line 9 %."""
 
 FEWEST_PERIODS = 3.0
-"""A sine with fewer periods in the longest record bends like a drift: nothing shows that it repeats."""
+"""Try no sine with fewer periods in the longest record: it bends like a drift, and nothing shows that it repeats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import cut_to_finite, memoryless
+from modal.effects.memoryless import SHORTEST, cut_to_finite, memoryless
 from okid.arrays import FloatArray
 
 __all__ = ["PowerLawFlow"]
 
 EXPONENTS = (0.5, 1.5, 2.0)
-"""A free outlet, a weir, and a turbulent inflow."""
-CORNER = 1e-12
-"""Least rounding of the corner at zero level, as a share of the scale: the slope |h|^(exponent - 1) stays finite."""
+"""Start from these powers: a free outlet, a weir, and a turbulent inflow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +29,7 @@ class PowerLawFlow(ForceEffect):
     which is the flow by the power of the level less a linear outflow that the model has and the tank does not. The
     flow at one level, the power and what is taken back are three numbers, so that the law is the same in every unit and
     on every record. Where the linear outflow of the model is a parameter itself, only its difference to `linear` can be
-    told. The corner at h = 0 is rounded: |h| becomes sqrt(h^2 + (smoothing scale)^2).
+    told. The corner at h = 0 is rounded, so that the slope stays finite: |h| becomes sqrt(h^2 + (smoothing scale)^2).
 
     Parameters: coefficient [flow, at a level of 1], not negative; exponent [-], 0.05 to 3; linear [flow / level], not
     negative.
@@ -61,7 +59,6 @@ class PowerLawFlow(ForceEffect):
     family = "flow"
     signature = "time constant changes with the level"
     reference = "Schoukens, Noël, IFAC-PapersOnLine 50(1), 2017, doi 10.1016/j.ifacol.2017.08.071"
-    needs = frozenset({"displacement"})
     acts_at = "flow"
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
@@ -82,7 +79,7 @@ class PowerLawFlow(ForceEffect):
         coefficient, exponent, linear = values
         h = cut_to_finite(motion.displacement)
         scale = motion.displacement_scale if motion.displacement_scale > 0.0 else 1.0
-        size = np.hypot(h, np.maximum(motion.smoothing, CORNER) * scale)
+        size = np.hypot(h, np.maximum(motion.smoothing, SHORTEST) * scale)
         factor = size ** (exponent - 1.0)
         power = h * factor
         by_level = factor * (1.0 + (exponent - 1.0) * (h / size) ** 2)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import cut_to_finite, memoryless
 
 __all__ = ["QuadraticDrag"]
@@ -38,10 +38,6 @@ class QuadraticDrag(ForceEffect):
     signature = "odd lines; damping rises with the level"
     reference = "Morison et al. 1950, doi 10.2118/950149-G"
     needs = frozenset({"velocity"})
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

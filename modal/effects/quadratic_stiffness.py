@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import cut_to_finite, memoryless
 
 __all__ = ["QuadraticStiffness"]
@@ -34,10 +34,6 @@ class QuadraticStiffness(ForceEffect):
     family = "even stiffness"
     signature = "even lines, second harmonic, static shift that grows with the square of the level"
     reference = "Nayfeh, Mook 1979, doi 10.1002/9783527617586"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

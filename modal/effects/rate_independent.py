@@ -1,13 +1,9 @@
 """Laws with memory that depend on the way the displacement takes and not on its pace.
 
 Over a straight stretch of the displacement such a law moves its state from z to z' (a `Leg`); a step that turns round
-is two stretches, to the turning point and back.
-
-Where the motion turns round between two samples.
-
-A law with memory depends on the peaks that it has seen. Samples miss them: at 30 samples a cycle by up to 0.5 % of the
-amplitude, which is several per cent of the stretch at which a link gives way that is moved ten times that far.
-Displacement and velocity at both ends of a step tell the peak to fourth order in the step.
+is two stretches, to the turning point and back. The peaks count, and samples miss them: at 30 samples a cycle by up to
+0.5 % of the amplitude, which is several per cent of the stretch at which a link gives way that is moved ten times that
+far. Displacement and velocity at both ends of a step tell the peak to fourth order in the step.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,8 +74,11 @@ def turning_point(before: Motion, after: Motion, dt: float) -> Turning:
     )
 
 
-SETTLED = 36.0
+SETTLED = -float(np.log(np.finfo(float).eps))
 """Stop an exponential approach after so many of its lengths: then its limit is reached to the last digit."""
+
+SHARES = (0.1, 0.3, 0.6, 0.9)
+"""Start from lengths at which a law gives way that these shares of the motion stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

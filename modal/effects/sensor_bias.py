@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import ParameterKind, SensorEffect, Situation, Values
+from modal.effects.effect import ParameterKind, SensorEffect, Values
 from okid.arrays import FloatArray
 
 __all__ = ["SensorBias"]
@@ -42,14 +42,6 @@ class SensorBias(SensorEffect):
     family = "offset"
     signature = "zero frequency in one channel, same absolute size at every level"
     reference = "Bendat, Piersol, Random Data, 4th ed., 2010"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - one start in any case
-        """One: both parameters enter linearly."""
-        return ((1.0, 1.0),)
-
-    def gain(self, values: Values) -> float | FloatArray:  # noqa: ARG002 - a bias leaves the gain alone
-        """1: the output keeps its size."""
-        return 1.0
 
     def offset(self, values: Values, time: FloatArray) -> FloatArray:
         """The offset and the drift, (n,)."""

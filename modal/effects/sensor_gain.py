@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import ParameterKind, SensorEffect, Situation, Values
+from modal.effects.effect import ParameterKind, SensorEffect, Values
 from okid.arrays import FloatArray
 
 __all__ = ["SensorGain"]
@@ -39,17 +39,9 @@ class SensorGain(SensorEffect):
     signature = "flat ratio in one channel, same at every level"
     reference = "Ewins, Modal Testing, 2nd ed., 2000"
 
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - one start in any case
-        """The neutral gain: the screen's column is the derivative there."""
-        return (self.neutral,)
-
     def gain(self, values: Values) -> float | FloatArray:
         """The factor."""
         return values[0]
-
-    def offset(self, values: Values, time: FloatArray) -> FloatArray:  # noqa: ARG002 - a gain adds nothing
-        """Zeros, (n,)."""
-        return np.zeros_like(time)
 
     def by_parameter(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:  # noqa: ARG002 - linear
         """The true output, (n, 1)."""

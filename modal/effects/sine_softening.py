@@ -6,17 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import cut_to_finite, memoryless
+from modal.effects.memoryless import cut_to_finite, least_length, memoryless
 from okid.arrays import FloatArray
 
 __all__ = ["SineSoftening"]
 
 LENGTHS = (1.0, 3.0)
-"""Length scales to start from, in units of the largest displacement."""
-SHORTEST = 1e-9
-"""Least length scale, as a share of the displacement scale: the sine is then lost and the law takes the spring away."""
+"""Start from these length scales, in units of the largest displacement."""
 STRAIGHT = 1e-2
-"""d / length_scale below which sine less angle is taken from its series."""
+"""Take sine less angle from its series below this d / length_scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +62,7 @@ class SineSoftening(ForceEffect):
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
         d, k = cut_to_finite(motion.displacement), motion.stiffness
-        length = np.maximum(values[0], max(SHORTEST * motion.displacement_scale, 1e-100))
+        length = np.maximum(values[0], least_length(motion.displacement_scale))
         angle = d / length
         missing = _sine_less_angle(angle)
         # length x missing, written so that an infinite length gives 0 and not infinity x 0

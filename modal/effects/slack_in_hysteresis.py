@@ -7,13 +7,10 @@ import numpy as np
 
 from modal.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
 from modal.effects.memoryless import levels, positive_part
-from modal.effects.rate_independent import Leg, advance_along, stop_operator
+from modal.effects.rate_independent import SHARES, Leg, advance_along, stop_operator
 from okid.arrays import FloatArray
 
 __all__ = ["SlackInHysteresis"]
-
-SHARES = (0.1, 0.3, 0.6)
-"""Shares of the motion that stay below the yield displacements and slacks to start from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +70,7 @@ class SlackInHysteresis(ForceEffect):
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
         """One start for each pair of a yield displacement and a slack."""
-        lengths = levels(situation.motion.displacement, SHARES)
+        lengths = levels(situation.motion.displacement, SHARES[:3])
         return tuple((1.0, length, slack) for length in lengths for slack in lengths)
 
     def force(self, values: Values, motion: Motion) -> Force:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
 from modal.effects.memoryless import memoryless
 
 __all__ = ["TimeVaryingStiffness"]
@@ -36,10 +36,6 @@ class TimeVaryingStiffness(ForceEffect):
     family = "drifting stiffness"
     signature = "the gap grows in time, in proportion the same at every level"
     reference = "Poulimenos, Fassois 2006, doi 10.1016/j.ymssp.2005.10.003"
-
-    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - no shape to choose
-        """One start: the law has no shape."""
-        return ((1.0,),)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

@@ -4,8 +4,6 @@ Unknowns come in two kinds. Common to all records: the linear parameters, the ef
 direction of a force is not known, its components. Of each record: its initial state and what an effect has of its own
 in each record (the phase of a disturbance).
 
-The drive after the effects at the inputs, and which outputs it leaves unknown.
-
 A delayed drive comes from before the record at first, where nothing is known of it. The initial state makes up for that
 from then on; until then the outputs are as good as missing. Where a record starts without a drive there was none.
 """
@@ -184,8 +182,9 @@ class Assembly:
         lower = [parameter.lower for parameter in self.plant.parameters]
         upper = [parameter.upper for parameter in self.plant.parameters]
         for item in self.placements:
-            lower += [_bound(item, j, item.effect.parameters[j].lower) for j in item.common]
-            upper += [_bound(item, j, item.effect.parameters[j].upper) for j in item.common]
+            kinds, neutral = item.effect.parameters, item.effect.neutral
+            lower += [neutral[j] if j in item.held else kinds[j].lower for j in item.common]
+            upper += [neutral[j] if j in item.held else kinds[j].upper for j in item.common]
             lower += [-np.inf] * item.n_directions
             upper += [np.inf] * item.n_directions
         return np.array(lower), np.array(upper)
@@ -206,10 +205,6 @@ class Assembly:
             scales = (item.displacement_scale, *[item.velocity_scale] * max(item.n_memory - 1, 0))
             deviation[first : first + item.n_memory] = scales[: item.n_memory]
         return deviation
-
-
-def _bound(item: EffectPlacement, j: int, bound: float) -> float:
-    return item.effect.neutral[j] if j in item.held else bound
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -251,10 +246,11 @@ def place_effect(
     Raises:
         KeyError: If the plant has no such place for this kind of effect.
     """
-    if isinstance(effect, InputEffect):
-        return EffectPlacement(effect=effect, where=where, channel=_index(plant.input_names, where))
-    if isinstance(effect, SensorEffect):
-        return EffectPlacement(effect=effect, where=where, channel=_index(plant.output_names, where))
+    if not isinstance(effect, ForceEffect):
+        names = plant.input_names if isinstance(effect, InputEffect) else plant.output_names
+        if where not in names:
+            raise KeyError(where)
+        return EffectPlacement(effect=effect, where=where, channel=names.index(where))
     return EffectPlacement(
         effect=effect,
         where=where,
@@ -262,12 +258,6 @@ def place_effect(
         displacement_scale=displacement_scale,
         velocity_scale=velocity_scale,
     )
-
-
-def _index(names: tuple[str, ...], where: str) -> int:
-    if where not in names:
-        raise KeyError(where)
-    return names.index(where)
 
 
 def assemble(plant: Plant, placements: Sequence[EffectPlacement] = ()) -> Assembly:
@@ -283,9 +273,9 @@ def initial_unknowns(assembly: Assembly, n_records: int) -> Unknowns:
 
 
 STILL = 0.01
-"""A drive that starts below this share of its root mean square was none before."""
+"""Take a drive that starts below this share of its root mean square for none before."""
 MOST = 10
-"""A record is left out up to this part of it."""
+"""Leave out no more than this part of a record."""
 
 
 def per_time(value: FloatArray, drive: Drive) -> FloatArray:
@@ -309,16 +299,12 @@ def drive_inputs(assembly: Assembly, unknowns: Unknowns, drive: Drive, *, first:
         for record in range(drive.n_records):
             times = drive.times_of(record)
             at = (times, item.channel)
-            _leave_out(present, drive, record, effect.unheard(values, drive.dt), started=_started(start[at]))
-            felt = effect.at_samples(values, sample[at], start[at], end[at], drive.dt)
+            felt = start[at]
+            started = bool(felt.size) and abs(float(felt[0])) > STILL * float(np.sqrt(np.mean(felt**2)))
+            _leave_out(present, drive, record, effect.unheard(values, drive.dt), started=started)
+            sample[at] = effect.at_samples(values, sample[at], start[at], end[at], drive.dt)
             start[at], end[at] = effect.apply(values, start[at], end[at], drive.dt)
-            sample[at] = felt
     return replace(drive, start=start, end=end, sample=sample, present=present)
-
-
-def _started(drive: FloatArray) -> bool:
-    """Whether a record's drive has begun at its first time."""
-    return bool(drive.size) and abs(float(drive[0])) > STILL * float(np.sqrt(np.mean(drive**2)))
 
 
 def _leave_out(present: BoolArray, drive: Drive, record: int, unheard: tuple[int, int], *, started: bool) -> None:

@@ -3,8 +3,6 @@
 Each step k -> k+1 has the input at its start and at its end: equal under a zero-order hold, the two samples under a
 linear hold. A band-limited input is interpolated and each step gets the line that has the input's own mean and slope
 over the step, so that the steps do not pose as a gain (a plain line loses (w dt)^2 / 12 of a sine).
-
-How many steps of the simulation a sample needs.
 """
 
 from collections.abc import Sequence
@@ -13,15 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.simulation.plant import Plant, plant_matrices
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 
 __all__ = ["Drive", "drive_of", "steps_per_sample"]
 
 IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
 
-SILENT = 1e-150
-"""Level of a record without any input: its laws are smoothed as those of the records together."""
+SILENT = float(np.sqrt(TINY))
+"""Smooth the laws of a record without any input, whose level is this, as those of the records together."""
 INTERPOLATION_REACH = 32
 """Weigh so many samples on either side of a time between samples of a band-limited input."""
 KAISER_BETA = 9.0
@@ -193,11 +191,12 @@ def _interpolated(u: FloatArray, factor: int) -> FloatArray:
 
 
 STEPS_PER_PERIOD = 16.0
-"""A force that is taken as a straight line over each step is off by (2 pi / steps)^2 / 12 of itself at the highest
-resonance: 1.3 % at 16 steps."""
-
+"""Take so many steps a period of the highest resonance: a force that is a straight line over each is off by
+(2 pi / steps)^2 / 12 of itself there, 1.3 % at 16 steps."""
 BAND_LIMITED_STEPS = 30.0
+"""Take so many where the input is band-limited."""
 MOST_STEPS = 6
+"""Take no more steps a sample."""
 
 
 def steps_per_sample(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> int:

@@ -1,9 +1,5 @@
 """Each force of a model along a trajectory: its value, its line over the steps, its memory, and where it enters.
 
-Motion at the places of forces, along a trajectory.
-
-The straight line that stands for a force over each step, and how it depends on the states at both ends.
-
 A force enters a step as E0 start + E1 end. Its values at the ends would do to second order; with the force in the
 middle of the step, w_m, the line is lifted by c = 2/3 (w_m - (w0 + w1)/2), which gives it the force's own mean to
 fourth order (Simpson's rule): at 16 steps a period what is left is below a thousandth. A law that jumps, or that stops
@@ -13,12 +9,11 @@ A force sees the states only through the motion at its port: displacement, veloc
 rows of them (`port_rows`). Dependences are kept by these few coordinates, time last.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Memory, Motion, StepForce, jumps
+from modal.effects.effect import Force, ForceEffect, Memory, Motion, StepForce, Values, jumps
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, per_time
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.plant import Plant, Port, plant_matrices
@@ -29,7 +24,6 @@ __all__ = [
     "ActingForce",
     "ForceLine",
     "Heard",
-    "Lift",
     "acting_forces",
     "force_line",
     "midway",
@@ -38,8 +32,11 @@ __all__ = [
     "port_rows",
     "shifted",
     "step_compliance",
-    "step_mobility",
 ]
+
+
+LIFT = 2.0 / 3.0
+"""Lift the line by this share of what the middle of the step lies above it: then its mean is Simpson's."""
 
 
 def shifted(values: FloatArray) -> FloatArray:
@@ -98,14 +95,6 @@ def step_compliance(plant: Plant, port: Port, direction: FloatArray, dt: float) 
     return max(-float(port.displacement[: plant.n_states] @ column) * dt, 0.0)
 
 
-def step_mobility(plant: Plant, port: Port, dt: float) -> float:
-    """Velocity that a force of 1 gives a port within a step; of the model as it was given, likewise."""
-    if port.velocity is None:
-        return 0.0
-    column = plant_matrices(plant, plant.nominal).E[:, port.columns[0]]
-    return abs(float(port.velocity[: plant.n_states] @ column)) * dt
-
-
 def one_on(motion: Motion) -> Motion:
     """Motion at the end of each step."""
     return replace(
@@ -134,20 +123,20 @@ def midway(port: Port, before: Motion, after: Motion, dt: float) -> Motion:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Lift:
-    """What a sensor hears of a force at the start of each step besides its law, over n_times steps.
+class Heard:
+    """What the outputs hear of a force directly: its law, and while it sticks the mean over the steps on both sides.
 
     Attributes:
         value: (n_times,).
         slope: (n_times, n_parameters) derivative by each parameter.
-        by_before: (n_coordinates, n_times) dependence on the coordinates of the port at the start of the step.
-        by_after: (n_coordinates, n_times) dependence on those at its end.
+        by_now: (n_coordinates, n_times) dependence on the coordinates of the port.
+        by_next: (n_coordinates, n_times) dependence on those one time on; None where there is none.
     """
 
     value: FloatArray
     slope: FloatArray
-    by_before: FloatArray
-    by_after: FloatArray
+    by_now: FloatArray
+    by_next: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -171,7 +160,7 @@ class ForceLine:
     end_slope: FloatArray
     by_before: FloatArray
     by_after: FloatArray
-    lift: Lift | None = None
+    lift: Heard | None = None
 
     def flow(self, column_start: FloatArray, column_end: FloatArray) -> FloatArray:
         """What the force adds to each step (n_times, n_states), entering in these columns."""
@@ -194,14 +183,7 @@ def port_rows(port: Port, n_states: int, n_all: int, memory: slice) -> FloatArra
 
 
 def force_line(
-    effect: ForceEffect,
-    values: Sequence[float | FloatArray],
-    port: Port,
-    before: Motion,
-    after: Motion,
-    *,
-    force: Force,
-    dt: float,
+    effect: ForceEffect, values: Values, port: Port, before: Motion, after: Motion, *, force: Force, dt: float
 ) -> ForceLine:
     """The line that stands for a force over each step.
 
@@ -213,20 +195,16 @@ def force_line(
         after: Motion at the end of each step.
         force: The force at the start of each step.
         dt: Step [s].
-
-    Returns:
-        The line.
     """
     jump = effect.step_force(values, before, after)
     if jump is not None:
         return _of_jump(jump, 2 + effect.n_memory)
     here = np.stack([force.by_displacement, force.by_velocity, *force.by_memory.T])
     there = shifted(here.T).T
-    middle = _middle(effect, values, port, before, after, dt=dt)
-    lift = 2.0 / 3.0 * (middle.value - 0.5 * (force.value + shifted(force.value)))
-    slope = 2.0 / 3.0 * (middle.slope - 0.5 * (force.by_parameter + shifted(force.by_parameter)))
-    by_before = 2.0 / 3.0 * (middle.by_before - 0.5 * here)
-    by_after = 2.0 / 3.0 * (middle.by_after - 0.5 * there)
+    value, slope, by_before, by_after = _in_the_middle(effect, values, port, before, after, dt=dt)
+    lift = LIFT * (value - 0.5 * (force.value + shifted(force.value)))
+    slope = LIFT * (slope - 0.5 * (force.by_parameter + shifted(force.by_parameter)))
+    by_before, by_after = LIFT * (by_before - 0.5 * here), LIFT * (by_after - 0.5 * there)
     return ForceLine(
         start=force.value + lift,
         end=shifted(force.value) + lift,
@@ -239,43 +217,32 @@ def force_line(
 
 def _of_jump(jump: StepForce, n_coordinates: int) -> ForceLine:
     read = 0 if jump.reads == "displacement" else 1
-    by_before, by_after = np.zeros((2, n_coordinates, 2, len(jump.start)))
-    by_before[read] = jump.start_by_before, jump.end_by_before
-    by_after[read] = jump.start_by_after, jump.end_by_after
+    by_before, by_after = np.zeros((2, n_coordinates, 2, len(jump.start.value)))
+    by_before[read] = jump.start.by_before, jump.end.by_before
+    by_after[read] = jump.start.by_after, jump.end.by_after
     lift = None
     if jump.lift is not None:
-        lift_before, lift_after = np.zeros((2, n_coordinates, len(jump.start)))
-        lift_before[read], lift_after[read] = jump.lift.by_before, jump.lift.by_after
-        lift = Lift(value=jump.lift.value, slope=jump.lift.by_parameter, by_before=lift_before, by_after=lift_after)
+        by_now, by_next = np.zeros((2, n_coordinates, len(jump.lift.value)))
+        by_now[read], by_next[read] = jump.lift.by_before, jump.lift.by_after
+        lift = Heard(value=jump.lift.value, slope=jump.lift.by_parameter, by_now=by_now, by_next=by_next)
     return ForceLine(
-        start=jump.start,
-        end=jump.end,
-        start_slope=jump.start_by_parameter,
-        end_slope=jump.end_by_parameter,
+        start=jump.start.value,
+        end=jump.end.value,
+        start_slope=jump.start.by_parameter,
+        end_slope=jump.end.by_parameter,
         by_before=by_before,
         by_after=by_after,
         lift=lift,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Middle:
-    value: FloatArray
-    slope: FloatArray
-    by_before: FloatArray
-    by_after: FloatArray
+def _in_the_middle(
+    effect: ForceEffect, values: Values, port: Port, before: Motion, after: Motion, *, dt: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The force in the middle of each step, with the effect's own states advanced half a step.
 
-
-def _middle(
-    effect: ForceEffect,
-    values: Sequence[float | FloatArray],
-    port: Port,
-    before: Motion,
-    after: Motion,
-    *,
-    dt: float,
-) -> _Middle:
-    """The force in the middle of each step, with the effect's own states advanced half a step."""
+    Its value, its slope by each parameter, and its dependence on the coordinates at the start and at the end.
+    """
     between = midway(port, before, after, dt)
     half: Memory | None = None
     if effect.n_memory:
@@ -295,7 +262,7 @@ def _middle(
     for rows, displacement, velocity in ((by_before, d0, v0), (by_after, d1, v1)):
         rows[0] += displacement[0] * by_displacement + displacement[1] * by_velocity
         rows[1] += velocity[0] * by_displacement + velocity[1] * by_velocity
-    return _Middle(value=force.value, slope=slope, by_before=by_before, by_after=by_after)
+    return force.value, slope, by_before, by_after
 
 
 def _weights(port: Port, dt: float) -> tuple[tuple[float, float], ...]:
@@ -305,23 +272,6 @@ def _weights(port: Port, dt: float) -> tuple[tuple[float, float], ...]:
     if port.velocity is None:
         return (0.5, 0.0), (0.5, 0.0), (0.0, 0.0), (0.0, 0.0)
     return (0.5, -1.5 / dt), (0.5, 1.5 / dt), (dt / 8.0, -0.25), (-dt / 8.0, -0.25)
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Heard:
-    """A force as the outputs hear it directly: its law, and while it sticks the mean over the steps on both sides.
-
-    Attributes:
-        value: (n_times,).
-        slope: (n_times, n_parameters) derivative by each parameter.
-        by_now: (n_coordinates, n_times) dependence on the coordinates of the port.
-        by_next: (n_coordinates, n_times) dependence on those one time on; None where there is none.
-    """
-
-    value: FloatArray
-    slope: FloatArray
-    by_now: FloatArray
-    by_next: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -376,23 +326,23 @@ class ActingForce:
         own[0], own[1] = of.by_displacement_after.T, of.by_velocity_after.T
         return np.concatenate([self.line.by_after, own], axis=1)
 
-    def law_alone(self) -> Heard:
-        """The law at every time, as an observer hears it."""
-        by_now = np.stack([self.force.by_displacement, self.force.by_velocity, *self.force.by_memory.T])
-        return Heard(value=self.force.value, slope=self.force.by_parameter, by_now=by_now, by_next=None)
+    def heard(self, lasts: IndexArray | None = None) -> Heard:
+        """The law at every time; with the last time of each record, where it sticks, the mean over the steps.
 
-    def heard(self, lasts: IndexArray) -> Heard:
-        """The force as the outputs hear it; nothing is known of the steps that would leave the last times."""
-        law, lift = self.law_alone(), self.line.lift
-        if lift is None or not self.G.any():
+        Nothing is known of the steps that would leave the last times.
+        """
+        by_now = np.stack([self.force.by_displacement, self.force.by_velocity, *self.force.by_memory.T])
+        law = Heard(value=self.force.value, slope=self.force.by_parameter, by_now=by_now, by_next=None)
+        lift = self.line.lift
+        if lasts is None or lift is None or lift.by_next is None or not self.G.any():
             return law
         known = np.ones(len(law.value))
         known[lasts] = 0.0
         return Heard(
             value=law.value + known * lift.value,
             slope=law.slope + known[:, None] * lift.slope,
-            by_now=law.by_now + known * lift.by_before,
-            by_next=known * lift.by_after,
+            by_now=law.by_now + known * lift.by_now,
+            by_next=known * lift.by_next,
         )
 
 
@@ -408,9 +358,6 @@ def acting_forces(
         scheme: Matrices of one step.
         states: The trajectory (n_times, n_states + n_memory).
         smoothing: Width of sharp laws, as a share of the motion's scale.
-
-    Returns:
-        One entry a force, in the order of `assembly.forces`.
     """
     n, n_all = assembly.plant.n_states, states.shape[1]
     found: list[ActingForce] = []
@@ -423,6 +370,10 @@ def acting_forces(
         values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
         at = assembly.stiffness_parameter(i)
         columns, direction = list(port.columns), unknowns.directions(assembly, i)
+        mobility = 0.0
+        if jumps(effect) and port.velocity is not None:  # of the model as it was given, as for a flow
+            column = plant_matrices(assembly.plant, assembly.plant.nominal).E[:, port.columns[0]]
+            mobility = abs(float(port.velocity[:n] @ column)) * drive.dt
         motion = motion_at(
             item,
             states[:, :n],
@@ -430,7 +381,7 @@ def acting_forces(
             states[:, span],
             smoothing * drive.level,
             stiffness=None if at is None else float(unknowns.common[at]),
-            mobility=step_mobility(assembly.plant, port, drive.dt) if jumps(effect) else 0.0,
+            mobility=mobility,
             step_compliance=step_compliance(assembly.plant, port, direction, drive.dt),
         )
         after = one_on(motion)

@@ -9,8 +9,6 @@ with L = 0 for a free run and a Kalman gain for the observer form. The outputs o
 the step to come as well (`modal.simulation.forces.Heard`), those of an observer, which acts on them at once, the
 law alone.
 
-How each step depends on the states at both its ends, and what that makes of the recursion.
-
 The forces see the states through few rows R (the coordinates of their ports) and enter through few columns U, so
 
     dX[k+1] = A dX[k] + U_y dy[k] + U (K0[k] R dX[k] + K1[k] R dX[k+1])
@@ -21,22 +19,19 @@ of the lines, a few a force (Woodbury): with B[k] = A + U_y H[k]
     dX[k+1] = (I + U Q[k] R) (...)        Q = (I - K1 R U)^-1 K1        M = B + U (Q R B + (I - K1 R U)^-1 K0 R)
 
 Times come last in all arrays, so that every product runs over them at once.
-
-How the outputs depend on the states: the plant's C, and each force that they hear directly.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, Memory
 from modal.simulation.assembly import Assembly, Unknowns, per_time
 from modal.simulation.drive import Drive, IndexArray
-from modal.simulation.forces import ActingForce, ForceLine, Heard, acting_forces
+from modal.simulation.forces import ActingForce, Heard, acting_forces
 from modal.simulation.scheme import Scheme
 from okid.arrays import FloatArray
 
-__all__ = ["Linearisation", "OutputDependence", "StepDependence", "linearise", "step_dependence"]
+__all__ = ["Linearisation", "OutputDependence", "StepDependence", "linearise"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -109,7 +104,7 @@ class StepDependence:
         return forcing + (lines.reshape(-1, n_columns * n_times).T @ self.columns.T).reshape(forcing.shape)
 
 
-def step_dependence(
+def _step_dependence(
     A: FloatArray,
     acting: tuple[ActingForce, ...],
     n_times: int,
@@ -125,9 +120,6 @@ def step_dependence(
         n_times: Number of times.
         lasts: (n_times,) 0 at the last time of each record, 1 elsewhere.
         correction: (n, n, n_times) what an observer adds to A; None for a free run.
-
-    Returns:
-        The dependences.
 
     Raises:
         numpy.linalg.LinAlgError: Where a step has no unique end.
@@ -209,11 +201,8 @@ class Linearisation:
 
     Attributes:
         states: X (n_times, n).
-        forces: Each force at its place, along the trajectory.
-        lines: The line that stands for each force over the steps.
+        acting: Each force along the trajectory.
         heard: Each force as the outputs hear it.
-        memories: Each force's own states one sample on; None where it has none.
-        G: (n_outputs, n_forces) what each force does to the outputs directly.
         steps: How each step depends on the states at both its ends.
         sensors: How the outputs depend on the states.
         free: (n_rows, n_outputs) outputs before the sensors' effects.
@@ -224,11 +213,8 @@ class Linearisation:
     """
 
     states: FloatArray
-    forces: tuple[Force, ...]
-    lines: tuple[ForceLine, ...]
+    acting: tuple[ActingForce, ...]
     heard: tuple[Heard, ...]
-    memories: tuple[Memory | None, ...]
-    G: FloatArray
     steps: StepDependence
     sensors: OutputDependence
     free: FloatArray
@@ -258,16 +244,15 @@ def linearise(
         states: The trajectory (n_times, n_states + n_memory).
         smoothing: Width of sharp laws, as a share of the motion's scale.
         gain: Observer gain L (n_states, n_outputs), or None for a free run.
-        initial: (n_records, n) all states at the start of each record; by default the plant's are unknowns and the
-            effects' own are zero.
+        initial: (n_records, n) all states at the start of each record; by default those among the unknowns.
 
-    Returns:
-        Defects and dependences.
+    Raises:
+        numpy.linalg.LinAlgError: Where a step has no unique end.
     """
     n, n_all, n_times = assembly.plant.n_states, states.shape[1], drive.n_times
     acting = acting_forces(assembly, unknowns, drive, scheme, states, smoothing=smoothing)
     lasts = np.array(drive.firsts[1:]) - 1
-    heard = tuple(one.heard(lasts) if gain is None else one.law_alone() for one in acting)
+    heard = tuple(one.heard(lasts if gain is None else None) for one in acting)
     following = np.zeros((n_times, n_all))
     following[:, :n] = states[:, :n] @ scheme.Ad.T + drive.start @ scheme.B0.T + drive.end @ scheme.B1.T
     free = states[drive.rows, :n] @ scheme.C.T + drive.sample[drive.rows] @ scheme.D.T
@@ -285,30 +270,20 @@ def linearise(
         correction[:n, :, drive.rows] = -np.tensordot(gain, sensors.at_once(n_all) * drive.present.T, axes=(1, 1))
     A, leading = np.zeros((n_all, n_all)), np.ones(n_times)
     A[:n, :n], leading[lasts] = scheme.Ad, 0.0
+    defect, begins = np.empty_like(states), list(drive.firsts[:-1])
+    defect[1:] = following[:-1] - states[1:]
+    defect[begins] = (unknowns.local[:, list(assembly.initial)] if initial is None else initial) - states[begins]
     return Linearisation(
         states=states,
-        forces=tuple(one.force for one in acting),
-        lines=tuple(one.line for one in acting),
+        acting=acting,
         heard=heard,
-        memories=tuple(one.memory for one in acting),
-        G=np.stack([one.G for one in acting], axis=1) if acting else np.zeros((assembly.plant.n_outputs, 0)),
-        steps=step_dependence(A, acting, n_times, lasts=leading, correction=correction),
+        steps=_step_dependence(A, acting, n_times, lasts=leading, correction=correction),
         sensors=sensors,
         free=free,
         outputs=outputs,
-        defect=_defect(
-            drive, states, following, unknowns.local[:, list(assembly.initial)] if initial is None else initial
-        ),
+        defect=defect,
         smoothing=smoothing,
     )
-
-
-def _defect(drive: Drive, states: FloatArray, following: FloatArray, initial: FloatArray) -> FloatArray:
-    defect = np.empty_like(states)
-    defect[1:] = following[:-1] - states[1:]
-    begins = list(drive.firsts[:-1])
-    defect[begins] = initial - states[begins]
-    return defect
 
 
 def _sensed(assembly: Assembly, unknowns: Unknowns, drive: Drive, free: FloatArray) -> tuple[FloatArray, FloatArray]:

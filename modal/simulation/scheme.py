@@ -1,20 +1,20 @@
-"""The exact linear flow over one step, for whatever drives it in a straight line over the step.
+"""One step of the plant, the recursion of all steps as one banded solve, and a count of what the solves cost.
+
+The flow over a step is exact for whatever drives it in a straight line over the step:
 
     x[k+1] = Ad x[k] + B0 u_start + B1 u_end + E0 w[k] + E1 w[k+1]
 
 Ad = exp(A dt), and with P1 = int_0^dt exp(A s) ds and P2 = 1/dt int_0^dt exp(A (dt - s)) s ds: B0 = (P1 - P2) B,
 B1 = P2 B, likewise E. All three come from one exponential (Van Loan 1978, https://doi.org/10.1109/TAC.1978.1101743).
 
-Linear recursions dx[k+1] = M[k] dx[k] + b[k+1] over a whole trajectory as one triangular banded solve.
+A linear recursion dx[k+1] = M[k] dx[k] + b[k+1] over a whole trajectory is a unit lower triangular system of bandwidth
+2n - 1, which LAPACK's `dtbtrs` solves for all right-hand sides at once: no loop over time in Python.
 
-The stacked unknowns obey a unit lower triangular system of bandwidth 2n - 1, which LAPACK's `dtbtrs` solves for all
-right-hand sides at once: no loop over time in Python, whatever the coefficients do.
-
-What a search may cost, in rows of states solved along the records: unlike time, the same on every machine.
+What a search may cost is counted in rows of states solved along the records: unlike time, the same on every machine.
 """
 
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy
@@ -87,39 +87,22 @@ def _flows(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _scheme(matrices: PlantMatrices, Ad: FloatArray, P1: FloatArray, P2: FloatArray) -> Scheme:
-    return Scheme(
-        Ad=Ad,
-        B0=(P1 - P2) @ matrices.B,
-        B1=P2 @ matrices.B,
-        E0=(P1 - P2) @ matrices.E,
-        E1=P2 @ matrices.E,
-        C=matrices.C,
-        D=matrices.D,
-        G=matrices.G,
-    )
+    B, E, P0 = matrices.B, matrices.E, P1 - P2
+    return Scheme(Ad=Ad, B0=P0 @ B, B1=P2 @ B, E0=P0 @ E, E1=P2 @ E, C=matrices.C, D=matrices.D, G=matrices.G)
 
 
 def _slope(above: Scheme, below: Scheme, width: float) -> Scheme:
-    return Scheme(
-        Ad=(above.Ad - below.Ad) / width,
-        B0=(above.B0 - below.B0) / width,
-        B1=(above.B1 - below.B1) / width,
-        E0=(above.E0 - below.E0) / width,
-        E1=(above.E1 - below.E1) / width,
-        C=(above.C - below.C) / width,
-        D=(above.D - below.D) / width,
-        G=(above.G - below.G) / width,
-    )
+    return Scheme(**{one.name: (getattr(above, one.name) - getattr(below, one.name)) / width for one in fields(Scheme)})
 
 
 OVERHEAD = 3000
-"""What a call costs beside its rows, in rows of one state: a march in windows of a few steps is not cheap."""
+"""Count a solve as so many rows of one state beside its own: a march in windows of a few steps is not cheap."""
 
 SHORT = 33_000
-"""Rows of states by which records count as longer: short ones are hardly cheaper, because calls cost most."""
+"""Count records as longer by so many rows of states: short ones are hardly cheaper, because calls cost most."""
 
 SHARE_OF_A_STAGE = 0.7
-"""Share of what is left for one model that its fits in observer form may cost; of the rest, that its free runs may."""
+"""Let a model's fits in observer form cost this share of what is left for it; of the rest, its free runs."""
 
 _done: ContextVar[float] = ContextVar("work done", default=0.0)
 

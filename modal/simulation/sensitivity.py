@@ -3,8 +3,6 @@
 The derivative of the trajectory by any unknown obeys the linearised recursion with the unknown's own forcing, so the
 exact Jacobian of a free run costs one more solve. Unknowns of each record (initial state, phases) are solved together
 for all records, whose recursions do not touch, and split afterwards.
-
-What a parameter of an effect at an input adds to each step and to the outputs, the trajectory held.
 """
 
 from dataclasses import dataclass, replace
@@ -13,119 +11,15 @@ import numpy as np
 
 from modal.simulation.assembly import Assembly, Unknowns, drive_inputs, per_time
 from modal.simulation.drive import Drive
-from modal.simulation.linearisation import Linearisation, linearise
-from modal.simulation.plant import Port
+from modal.simulation.linearisation import linearise
 from modal.simulation.scheme import Scheme, solve_band
 from modal.simulation.trajectory import Trajectory
 from okid.arrays import TINY, FloatArray
 
-__all__ = ["Sensitivity", "Source", "force_response", "input_forcing", "respond", "sensitivity"]
+__all__ = ["Sensitivity", "Source", "force_response", "respond", "sensitivity"]
 
-
-def input_forcing(
-    assembly: Assembly,
-    unknowns: Unknowns,
-    drive: Drive,
-    trajectory: Trajectory,
-    scheme: Scheme,
-    *,
-    placement: int,
-    j: int,
-) -> tuple[FloatArray, FloatArray]:
-    """What parameter j of the effect at an input does by itself.
-
-    Args:
-        assembly: The plant and its effects.
-        unknowns: Values of all unknowns.
-        drive: Inputs as recorded.
-        trajectory: The simulated trajectory.
-        scheme: Matrices of one step.
-        placement: Index of the effect.
-        j: Index of its parameter.
-
-    Returns:
-        (n_times, n) what a unit of it adds to the step that leaves each time, and (n_rows, n_outputs) to the outputs
-        before the sensors' effects.
-    """
-    slopes = _input_slopes(assembly, unknowns, drive, placement, j)
-    about, n = trajectory.linearisation, assembly.plant.n_states
-    if any(_reads_inputs(assembly.placements[i].force_and_port[1], n) for i in assembly.forces):
-        return _through_ports(assembly, unknowns, trajectory, scheme, slopes)
-    start, end, sample = slopes
-    flow = np.zeros_like(about.states)
-    flow[:, :n] = start @ scheme.B0.T + end @ scheme.B1.T
-    return flow, sample[drive.rows] @ scheme.D.T
-
-
-def _reads_inputs(port: Port, n_states: int) -> bool:
-    return any(row is not None and bool(row[n_states:].any()) for row in (port.displacement, port.velocity))
-
-
-def _through_ports(
-    assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, scheme: Scheme, slopes: tuple[FloatArray, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """What a change of the drive does where it also moves ports, the states held: central differences of the steps."""
-    about, drive = trajectory.linearisation, trajectory.drive
-    largest = max(float(np.abs(slope).max(initial=0.0)) for slope in slopes)
-    size = 1e-6 * max(float(np.abs(drive.sample).max(initial=0.0)), TINY) / max(largest, TINY)
-    above, below = (
-        linearise(
-            assembly,
-            unknowns,
-            replace(
-                drive,
-                start=drive.start + step * slopes[0],
-                end=drive.end + step * slopes[1],
-                sample=drive.sample + step * slopes[2],
-            ),
-            scheme,
-            about.states,
-            smoothing=about.smoothing,
-        )
-        for step in (size, -size)
-    )
-    flow = np.zeros_like(about.states)
-    flow[:-1] = (above.defect - below.defect)[1:] / (2.0 * size)
-    return flow, (above.free - below.free) / (2.0 * size)
-
-
-def _input_slopes(
-    assembly: Assembly, unknowns: Unknowns, drive: Drive, placement: int, j: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Derivatives of the drive's start, end and sample by a parameter of an effect at an input."""
-    position = assembly.inputs.index(placement)
-    earlier = replace(assembly, placements=assembly.placements[:placement])
-    later = assembly.inputs[position + 1 :]
-    driven = drive_inputs(earlier, unknowns, drive)
-    channel, effect = assembly.placements[placement].channel, assembly.placements[placement].input_effect
-    values = unknowns.values(assembly, placement)
-    slopes = np.zeros((3, *drive.start.shape))
-    for record in range(drive.n_records):
-        at = (drive.times_of(record), channel)
-        found = effect.by_parameter(values, driven.sample[at], driven.start[at], driven.end[at], drive.dt)
-        for k in range(3):
-            slopes[(k, *at)] = found[k][j]
-    if any(assembly.placements[i].channel == channel for i in later):
-        slopes = _carried(assembly, unknowns, drive, slopes, placement)
-    return slopes[0], slopes[1], slopes[2]
-
-
-def _carried(assembly: Assembly, unknowns: Unknowns, drive: Drive, slopes: FloatArray, placement: int) -> FloatArray:
-    """Derivatives of the drive behind one effect, carried through the effects after it by central differences."""
-    before = drive_inputs(replace(assembly, placements=assembly.placements[: placement + 1]), unknowns, drive)
-    size = 1e-6 * max(float(np.abs(before.sample).max(initial=0.0)), TINY)
-    size /= max(float(np.abs(slopes).max(initial=0.0)), TINY)
-    found = []
-    for sign in (1.0, -1.0):
-        moved = replace(
-            before,
-            start=before.start + sign * size * slopes[0],
-            end=before.end + sign * size * slopes[1],
-            sample=before.sample + sign * size * slopes[2],
-        )
-        after = drive_inputs(assembly, unknowns, moved, first=placement + 1)
-        found.append(np.stack([after.start, after.end, after.sample]))
-    return np.asarray((found[0] - found[1]) / (2.0 * size))
+DRIVE_STEP = 1e-6
+"""Move a drive by this share of its largest value for a central difference: the kinks of its effects stay apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -183,26 +77,28 @@ def sensitivity(
         scheme: Matrices of one step.
         slopes: Their derivative by each linear parameter.
         gain: Observer gain of the trajectory, or None.
-        common: Whether by the common unknowns as well, or by each record's own only.
-
-    Returns:
-        The derivatives.
+        common: Whether by the effects' common unknowns as well, or by each record's own only.
     """
-    about, driven = trajectory.linearisation, trajectory.drive
-    shared = [
-        _linear(about, driven, scheme, slope, assembly=assembly, unknowns=unknowns, j=j)
-        for j, slope in enumerate(slopes)
-    ]
+    shared = [_linear(assembly, unknowns, trajectory, slope=slope, position=j) for j, slope in enumerate(slopes)]
     local = [Source(initial=state) for state in range(assembly.plant.n_states)]
     memory = assembly.plant.n_states
     for i, item in enumerate(assembly.placements):
+
+        def by(j: int, i: int = i) -> Source:
+            if i in assembly.forces:
+                return _force_parameter(assembly, trajectory, i, j)
+            if i in assembly.sensors:
+                return _sensor_parameter(assembly, unknowns, trajectory, i, j)
+            return _input_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j)
+
         local += [Source(initial=memory + own) for own in range(item.n_memory)]
         memory += item.n_memory
-        local += [_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j) for j in item.local]
+        local += [by(j) for j in item.local]
         if common:
-            shared += [_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j) for j in item.common]
-            directions = range(1, 1 + item.n_directions)
-            shared += [_direction(about, driven, scheme, assembly, placement=i, column=column) for column in directions]
+            shared += [by(j) for j in item.common]
+            shared += [
+                _direction(assembly, trajectory, scheme, i, column) for column in range(1, 1 + item.n_directions)
+            ]
     states, outputs = respond(assembly, unknowns, trajectory, [*shared, *local], gain=gain)
     n = len(shared)
     return Sensitivity(common=outputs[:n], local=outputs[n:], common_states=states[:n], local_states=states[n:])
@@ -272,70 +168,44 @@ def _factors(assembly: Assembly, unknowns: Unknowns, drive: Drive) -> FloatArray
     return factors
 
 
-def _linear(
-    about: Linearisation,
-    drive: Drive,
-    scheme: Scheme,
-    slope: Scheme,
-    *,
-    assembly: Assembly,
-    unknowns: Unknowns,
-    j: int,
-) -> Source:
-    n = assembly.plant.n_states
+def _linear(assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, *, slope: Scheme, position: int) -> Source:
+    """What the linear parameter at a position does, `slope` the derivative of the scheme by it."""
+    about, drive, n = trajectory.linearisation, trajectory.drive, assembly.plant.n_states
     states = about.states[:, :n]
     flow = np.zeros_like(about.states)
     flow[:, :n] = states @ slope.Ad.T + drive.start @ slope.B0.T + drive.end @ slope.B1.T
     outputs = states[drive.rows] @ slope.C.T + drive.sample[drive.rows] @ slope.D.T
-    for i, line, heard in zip(assembly.forces, about.lines, about.heard, strict=True):
+    for i, one, heard in zip(assembly.forces, about.acting, about.heard, strict=True):
         effect, port = assembly.placements[i].force_and_port
-        columns, direction = list(port.columns), unknowns.directions(assembly, i)
-        flow[:, :n] += line.flow(slope.E0[:, columns] @ direction, slope.E1[:, columns] @ direction)
-        outputs += heard.value[drive.rows, None] * (slope.G[:, columns] @ direction)
-        if effect.per_stiffness and assembly.stiffness_parameter(i) == j:
-            k = float(unknowns.common[j])
-            flow[:, :n] += line.flow(scheme.E0[:, columns] @ direction, scheme.E1[:, columns] @ direction) / k
-            outputs += heard.value[drive.rows, None] * (scheme.G[:, columns] @ direction) / k
+        direction = unknowns.directions(assembly, i)
+        E0, E1, G = (matrix[:, list(port.columns)] @ direction for matrix in (slope.E0, slope.E1, slope.G))
+        if effect.per_stiffness and assembly.stiffness_parameter(i) == position:
+            k = float(unknowns.common[position])
+            E0, E1, G = E0 + one.E0 / k, E1 + one.E1 / k, G + one.G / k
+        flow[:, :n] += one.line.flow(E0, E1)
+        outputs += heard.value[drive.rows, None] * G
     return Source(flow=flow, outputs=outputs)
 
 
-def _parameter(
-    assembly: Assembly,
-    unknowns: Unknowns,
-    drive: Drive,
-    trajectory: Trajectory,
-    scheme: Scheme,
-    *,
-    placement: int,
-    j: int,
-) -> Source:
-    if placement in assembly.forces:
-        return _force_parameter(assembly, unknowns, trajectory, scheme, placement=placement, j=j)
-    if placement in assembly.sensors:
-        return _sensor_parameter(assembly, unknowns, trajectory, placement, j)
-    flow, outputs = input_forcing(assembly, unknowns, drive, trajectory, scheme, placement=placement, j=j)
-    return Source(flow=flow, outputs=outputs)
+def _force_parameter(assembly: Assembly, trajectory: Trajectory, placement: int, j: int) -> Source:
+    about, n = trajectory.linearisation, assembly.plant.n_states
+    position = assembly.forces.index(placement)
+    one, slope = about.acting[position], about.heard[position].slope[:, j]
+    flow = np.zeros_like(about.states)
+    flow[:, :n] = one.line.start_slope[:, j, None] * one.E0 + one.line.end_slope[:, j, None] * one.E1
+    if one.memory is not None:
+        flow[:, one.span] = one.memory.by_parameter[:, :, j]
+    return Source(flow=flow, outputs=slope[trajectory.drive.rows, None] * one.G)
 
 
-def _force_parameter(
-    assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, scheme: Scheme, *, placement: int, j: int
-) -> Source:
+def _direction(assembly: Assembly, trajectory: Trajectory, scheme: Scheme, placement: int, column: int) -> Source:
+    """What a component of a force's direction does: the force in one more column of its port."""
     about, drive, n = trajectory.linearisation, trajectory.drive, assembly.plant.n_states
     _, port = assembly.placements[placement].force_and_port
-    position, columns = assembly.forces.index(placement), list(port.columns)
-    direction, line = unknowns.directions(assembly, placement), about.lines[position]
-    slope = about.heard[position].slope[:, j]
+    position, added = assembly.forces.index(placement), port.columns[column]
     flow = np.zeros_like(about.states)
-    flow[:, :n] = line.start_slope[:, j, None] * (scheme.E0[:, columns] @ direction)
-    flow[:, :n] += line.end_slope[:, j, None] * (scheme.E1[:, columns] @ direction)
-    memory = about.memories[position]
-    if memory is not None:
-        first = n
-        for before in range(position):
-            earlier = about.memories[before]
-            first += 0 if earlier is None else earlier.value.shape[1]
-        flow[:, first : first + memory.value.shape[1]] = memory.by_parameter[:, :, j]
-    return Source(flow=flow, outputs=slope[drive.rows, None] * about.G[:, position])
+    flow[:, :n] = about.acting[position].line.flow(scheme.E0[:, added], scheme.E1[:, added])
+    return Source(flow=flow, outputs=about.heard[position].value[drive.rows, None] * scheme.G[:, added])
 
 
 def _sensor_parameter(assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, placement: int, j: int) -> Source:
@@ -356,12 +226,69 @@ def _sensor_parameter(assembly: Assembly, unknowns: Unknowns, trajectory: Trajec
     return Source(sensed=sensed)
 
 
-def _direction(
-    about: Linearisation, drive: Drive, scheme: Scheme, assembly: Assembly, *, placement: int, column: int
+def _input_parameter(
+    assembly: Assembly,
+    unknowns: Unknowns,
+    drive: Drive,
+    trajectory: Trajectory,
+    scheme: Scheme,
+    *,
+    placement: int,
+    j: int,
 ) -> Source:
-    _, port = assembly.placements[placement].force_and_port
-    position, n = assembly.forces.index(placement), assembly.plant.n_states
-    line, added = about.lines[position], [port.columns[column]]
+    """What a parameter of an effect at an input does to each step and to the outputs, the trajectory held."""
+    slopes = _input_slopes(assembly, unknowns, drive, placement, j)
+    about, n = trajectory.linearisation, assembly.plant.n_states
     flow = np.zeros_like(about.states)
-    flow[:, :n] = line.flow(scheme.E0[:, added[0]], scheme.E1[:, added[0]])
-    return Source(flow=flow, outputs=about.heard[position].value[drive.rows, None] * scheme.G[:, added[0]])
+    ports = [assembly.placements[i].force_and_port[1] for i in assembly.forces]
+    rows = [row for port in ports for row in (port.displacement, port.velocity) if row is not None]
+    if not any(row[n:].any() for row in rows):
+        flow[:, :n] = slopes[0] @ scheme.B0.T + slopes[1] @ scheme.B1.T
+        return Source(flow=flow, outputs=slopes[2][drive.rows] @ scheme.D.T)
+    # the drive also moves ports: central differences of the steps
+    size, (above, below) = _moved(trajectory.drive, slopes)
+    high, low = (
+        linearise(assembly, unknowns, moved, scheme, about.states, smoothing=about.smoothing)
+        for moved in (above, below)
+    )
+    flow[:-1] = (high.defect - low.defect)[1:] / (2.0 * size)
+    return Source(flow=flow, outputs=(high.free - low.free) / (2.0 * size))
+
+
+def _input_slopes(assembly: Assembly, unknowns: Unknowns, drive: Drive, placement: int, j: int) -> FloatArray:
+    """(3, n_times, n_inputs) derivatives of the drive's start, end and sample by a parameter of an effect at an input.
+
+    Through further effects at the same input they are carried by central differences.
+    """
+    placements, item = assembly.placements, assembly.placements[placement]
+    driven = drive_inputs(replace(assembly, placements=placements[:placement]), unknowns, drive)
+    values = unknowns.values(assembly, placement)
+    slopes = np.zeros((3, *drive.start.shape))
+    for record in range(drive.n_records):
+        at = (drive.times_of(record), item.channel)
+        found = item.input_effect.by_parameter(values, driven.sample[at], driven.start[at], driven.end[at], drive.dt)
+        for k in range(3):
+            slopes[(k, *at)] = found[k][j]
+    if not any(i > placement and placements[i].channel == item.channel for i in assembly.inputs):
+        return slopes
+    behind = drive_inputs(replace(assembly, placements=placements[: placement + 1]), unknowns, drive)
+    size, moved = _moved(behind, slopes)
+    ends = [drive_inputs(assembly, unknowns, one, first=placement + 1) for one in moved]
+    above, below = (np.stack([one.start, one.end, one.sample]) for one in ends)
+    return np.asarray((above - below) / (2.0 * size))
+
+
+def _moved(drive: Drive, slopes: FloatArray) -> tuple[float, list[Drive]]:
+    """A step along the slopes, and the drive moved by it to either side."""
+    size = DRIVE_STEP * max(float(np.abs(drive.sample).max(initial=0.0)), TINY)
+    size /= max(float(np.abs(slopes).max(initial=0.0)), TINY)
+    moved = [
+        replace(
+            drive,
+            start=drive.start + step * slopes[0],
+            end=drive.end + step * slopes[1],
+            sample=drive.sample + step * slopes[2],
+        )
+        for step in (size, -size)
+    ]
+    return size, moved

@@ -6,6 +6,7 @@ first smoothed and then sharpened, and at last the records are marched through i
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,22 +22,18 @@ from okid.arrays import FloatArray
 __all__ = ["SHARP", "Trajectory", "resting_states", "simulate_states"]
 
 SHARP = 0.005
-"""Smoothing of sharp laws in a finished simulation, as a share of the motion's scale: at 0.02 a sticking motor's
+"""Smooth sharp laws over this share of the motion's scale in a finished simulation: at 0.02 a sticking motor's
 simulation stays 14 times above the noise."""
 
 TOLERANCE = 1e-8
-"""A trajectory has converged when no step misses by more than this share of the states' size."""
+"""Call a trajectory converged when no step misses by more than this share of the states' size."""
 
-ITERATIONS = 25
-NEAR_ITERATIONS = 10
-"""Newton iterations from a trajectory that is near already: a trial step that needs more is taken for too long."""
-BRIM_PATIENCE = {"far": 400, "near": 40}
-"""Likewise with a brim: where a level was thought to stand at it and still rises, a step of Newton's method mends one
-step of time, and a tank takes hundreds of these to fill."""
 LADDER = (0.3, 0.1, 0.03, 0.012, 0.005, 0.002)
+"""Soften sharp laws to these widths, one after the other, where they do not converge as they are."""
 MEMORY_RISE = 30.0
+"""Let the defect rise by this factor in a Newton step of laws with memory; see `allowed_rise`."""
 SMALLEST_SHARE = 0.1
-"""Smallest share of a Newton step that is tried."""
+"""Try no smaller share of a Newton step."""
 
 FIRST_WINDOW, SMALLEST_WINDOW, LARGEST_WINDOW = 64, 1, 256
 """Steps of a window in the march."""
@@ -45,12 +42,32 @@ STUBBORN_WINDOW, STUBBORN_ITERATIONS = 4, 60
 """A window this short is iterated longer: a single step onto a law that sticks needs many short Newton steps."""
 
 GROW_AFTER = 3
-"""Windows in a row that must converge after one that did not, before windows grow again: each failure is wasted."""
+"""Let windows grow again after so many in a row that converged: each failure is wasted."""
 
-BUDGET: dict[str, float] = {"far": 300.0, "near": 10.0}
-"""Evaluations of the whole trajectory that a march may cost."""
 OVERHEAD = 200
-"""What an evaluation of a window costs besides its times, in times."""
+"""Count an evaluation of a window as so many times besides its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patience:
+    """What a simulation may cost before it is given up.
+
+    Attributes:
+        iterations: Newton iterations of the whole.
+        brim_iterations: Those with a brim: where a level was thought to stand at it and still rises, a step of Newton's
+            method mends one step of time, and a tank takes hundreds of these to fill.
+        march: Evaluations of the whole trajectory that a march may cost.
+    """
+
+    iterations: int
+    brim_iterations: int
+    march: float
+
+
+FAR = Patience(iterations=25, brim_iterations=400, march=300.0)
+"""Give up so late from any start."""
+NEAR = Patience(iterations=10, brim_iterations=40, march=10.0)
+"""Give up so soon from a trajectory that is near already: a trial step that needs more is taken for too long."""
 
 About = Callable[[FloatArray, float], Linearisation]
 
@@ -116,16 +133,14 @@ def simulate_states(
     def about(trial: FloatArray, width: float) -> Linearisation:
         return linearise(assembly, unknowns, driven, scheme, trial, smoothing=width, gain=gain)
 
-    rise = allowed_rise(assembly)
-    if rise == np.inf:
-        found = _newton(about, states, smoothing, BRIM_PATIENCE[start], rise)
-    else:
-        found = _newton(about, states, smoothing, NEAR_ITERATIONS if start == "near" else ITERATIONS, rise)
-    if found is None and rise < np.inf:
+    rise, patience = allowed_rise(assembly), NEAR if start == "near" else FAR
+    brim = rise == np.inf
+    found = _newton(about, states, smoothing, patience.brim_iterations if brim else patience.iterations, rise)
+    if found is None and not brim:
         marched = _march(
-            assembly, unknowns, driven, scheme, states, smoothing=smoothing, budget=BUDGET[start], gain=gain
+            assembly, unknowns, driven, scheme, states, smoothing=smoothing, budget=patience.march, gain=gain
         )
-        found = None if marched is None else _newton(about, marched, smoothing, NEAR_ITERATIONS, rise)
+        found = None if marched is None else _newton(about, marched, smoothing, NEAR.iterations, rise)
     if found is None and start == "far":
         found = _softened(about, states, smoothing, rise)
     if found is None:
@@ -151,7 +166,7 @@ def _softened(about: About, states: FloatArray, smoothing: float, rise: float) -
     """Soften sharp laws until Newton's method converges, then sharpen them step by step."""
     found: Linearisation | None = None
     for width in (*(step for step in LADDER if step > smoothing), smoothing):
-        softer = _newton(about, states, width, ITERATIONS, rise)
+        softer = _newton(about, states, width, FAR.iterations, rise)
         if softer is None and found is not None:
             return None
         if softer is not None:
@@ -191,7 +206,7 @@ def _march(
             return linearise(assembly, some, window, scheme, trial, smoothing=wide, gain=gain, initial=initial)  # noqa: B023 - used within this turn of the loop
 
         held = np.repeat(initial, np.diff(window.firsts), axis=0)
-        iterations = NEAR_ITERATIONS if width > STUBBORN_WINDOW else STUBBORN_ITERATIONS
+        iterations = NEAR.iterations if width > STUBBORN_WINDOW else STUBBORN_ITERATIONS
         solved = _newton(about, found[index], smoothing, iterations, rise) or _newton(
             about, held, smoothing, iterations, rise
         )
@@ -209,14 +224,7 @@ def _march(
 
 def _newton(about: About, states: FloatArray, width: float, iterations: int, rise: float) -> Linearisation | None:
     """Newton's method; None where it does not converge or a step has no unique end."""
-    try:
-        return _iterated(about, states, width, iterations, rise)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _iterated(about: About, states: FloatArray, width: float, iterations: int, rise: float) -> Linearisation | None:
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"), suppress(np.linalg.LinAlgError):
         current = about(states, width)
         miss = _miss(current)
         for _ in range(iterations):

@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray, frozen, real_number
 from okid.errors import InvalidDataError
 from okid.record import check_names, labels
 
 __all__ = [
+    "RIGID",
     "SensorKind",
     "as_column",
     "check_base_motion",
@@ -26,8 +28,9 @@ __all__ = [
 SensorKind = Literal["displacement", "velocity", "acceleration"]
 """What a sensor reads of the motion of the degrees of freedom."""
 
-_ROUNDING = 1e-9
-"""Relative size below which an asymmetry or a negative eigenvalue is taken for rounding."""
+RIGID = 1e-7
+"""Call a pole below this share of the largest rigid-body motion: a double pole at zero comes out at the root of the
+rounding."""
 
 
 def checked_matrices(
@@ -47,15 +50,17 @@ def checked_matrices(
     C = frozen(damping, name="damping", shape=(n_dofs, n_dofs))
     K = frozen(stiffness, name="stiffness", shape=(n_dofs, n_dofs))
     M, C, K = (_symmetric(matrix, name) for matrix, name in ((M, "mass"), (C, "damping"), (K, "stiffness")))
-    lowest, largest = _extreme_eigenvalues(M)
+    values = scipy.linalg.eigvalsh(M)
+    lowest, largest = values[0], values[-1]
     if not lowest > 1e-14 * largest:
         raise InvalidDataError(
             f"mass must be positive definite, but its eigenvalues reach from {lowest:.3g} to {largest:.3g}; give every "
             "degree of freedom a mass, or condense those that have none."
         )
     for matrix, name in ((K, "stiffness"), (C, "damping")):
-        lowest, largest = _extreme_eigenvalues(matrix)
-        if lowest < -_ROUNDING * n_dofs * max(abs(lowest), abs(largest)):
+        values = scipy.linalg.eigvalsh(matrix)
+        lowest, largest = values[0], values[-1]
+        if lowest < -ROUNDING * n_dofs * max(abs(lowest), abs(largest)):
             raise InvalidDataError(
                 f"{name} must be positive semidefinite, or the structure is unstable, but its lowest eigenvalue is "
                 f"{lowest:.3g} beside {largest:.3g}; check its signs, or linearise about a stable position."
@@ -65,18 +70,13 @@ def checked_matrices(
 
 def _symmetric(matrix: FloatArray, name: str) -> FloatArray:
     asymmetry, size = np.abs(matrix - matrix.T).max(), np.abs(matrix).max()
-    if asymmetry > _ROUNDING * size:
+    if asymmetry > ROUNDING * size:
         row, column = np.unravel_index(np.abs(matrix - matrix.T).argmax(), matrix.shape)
         raise InvalidDataError(
             f"{name} must be symmetric, but entry ({row}, {column}) is {matrix[row, column]:.6g} and ({column}, {row}) "
             f"is {matrix[column, row]:.6g}; take (matrix + matrix.T) / 2 if that is what was meant."
         )
     return frozen((matrix + matrix.T) / 2, name=name)
-
-
-def _extreme_eigenvalues(matrix: FloatArray) -> tuple[float, float]:
-    values = scipy.linalg.eigvalsh(matrix)
-    return float(values[0]), float(values[-1])
 
 
 def check_base_motion(base_motion: npt.ArrayLike, force_map: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The continuous-time system that a discrete-time state space samples, under the hold that its input had.
+"""The continuous-time system that a discrete-time state space samples, and its real modal form.
 
 With the zero-order hold the sampled matrices stand in one exponential, exp([[A, B], [0, 0]] dt) = [[Ad, Bd], [0, I]],
 so A and B in its logarithm. With straight lines between samples (triangle hold; Franklin, Powell, Workman 1998, section
@@ -7,12 +7,10 @@ exp(A (dt - s)) s / dt. A band-limited input has no hold: sampled input and outp
 continuous-time frequency response itself, so B and D are those that come nearest to it below half the sampling
 frequency, with the poles as they are.
 
-The real modal form of a state space, and the linear parameters that change its poles.
-
-A becomes block diagonal: [[s, w], [-w, s]] for a pair of poles s +- i w, s for a real pole. Each s and w is one number
-that A depends on linearly, shapes and participations stay. Where poles coincide so that there are no independent
-shapes (a free mass: two poles at zero) the real Schur form stands in: the same blocks, with couplings above them.
-States are scaled so that each block's rows of B and columns of C are of one size.
+In real modal form A becomes block diagonal: [[s, w], [-w, s]] for a pair of poles s +- i w, s for a real pole. Each s
+and w is one number that A depends on linearly, shapes and participations stay. Where poles coincide so that there are
+no independent shapes (a free mass: two poles at zero) the real Schur form stands in: the same blocks, with couplings
+above them. States are scaled so that each block's rows of B and columns of C are of one size.
 """
 
 from dataclasses import dataclass
@@ -27,13 +25,16 @@ from okid.arrays import ComplexArray, FloatArray, frozen, time_step
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold
 
-__all__ = ["ContinuousSystem", "ModalCoordinates", "continuous_system", "in_modal_coordinates"]
+__all__ = ["UNDAMPED", "ContinuousSystem", "ModalCoordinates", "continuous_system", "in_modal_coordinates"]
 
 _ROUNDING = 1e-8
-"""Largest relative difference between the given matrices and those that the result gives when it is sampled."""
+"""Refuse a result that, sampled again, differs from the given matrices by more than this share."""
+
+UNDAMPED = 1e-6
+"""Count a mode as undamped below this damping ratio."""
 
 _BAND = 0.8
-"""Share of the Nyquist frequency up to which a band-limited relation is matched."""
+"""Match a band-limited relation up to this share of the Nyquist frequency."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -204,10 +205,6 @@ def _response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, points
     return np.asarray(C @ np.linalg.solve(shifted, np.broadcast_to(B, (len(points), *B.shape)).astype(complex)) + D)
 
 
-_DEFECTIVE = 1e8
-"""Condition of the shapes from which on they are taken for dependent."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModalCoordinates:
     """A state space in real modal form.
@@ -279,7 +276,7 @@ def _block_diagonal(A: FloatArray) -> tuple[FloatArray, FloatArray]:
         chosen.append(index)
     states = np.array(columns).T
     states = states / np.linalg.norm(states, axis=0)
-    if len(columns) < len(A) or np.linalg.cond(states) > _DEFECTIVE:
+    if len(columns) < len(A) or np.linalg.cond(states) * _ROUNDING > 1.0:
         schur, rotation = scipy.linalg.schur(A, output="real")
         return schur, rotation
     # pairs share one scale, or their blocks would lose their form
@@ -331,7 +328,7 @@ def _block_parameters(
     by_real[block, block] = 1.0
     factor = 1 + 3 * damping_tolerance
     deviation, lower, upper = damping_tolerance * abs(pole.real), factor * pole.real, pole.real / factor
-    if abs(pole.real) <= 1e-6 * size:
+    if abs(pole.real) <= UNDAMPED * size:
         deviation = UNDAMPED_DEVIATION * size
         lower, upper = pole.real - 3 * deviation, max(pole.real, 0.0)
     real = LinearParameter(

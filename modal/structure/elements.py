@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray, real_number
 from okid.errors import InvalidDataError
 
 __all__ = ["Element", "chain_elements", "coupled_elements", "is_network", "named_elements", "relative_vector"]
 
 MOST_ELEMENTS = 64
-"""Elements that are derived from matrices at most; each is a place that every effect is tried at."""
-
-_ZERO = 1e-9
-"""Share of a matrix's largest entry below which an entry, or what is left over in a row, is rounding."""
+"""Derive no more elements than so many from matrices: each is a place that every effect is tried at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +122,7 @@ def is_network(matrix: FloatArray) -> bool:
         >>> is_network(np.array([[3.0, -1.0], [-1.0, 1.0]])), is_network(np.array([[12.0, 6.0], [6.0, 4.0]]))
         (True, False)
     """
-    tolerance = _ZERO * np.abs(matrix).max(initial=0.0)
+    tolerance = ROUNDING * np.abs(matrix).max(initial=0.0)
     off_diagonal = matrix - np.diag(np.diag(matrix))
     return bool((off_diagonal <= tolerance).all() and (matrix.sum(axis=1) >= -len(matrix) * tolerance).all())
 
@@ -191,7 +189,7 @@ def _coupling(matrix: FloatArray, ends: tuple[int, ...]) -> float:
     row = ends[0]
     value = -matrix[row, ends[1]] if len(ends) == 2 else matrix[row].sum()
     # a small element beside a large one: what counts as rounding is set by the row, not by the whole matrix
-    small = _ZERO * np.abs(matrix[row]).max(initial=0.0)
+    small = ROUNDING * np.abs(matrix[row]).max(initial=0.0)
     return 0.0 if abs(value) <= small else float(value)
 
 

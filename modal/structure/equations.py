@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["describe_effects", "equations_of_motion", "equations_of_plant", "linear_sum"]
+__all__ = ["describe_effects", "equations_of_plant", "equations_of_structure", "linear_sum"]
 
 
-def equations_of_motion(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a degree of freedom, one an output, then each effect with its law and its numbers.
 
     Args:
@@ -29,8 +29,9 @@ def equations_of_motion(model: "StructuralModel", *, catalogue: Mapping[str, Eff
         catalogue: What holds its effects.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.5], force_dofs=0, sensor_dofs=0, output_names=["tip"])
-        >>> print(equations_of_motion(model.with_effect("cubic_stiffness", "element_0", k3=2e5)))
+        >>> print(equations_of_structure(model.with_effect("cubic_stiffness", "element_0", k3=2e5)))
         Equations of motion; x0 [m], forces [N], ' is d/dt [1/s]
           DOF 0: 2 x0'' + 1.5 x0' + 800 x0 + f1 = input_0
           tip [m] = x0
@@ -72,6 +73,7 @@ def equations_of_plant(model: "PlantModel", *, catalogue: Mapping[str, Effect] =
 
     Example:
         >>> import control
+        >>> from modal.structure.plant_model import PlantModel
         >>> shaft = PlantModel.from_state_space(control.ss([[-5.0]], [[4.0]], [[1.0]], [[0.0]]), sensor_kind="velocity",
         ...     output_names=["speed"], output_units=["rad/s"])
         >>> print(equations_of_plant(shaft.with_effect("quadratic_drag", "speed", c2=0.01)))

@@ -1,9 +1,7 @@
-"""From the model that a user gives to a plant with ports, and back to a model of the same type.
+"""From the model that a user gives to a plant with ports, its simulation, and back to a model of the same type.
 
 Structural models keep their M, C, K and take the effects; a state space becomes a `PlantModel`, which is the same with
 ports. What was found is written back into a model that simulates, saves and loads.
-
-Simulate a model with its effects: the inputs of a record in, a record with simulated outputs out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -81,7 +79,8 @@ def given_model(
             f"takes a Record and returns one; a {type(model).__name__} was given"
         )
     first = records[0]
-    kinds = _kinds(first) if sensor_kind is None else sensor_kind
+    units = (*first.output_units, *[""] * first.n_outputs)[: first.n_outputs]
+    kinds = tuple(_kind(unit) for unit in units) if sensor_kind is None else sensor_kind
     made = PlantModel.from_state_space(
         model,
         sensor_kind=kinds,
@@ -121,12 +120,8 @@ def with_channel_names(model: StructuralModel, record: Record) -> StructuralMode
     return replace(model, effects=effects, input_names=inputs, output_names=outputs)
 
 
-def _kinds(record: Record) -> tuple[SensorKind, ...]:
-    """What each output is, from its unit: per second is a velocity, per second squared (or g) an acceleration."""
-    return tuple(_kind(unit) for unit in (*record.output_units, *[""] * record.n_outputs)[: record.n_outputs])
-
-
 def _kind(unit: str) -> SensorKind:
+    """What an output is, from its unit: per second is a velocity, per second squared (or g) an acceleration."""
     plain = unit.replace(" ", "").replace("^", "").replace("**", "").replace("²", "2")
     if plain.endswith(("/s2", "/s/s")) or plain in {"g", "gn", "mg"} or "s-2" in plain:
         return "acceleration"
@@ -170,21 +165,14 @@ def placed_assembly(
     local = np.zeros((drive.n_records, assembly.n_local))
     local[:, : plant.n_states] = begun
     for i, (item, one) in enumerate(zip(placements, effects, strict=True)):
-        free = _directions(item, one)
-        common[assembly.common_of(i)] = [*(one.values[j] for j in item.common), *free]
+        # the direction's first component is that of the force itself
+        free = [part / one.direction[0] for part in one.direction[1:]] or [0.0] * item.n_directions
+        common[assembly.common_of(i)] = [*(one.values[j] for j in item.common), *free[: item.n_directions]]
         for position, j in enumerate(item.local):
             own = one.local_values[j]
             values = own if len(own) == drive.n_records else (one.values[j],) * drive.n_records
             local[:, assembly.local_of(i).start + position] = values
     return assembly, Unknowns(common=common, local=local)
-
-
-def _directions(item: EffectPlacement, one: PlacedEffect) -> FloatArray:
-    if not item.n_directions:
-        return np.zeros(0)
-    if not one.direction:
-        return np.zeros(item.n_directions)
-    return np.array(one.direction[1:]) / one.direction[0]
 
 
 def _scaled(
@@ -290,7 +278,13 @@ def simulate(
     """
     record = _record(record_or_inputs, dt, input_hold)
     if callable(model) and not hasattr(model, "A"):
-        return _called(model, record)
+        called = model(record)
+        if not isinstance(called, Record) or called.n_samples != record.n_samples:
+            raise InvalidDataError(
+                f"a callable model takes a Record and returns one of as many samples ({record.n_samples}); "
+                f"it returned {type(called).__name__}"
+            )
+        return called
     given = given_model(model, [record], sensor_kind=sensor_kind)
     plant = given.plant
     if record.n_inputs != plant.n_inputs:
@@ -324,16 +318,6 @@ def _record(given: Record | npt.ArrayLike, dt: float | None, input_hold: InputHo
     if dt is None:
         raise InvalidDataError("plain inputs need a time step; pass dt in seconds, or a Record")
     return Record(inputs, np.zeros((len(inputs), 1)), dt, input_hold=input_hold)
-
-
-def _called(model: Any, record: Record) -> Record:
-    found = model(record)
-    if not isinstance(found, Record) or found.n_samples != record.n_samples:
-        raise InvalidDataError(
-            f"a callable model takes a Record and returns one of as many samples ({record.n_samples}); "
-            f"it returned {type(found).__name__}"
-        )
-    return found
 
 
 def _state(given: npt.ArrayLike, n_states: int) -> FloatArray:

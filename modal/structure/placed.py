@@ -7,11 +7,11 @@ from typing import Any
 
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
-from modal.simulation.plant import Plant, Port
+from modal.simulation.plant import Plant
 from okid.arrays import real_number
 from okid.errors import InvalidDataError
 
-__all__ = ["PlacedEffect", "placed_effect"]
+__all__ = ["PlacedEffect", "placed_effect", "possible_places"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,17 +89,22 @@ def placed_effect(
     Raises:
         InvalidDataError: No such effect or place, or a parameter that is missing, unknown or out of its bounds.
     """
-    kind = _effect(effect)
+    if not isinstance(effect, Effect) and effect not in CATALOGUE:
+        raise InvalidDataError(f"there is no effect {effect!r} in the catalogue; it holds {', '.join(CATALOGUE)}.")
+    kind = effect if isinstance(effect, Effect) else CATALOGUE[effect]
     possible = possible_places(plant, kind)
     if where not in possible:
         everywhere = [port.name for port in plant.ports] + [*plant.input_names, *plant.output_names]
         why = f"{kind.key} cannot act at {where!r}" if where in everywhere else f"there is no place {where!r}"
-        raise InvalidDataError(f"{why}; {kind.key} can act at {_listed(possible) or 'no place of this model'}.")
+        raise InvalidDataError(f"{why}; {kind.key} can act at {', '.join(possible) or 'no place of this model'}.")
     known = {parameter.name: parameter for parameter in kind.parameters}
     _check_names(kind.key, known, values)
     _check_names(kind.key, known, {**dict.fromkeys(known), **(deviations or {})})
     of_records = {name: _local_values(kind.key, known[name], values[name]) for name in known}
-    means = {name: _checked(kind.key, known[name], _mean(of_records[name], values[name])) for name in known}
+    means = {
+        name: _checked(kind.key, known[name], sum(own) / len(own) if own else values[name])
+        for name, own in of_records.items()
+    }
     return PlacedEffect(
         effect=kind.key,
         where=where,
@@ -109,14 +114,6 @@ def placed_effect(
         local_values=tuple(of_records.values()),
         direction=_direction(plant, kind, where, direction),
     )
-
-
-def _effect(effect: str | Effect) -> Effect:
-    if isinstance(effect, Effect):
-        return effect
-    if effect not in CATALOGUE:
-        raise InvalidDataError(f"there is no effect {effect!r} in the catalogue; it holds {_listed(CATALOGUE)}.")
-    return CATALOGUE[effect]
 
 
 def _direction(plant: Plant, effect: Effect, where: str, direction: Sequence[float]) -> tuple[float, ...]:
@@ -131,10 +128,6 @@ def _direction(plant: Plant, effect: Effect, where: str, direction: Sequence[flo
     return components
 
 
-def _mean(of_records: tuple[float, ...], value: Any) -> Any:
-    return sum(of_records) / len(of_records) if of_records else value
-
-
 def possible_places(plant: Plant, effect: Effect) -> tuple[str, ...]:
     """The names of the places of a plant where an effect can act."""
     if isinstance(effect, InputEffect):
@@ -142,19 +135,15 @@ def possible_places(plant: Plant, effect: Effect) -> tuple[str, ...]:
     if isinstance(effect, SensorEffect):
         return plant.output_names
     if isinstance(effect, ForceEffect):
-        return tuple(port.name for port in plant.ports if _can_act(effect, port))
+        fit = [port for port in plant.ports if effect.acts_at in port.accepts]
+        return tuple(port.name for port in fit if all(getattr(port, name) is not None for name in effect.needs))
     return ()
-
-
-def _can_act(effect: ForceEffect, port: Port) -> bool:
-    has = {name for name in ("displacement", "velocity", "stiffness") if getattr(port, name) is not None}
-    return effect.acts_at in port.accepts and effect.needs <= has
 
 
 def _check_names(effect: str, known: Mapping[str, ParameterKind], given: Mapping[str, Any]) -> None:
     missing, unknown = [name for name in known if name not in given], [name for name in given if name not in known]
     if missing or unknown:
-        what = f"lacks {_listed(missing)}" if missing else f"has no parameter {_listed(unknown)}"
+        what = f"lacks {', '.join(missing)}" if missing else f"has no parameter {', '.join(unknown)}"
         meanings = "; ".join(f"{name}: {kind.meaning}" for name, kind in known.items())
         raise InvalidDataError(f"{effect} {what}; its parameters are {meanings}.")
 
@@ -180,7 +169,3 @@ def _checked(effect: str, kind: ParameterKind, value: Any) -> float:
             f"{kind.name} of {effect} ({kind.meaning}) must be at least {kind.lower:g}{upper}, but is {number:g}."
         )
     return number
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)

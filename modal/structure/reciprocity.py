@@ -1,4 +1,4 @@
-"""Whether a state space is that of a structure, and then the forces and displacements of its degrees of freedom.
+"""What stands behind a state space: the motion of its outputs, the structure if it is one, and what may be wrong in it.
 
 In a structure M q'' + C q' + K q = b u with symmetric matrices a force at one place moves another as much as the same
 force there moves this one (Maxwell 1864, Betti 1872). For the states x = [q; q'] that reads
@@ -11,28 +11,16 @@ directions that leave the measured displacements where they are), and P b is the
 and along which an input pushes, if there is one: a driving point. The mass matrix must come out positive definite,
 which at a driving point says that all modes answer with one sign.
 
-What a wrong spring or damper does is then known up to one symmetric matrix each, and so is the direction of a force
-along a sensor.
+What a wrong spring or damper does is then known up to one symmetric matrix each: in coordinates of the undamped modes
+one number a mode and one a pair of modes. So is the direction of a force along a sensor. Without the symmetry any
+linear force inside the structure may be wrong: it moves no displacement at once either, so A becomes A + N F with F
+free. Poles and shapes change together; changing the poles alone would leave a gap of several per cent of a response
+whose shapes are wrong by as much. But then a wrong gain of a sensor is a change of the plant as well: in y' = g y it
+multiplies a row of K by g and divides a column by it. So is a gain of an input, but for its driven place.
 
 References:
     Ewins, Modal Testing, 2nd ed. 2000, sections 2.4 and 2.6 (reciprocity, driving points); Lancaster, Prells,
     Inverse problems for damped vibrating systems, J. Sound Vib. 283, 2005, https://doi.org/10.1016/j.jsv.2004.05.003
-
-What may be wrong in the linear part of a structure: its stiffness and its damping matrix, which stay symmetric.
-
-A spring or damper pushes both its ends with the same force, so a wrong one, wherever it is, changes K or C by a
-symmetric matrix. In coordinates of the undamped modes that is one number a mode and one a pair of modes. Without the
-symmetry, that is with any linear force, a wrong gain of a sensor would be a change of the plant as well: in y' = g y
-it multiplies a row of K by g and divides a column by it. So would a gain of an input, but for its driven place.
-
-What may be wrong in the linear part of a state space: any linear force inside the structure.
-
-A wrong stiffness or damping anywhere in a structure is a force that is linear in the state and that, as any force,
-moves no displacement at once: A becomes A + N F with N spanning the directions that leave the measured displacements
-where they are and F free. Poles and shapes change together, as they do in a structure; changing the poles alone would
-leave a gap of several per cent of a response whose shapes are wrong by as much.
-
-What displacement and velocity each output of a state space shows, and whether there is one.
 """
 
 from dataclasses import dataclass, replace
@@ -44,14 +32,15 @@ import scipy
 
 from modal.simulation.plant import LinearParameter
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
-from modal.structure.checks import SensorKind
-from modal.structure.continuous_time import ContinuousSystem
+from modal.structure.checks import RIGID, SensorKind
+from modal.structure.continuous_time import UNDAMPED, ContinuousSystem
 from okid.arrays import TINY, FloatArray
 from okid.errors import InvalidDataError
 
 __all__ = [
     "INTERNAL_FORCE",
-    "InternalChanges",
+    "REACH",
+    "Changes",
     "OutputMotion",
     "Structure",
     "internal_changes",
@@ -61,8 +50,8 @@ __all__ = [
 ]
 
 _LIKE = 1e-3
-"""Defect of the equations, as a share of what tells one solution from the next: an error of a thousandth in a direction
-or shape lies below the noise of any measured record."""
+"""Refuse equations that miss by more than this share of what tells one solution from the next: an error of a thousandth
+in a direction or shape lies below the noise of any measured record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -231,8 +220,8 @@ def _modes(A: FloatArray, metric: FloatArray, forces: FloatArray) -> Structure |
 
 
 _AT_ONCE = 0.5
-"""Share of the largest velocity that an input calls up at any frequency: when it calls up that much at infinite
-frequency, it moves the displacement at once. A structure gives 0, a first-order plant 1."""
+"""Let an input move a displacement at once when it calls up more than this share of its largest velocity at infinite
+frequency: a structure gives 0, a first-order plant 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -381,29 +370,22 @@ INTERNAL_FORCE = "internal force"
 """How the names of these parameters begin."""
 
 MOST = 80
-"""Entries of F at most; with more only the poles are calibrated."""
+"""Calibrate the poles alone where there would be more entries than so many."""
 
-STILL = 1e-7
 REACH = 10.0
-"""Hard bounds, in standard deviations of the prior."""
+"""Bound an entry of F, and a mode's damping, often no more than a guess, to so many deviations of the prior."""
 
+FIRM_REACH = 3.0
+"""Bound the other entries of a symmetric change to so many: beside the diagonal three are about what leaves a damping
+matrix positive, sqrt(C_aa C_bb)."""
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class InternalChanges:
-    """Entries of F as linear parameters.
-
-    Attributes:
-        parameters: One an entry.
-        slopes: (n_parameters, n_states + n_outputs, n_states) derivative of [A; C].
-    """
-
-    parameters: tuple[LinearParameter, ...]
-    slopes: FloatArray
+Changes = tuple[tuple[LinearParameter, ...], FloatArray]
+"""Linear parameters, and the derivative (n_parameters, n_states + n_outputs, n_states) of [A; C] by each."""
 
 
 def internal_changes(
     A: FloatArray, free: FloatArray, motions: tuple[OutputMotion, ...], *, tolerance: float
-) -> InternalChanges | None:
+) -> Changes | None:
     """The entries of F, each zero in the model as given.
 
     Args:
@@ -419,7 +401,7 @@ def internal_changes(
     if n_states < 2 or n_states * n_free > MOST or any(one.nature != "mechanical" for one in motions):
         return None
     poles = np.abs(np.linalg.eigvals(A))
-    if poles.min() <= STILL * poles.max():  # rigid-body motion: a spring to nowhere would be added
+    if poles.min() <= RIGID * poles.max():  # rigid-body motion: a spring to nowhere would be added
         return None
     direct = np.array([one.direct for one in motions])
     parameters, slopes = [], []
@@ -440,15 +422,7 @@ def internal_changes(
                     upper=REACH * scale,
                 )
             )
-    return InternalChanges(parameters=tuple(parameters), slopes=np.array(slopes))
-
-
-_REACH, _DAMPING_REACH = 3.0, 10.0
-"""Hard bounds, in standard deviations of the prior, and those of a mode's damping, which is often no more than a guess.
-Beside the diagonal three deviations are about what leaves a damping matrix positive, sqrt(C_aa C_bb)."""
-
-_UNDAMPED = 1e-6
-"""Damping ratio below which a mode counts as undamped."""
+    return tuple(parameters), np.array(slopes)
 
 
 def symmetric_changes(
@@ -458,7 +432,7 @@ def symmetric_changes(
     *,
     frequency_tolerance: float,
     damping_tolerance: float,
-) -> InternalChanges | None:
+) -> Changes | None:
     """The entries of the modal stiffness and damping matrices.
 
     The prior is that of a change whose entries, in units in which the matrix is one, are independent with a deviation
@@ -479,12 +453,19 @@ def symmetric_changes(
         return None
     natural = np.sqrt(structure.stiffness)
     damped = np.diag(structure.damping)
-    damping = np.where(damped > 2 * _UNDAMPED * natural, damping_tolerance * damped, 2 * UNDAMPED_DEVIATION * natural)
+    damping = np.where(damped > 2 * UNDAMPED * natural, damping_tolerance * damped, 2 * UNDAMPED_DEVIATION * natural)
     direct = np.array([one.direct for one in motions]) @ structure.forces
     entering = np.vstack([structure.forces, direct])
     kinds = (
-        ("stiffness", "1/s^2", np.diag(structure.stiffness), 2 * frequency_tolerance * structure.stiffness, _REACH, 0),
-        ("damping", "1/s", structure.damping, damping, _DAMPING_REACH, 1),
+        (
+            "stiffness",
+            "1/s^2",
+            np.diag(structure.stiffness),
+            2 * frequency_tolerance * structure.stiffness,
+            FIRM_REACH,
+            0,
+        ),
+        ("damping", "1/s", structure.damping, damping, REACH, 1),
     )
     parameters, slopes = [], []
     for word, unit, matrix, spread, reach, power in kinds:
@@ -493,26 +474,18 @@ def symmetric_changes(
             change = np.outer(entering[:, a], rows[b])
             slopes.append(-change if a == b else -(change + np.outer(entering[:, b], rows[a])))
             where = f"of mode {a + 1} ({natural[a] / (2 * np.pi):.4g} Hz)"
+            centre = float(matrix[a, b])
+            deviation = float(np.sqrt(spread[a] * spread[b]) * (1.0 if a == b else np.sqrt(0.5)))
+            margin = (reach if a == b else FIRM_REACH) * deviation
             parameters.append(
-                _entry(
-                    f"{word} {where}" if a == b else f"{word} between modes {a + 1} and {b + 1}",
-                    unit,
-                    nominal=float(matrix[a, b]),
-                    deviation=float(np.sqrt(spread[a] * spread[b]) * (1.0 if a == b else np.sqrt(0.5))),
-                    reach=reach if a == b else _REACH,
-                    least=0.0 if a == b else -np.inf,
+                LinearParameter(
+                    name=f"{word} {where}" if a == b else f"{word} between modes {a + 1} and {b + 1}",
+                    unit=unit,
+                    nominal=centre,
+                    deviation=deviation,
+                    # what stands on the diagonal is never negative
+                    lower=min(max(centre - margin, 0.0 if a == b else -np.inf), centre),
+                    upper=centre + margin,
                 )
             )
-    return InternalChanges(parameters=tuple(parameters), slopes=np.array(slopes))
-
-
-def _entry(name: str, unit: str, *, nominal: float, deviation: float, reach: float, least: float) -> LinearParameter:
-    """Within so many deviations of its nominal value, and what stands on the diagonal never negative."""
-    return LinearParameter(
-        name=name,
-        unit=unit,
-        nominal=nominal,
-        deviation=deviation,
-        lower=min(max(nominal - reach * deviation, least), nominal),
-        upper=nominal + reach * deviation,
-    )
+    return tuple(parameters), np.array(slopes)

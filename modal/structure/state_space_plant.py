@@ -5,27 +5,21 @@ C A^-1 x, accelerometers the second derivative of C A^-2 x. A force cannot move 
 e in the state space is one with (displacement rows) e = 0: the null space of these rows. Half of the states of a
 structure at most are displacements; the other half is what a force can drive.
 
-Places are the outputs, and the differences of two of them (`state_space_ports`). Where the matrices show that the plant
-is a structure with symmetric M, C, K (`reciprocity`) and all its modes are measured, a force at a place is known to act
-along the sensor; else its direction is open, and a port has several columns. Forces are counted per effective mass at
-the place, in length unit / s^2.
+Places are the outputs, and the differences of two of them. Where the matrices show that the plant is a structure with
+symmetric M, C, K (`modal.structure.reciprocity`) and all its modes are measured, a force at a place is known to act
+along the sensor. Elsewhere a port has several columns: the first gives the displacement there an acceleration of -1
+(the force opposes motion), the others add what a force at that place may do elsewhere and give it none. Forces are
+counted per effective mass at the place, in length unit / s^2.
 
 Where a displacement does not exist:
     - a plant whose displacement answers to an input at once (a level in a tank, a temperature: C B is not small) is of
       first order: its port takes flows in any direction of the states; its displacement row is the output itself.
       Where no pole oscillates a displacement may also be the level of one of several tanks: further ports, "output_0
-      level" and "output_0 upstream", take flows (`modal.structure.state_space_plant`); where its unit is no length
-      either, the first port takes constant and periodic forces only.
+      level" and "output_0 upstream", take flows; where its unit is no length either, the first port takes constant and
+      periodic forces only.
     - velocity sensors of a shaft that nothing holds, or of a mass that only a damper holds: a constant force gives a
       constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
     - an integrator needs its displacement measured: an acceleration does not show it.
-
-The places of a state space at which a force can act: its outputs, and the differences of two of them.
-
-The direction in which a force at a place changes the states is one number a place where the structure is known and all
-of it is measured: along the sensor, by reciprocity. Elsewhere a port has several columns: the first gives the
-displacement there an acceleration of -1 (the force opposes motion), the others add what a force at that place may do
-elsewhere and give it none.
 
 Levels that flows move, in a state space that does not oscillate: it may be one of several tanks.
 
@@ -57,9 +51,10 @@ import scipy
 from modal.effects.catalogue import composed_unit
 from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
 from modal.simulation.tolerances import ROUNDING
-from modal.structure.checks import SensorKind, matched_names, sensor_kinds, tolerance
+from modal.structure.checks import RIGID, SensorKind, matched_names, sensor_kinds, tolerance
 from modal.structure.continuous_time import ContinuousSystem, continuous_system, in_modal_coordinates
 from modal.structure.reciprocity import (
+    REACH,
     OutputMotion,
     Structure,
     internal_changes,
@@ -82,11 +77,11 @@ __all__ = [
 ]
 
 _SWINGS = 0.1
-"""Imaginary part of a pole, as a share of its real part, above which it oscillates; poles of equal tanks, identified
-from noisy data, come out as a pair with a small one."""
+"""Let a pole oscillate above this imaginary part, as a share of its real part; poles of equal tanks, identified from
+noisy data, come out as a pair with a small one."""
 
 _SAME_RATE = 0.05
-"""Relative difference of two rates below which they are one."""
+"""Take two rates for one below this relative difference."""
 
 _LENGTHS = frozenset({"m", "mm", "cm", "um", "nm", "µm", "km", "in", "ft", "mil", "rad", "mrad", "deg", "°", "rev"})
 
@@ -137,7 +132,7 @@ def _rates(decays: FloatArray) -> tuple[float, ...]:
 
 
 _MOST_PAIRED = 12
-"""Outputs up to which every pair is a place; beyond, only neighbours in the order of the outputs are."""
+"""Make every pair of outputs a place up to so many of them; beyond, only neighbours in the order of the outputs."""
 
 _ACCEPTS = {
     "mechanical": frozenset({"motion", "force", "mass"}),
@@ -241,10 +236,10 @@ def _pairs(motions: tuple[OutputMotion, ...]) -> list[tuple[int, int]]:
 
 
 _ALIKE = 0.95
-"""Share of an input's mean square that the integral of its velocity must explain."""
+"""Refuse a velocity whose integral explains less than this share of the mean square of an input."""
 
 _RELATIVE = 0.5
-"""Relative standard deviation of the prior on an entry of D."""
+"""Let an entry of D be off by this share of its size, as a standard deviation."""
 
 
 def motion_inputs(records: Sequence[Record]) -> tuple[tuple[int, int | None], ...]:
@@ -323,8 +318,8 @@ def static_plant(
                     unit=unit,
                     nominal=float(D[o, i]),
                     deviation=deviation,
-                    lower=float(D[o, i]) - 10 * deviation,
-                    upper=float(D[o, i]) + 10 * deviation,
+                    lower=float(D[o, i]) - REACH * deviation,
+                    upper=float(D[o, i]) + REACH * deviation,
                 )
             )
             slope = np.zeros_like(system[0])
@@ -392,7 +387,7 @@ def _port(
 
 
 _RANK = 1e-6
-"""Singular values of the displacement rows below this share of the largest are rounding."""
+"""Drop singular values of the displacement rows below this share of the largest."""
 
 
 def state_space_plant(
@@ -476,12 +471,9 @@ def state_space_plant(
         changes = symmetric_changes(
             modal.A, structure, motions, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance
         )
-    parameters = form.parameters if changes is None else changes.parameters
+    parameters, found = (form.parameters, form.slopes) if changes is None else changes
     slopes = np.zeros((len(parameters), *constant.shape))
-    if changes is None:
-        slopes[:, :n_states, :n_states] = form.slopes
-    else:
-        slopes[:, :, :n_states] = changes.slopes
+    slopes[:, : found.shape[1], :n_states] = found
     constant -= np.tensordot(np.array([parameter.nominal for parameter in parameters]), slopes, axes=(0, 0))
     return Plant(
         system=np.concatenate([constant[None], slopes]),
@@ -499,8 +491,7 @@ def state_space_plant(
 def _check_stable(A: FloatArray) -> None:
     poles = np.linalg.eigvals(A)
     worst = poles[poles.real.argmax()]
-    # a double pole at zero comes out at the root of the rounding
-    if worst.real > 1e-7 * np.abs(poles).max():
+    if worst.real > RIGID * np.abs(poles).max():
         raise InvalidDataError(
             f"a model must be stable, but this one has a pole at {worst.real:.4g} {worst.imag:+.4g}i 1/s; leave that "
             "mode out, or close the loop that holds it."

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.effects.effect import Effect
-from modal.simulation.plant import split_matrices
+from modal.simulation.plant import plant_matrices
 from modal.structure.checks import (
+    RIGID,
     SensorKind,
     as_column,
     check_base_motion,
@@ -28,7 +29,7 @@ from modal.structure.checks import (
     tolerance,
 )
 from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
-from modal.structure.equations import equations_of_motion
+from modal.structure.equations import equations_of_structure
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
@@ -278,15 +279,13 @@ class StructuralModel(KeptModel):
 
     def equations(self) -> str:
         """The equations of motion with numbers and units, effects included, in plain text."""
-        return equations_of_motion(self)
+        return equations_of_structure(self)
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""
         plant = structural_plant(self)
-        whole = plant.system[0] + np.tensordot(plant.nominal, plant.system[1:], axes=(0, 0))
-        poles = np.linalg.eigvals(split_matrices(plant, whole).A).astype(np.complex128)
-        # a double pole at zero comes out at the root of the rounding
-        poles = poles[(poles.imag >= 0) & (np.abs(poles) > 1e-7 * np.abs(poles).max(initial=0.0))]
+        poles = np.linalg.eigvals(plant_matrices(plant, plant.nominal).A).astype(np.complex128)
+        poles = poles[(poles.imag >= 0) & (np.abs(poles) > RIGID * np.abs(poles).max(initial=0.0))]
         ordered: ComplexArray = poles[np.argsort(np.abs(poles), kind="stable")]
         return ordered
 

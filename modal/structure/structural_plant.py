@@ -1,12 +1,10 @@
-"""A structural model as a plant with ports.
+"""A structural model as a plant with ports, and its linear parameters.
 
     M x'' + C x' + K x + L w = F u - M iota a
 
 States are the displacements x and the velocities v. A force w at a port with relative displacement d = b' x stands on
 the left-hand side as b w, so E holds -M^-1 b. Where a DOF has no stiffness and no displacement sensor reads it, its
 displacement is no state: nothing depends on it, and an integrator would drift for nothing.
-
-The linear parameters of a structural model, and what each of them changes in C and K.
 
 Uncertain are the stiffness and the damping of the elements; where the elements do not make up K (or C), those of the
 modes: K = M Phi diag(k) Phi' M with Phi' M Phi = I, of which each k may be wrong, the shapes may not. Masses are taken
@@ -28,10 +26,10 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["Change", "changes_of", "place_name", "structural_plant", "updated_structure"]
+__all__ = ["place_name", "structural_plant", "updated_structure"]
 
 _MOST_MODES = 32
-"""Modes whose stiffness and damping are parameters at most, from the lowest."""
+"""Make parameters of the stiffness and damping of so many modes at most, from the lowest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -49,11 +47,6 @@ class Change:
     stiffness: FloatArray | None = None
 
 
-def changes_of(model: "StructuralModel") -> tuple[Change, ...]:
-    """The linear parameters: stiffnesses first, then dampings."""
-    return _stiffness_changes(model) + _damping_changes(model)
-
-
 def updated_structure(model: "StructuralModel", linear: FloatArray) -> "StructuralModel":
     """The model with its stiffnesses and dampings at other values of its linear parameters; effects stay.
 
@@ -62,11 +55,12 @@ def updated_structure(model: "StructuralModel", linear: FloatArray) -> "Structur
         linear: (n_parameters,) values in the order of `structural_plant(model).parameters`.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> updated_structure(model, np.array([810.0, 1.1])).stiffness
         array([[810.]])
     """
-    changes = changes_of(model)
+    changes = _stiffness_changes(model) + _damping_changes(model)
     stiffness, damping = model.stiffness.copy(), model.damping.copy()
     new = {change.parameter.name: float(value) for change, value in zip(changes, linear, strict=True)}
     for change, value in zip(changes, linear, strict=True):
@@ -189,6 +183,7 @@ def structural_plant(model: "StructuralModel") -> Plant:
         model: What to convert.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> plant = structural_plant(model)
         >>> plant.system[0].round(3), [parameter.name for parameter in plant.parameters]
@@ -199,7 +194,7 @@ def structural_plant(model: "StructuralModel") -> Plant:
     kept = _kept_displacements(model)
     places = _places(model)
     joins = np.array([relative_vector(ends, model.n_dofs) for _, ends in places]).T
-    changes = changes_of(model)
+    changes = _stiffness_changes(model) + _damping_changes(model)
     stiffness, damping = model.stiffness.copy(), model.damping.copy()
     for change in changes:
         if change.stiffness is not None:
@@ -291,6 +286,7 @@ def place_name(model: "StructuralModel", where: str) -> str:
     """The name of a place as the plant has it: that of the element where "dof_i" is the moving end of a grounded one.
 
     Example:
+        >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> place_name(model, "dof_0")
         'element_0'

@@ -270,7 +270,7 @@ def _force_curve(task: _LawTask, effect: ForceEffect, port: Port) -> LawCurve:
     along = {"displacement": port.length_unit, "velocity": f"{port.length_unit}/s", "time": "s"}[reading.against]
     loop = None
     if effect.n_memory:
-        force = about.forces[task.fitted.assembly.forces.index(task.placement)].value
+        force = about.acting[task.fitted.assembly.forces.index(task.placement)].force.value
         loop = _loop(motion.displacement, force, drive)
     units = along, port.force_unit
     return task.curve(law_at, grid, bins=bins, points=points, against=reading.against, units=units, loop=loop)

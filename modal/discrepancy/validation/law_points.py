@@ -294,7 +294,7 @@ def _source(fitted: Estimate, start: FloatArray, end: FloatArray, sample: FloatA
     flow[:, :n] = start @ scheme.B0.T + end @ scheme.B1.T
     outputs = sample[rows] @ scheme.D.T
     for position, i in enumerate(assembly.forces):
-        port, force = assembly.placements[i].port, about.forces[position]
+        port, force = assembly.placements[i].port, about.acting[position].force
         if port is None:
             continue
         moved = np.zeros(len(flow))
@@ -305,5 +305,5 @@ def _source(fitted: Estimate, start: FloatArray, end: FloatArray, sample: FloatA
         columns, direction = list(port.columns), fitted.unknowns.directions(assembly, i)
         flow[:, :n] += moved[:, None] * (scheme.E0[:, columns] @ direction)
         flow[:-1, :n] += moved[1:, None] * (scheme.E1[:, columns] @ direction)
-        outputs = outputs + moved[rows, None] * about.G[:, position]
+        outputs = outputs + moved[rows, None] * about.acting[position].G
     return Source(flow=flow, outputs=outputs)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from modal.structure.equations import equations_of_motion, equations_of_plant, linear_sum
+from modal.structure.equations import equations_of_plant, equations_of_structure, linear_sum
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 
@@ -23,7 +23,7 @@ def coefficients(text: str) -> dict[str, float]:
 
 
 def test_rows_are_those_of_the_matrices() -> None:
-    lines = equations_of_motion(CHAIN).splitlines()
+    lines = equations_of_structure(CHAIN).splitlines()
     for i in range(2):
         left, right = next(line for line in lines if f"DOF {i}:" in line).split(":")[1].split("=")
         wanted = {}
@@ -36,7 +36,7 @@ def test_rows_are_those_of_the_matrices() -> None:
 
 def test_forces_stand_on_the_left_of_both_ends() -> None:
     model = CHAIN.with_effect("cubic_stiffness", "element_1", k3=2e5).with_effect("coulomb_friction", "dof_0", Fc=0.5)
-    text = equations_of_motion(model)
+    text = equations_of_structure(model)
     lines = text.splitlines()
     assert coefficients(lines[1].split(":")[1].split("=")[0])["f1"] == -1.0
     assert coefficients(lines[1].split(":")[1].split("=")[0])["f2"] == 1.0

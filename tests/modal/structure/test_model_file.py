@@ -253,7 +253,7 @@ def test_never_overwrites_unless_told(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match="holds a PlantModel, not a StructuralModel"):
         StructuralModel.load(path)
     model.save(path, existing="replace")
-    with pytest.raises(UnreadableFileError, match="holds a StructuralModel, not a model made from a state space"):
+    with pytest.raises(UnreadableFileError, match="holds a StructuralModel, not a PlantModel"):
         PlantModel.load(path)
     with pytest.raises(InvalidDataError, match=r"the folder .* does not exist"):
         model.save(tmp_path / "no" / "m.json")

@@ -161,11 +161,11 @@ def test_the_line_over_a_step_has_the_derivatives_that_it_claims(seed, rate, com
     assert here.reads == "displacement"
     for name in ("start", "end"):
         for which, shifted in (("before", lambda x: (x, 0.0)), ("after", lambda x: (0.0, x))):
-            found = central(lambda x, name=name, shifted=shifted: getattr(line(shift=shifted(x)), name), 0.0)
-            assert disagreement(getattr(here, f"{name}_by_{which}"), found) < 1e-4
+            found = central(lambda x, name=name, shifted=shifted: getattr(line(shift=shifted(x)), name).value, 0.0)
+            assert disagreement(getattr(getattr(here, name), f"by_{which}"), found) < 1e-4
         for j in range(2):
-            found = by_value(lambda values, name=name: getattr(line(values), name), (rate, 0.3), j)
-            assert disagreement(getattr(here, f"{name}_by_parameter")[:, j], found) < 1e-4
+            found = by_value(lambda values, name=name: getattr(line(values), name).value, (rate, 0.3), j)
+            assert disagreement(getattr(here, name).by_parameter[:, j], found) < 1e-4
 
 
 @pytest.mark.parametrize("rate", [1e2, 1e4, 1e8, 1e15])
@@ -177,7 +177,7 @@ def test_a_step_onto_a_hard_brim_ends_at_the_brim_and_stays(rate):
         def miss(end, start=start):
             motions = [replace(tank([h], scale=0.3, smoothing=0.005), step_compliance=dt) for h in (start, end)]
             line = Overflow().step_force([rate, limit], *motions)
-            return end - (start + dt - dt * 0.5 * (line.start[0] + line.end[0]))
+            return end - (start + dt - dt * 0.5 * (line.start.value[0] + line.end.value[0]))
 
         low, high = 0.9, 1.2
         for _ in range(80):
