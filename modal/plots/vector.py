@@ -313,7 +313,7 @@ def chart_text(figure: Chart, name: str, *, notes: Mapping[str, Notes] | None = 
         One line of ASCII without "<", ">" and "&".
 
     Example:
-        >>> from modal.plots.panels import grid_of
+        >>> from modal.plots.layout import grid_of
         >>> figure = grid_of(1, 1, size=(4, 3))
         >>> figure.panels[0].line([0, 1, 2], [3, 4, 5], "measured", label="measured")
         >>> json.loads(chart_text(figure, "x"))["panels"][0]["series"][0]["y"]
