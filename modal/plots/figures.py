@@ -11,7 +11,6 @@ import numpy as np
 
 from modal.plots.layout import INCH, Chart
 from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel
-from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ def _draw(panel: Panel, axes: "Axes") -> None:
     for word in panel.words:
         axes.annotate(
             word.text,
-            _inside(panel, np.array([[word.x, word.y]]))[0],
+            tuple(panel.within(np.array([word.x, word.y])).tolist()),
             xytext=(word.shift[0], -word.shift[1]),
             textcoords="offset points",
             color=COLOURS[word.role],
@@ -112,7 +111,7 @@ def _mark(panel: Panel, mark: Mark, axes: "Axes") -> None:
     colour, name = COLOURS[mark.role], mark.label or None
     if isinstance(mark, Curve):
         axes.plot(
-            *_inside(panel, mark.corners).T,
+            *panel.within(mark.corners).T,
             color=colour,
             alpha=mark.opacity,
             linewidth=mark.width,
@@ -122,19 +121,12 @@ def _mark(panel: Panel, mark: Mark, axes: "Axes") -> None:
             label=name,
         )
     elif isinstance(mark, Area):
-        faces = [_inside(panel, polygon) for polygon in mark.polygons]
+        faces = [panel.within(polygon) for polygon in mark.polygons]
         axes.add_collection(PolyCollection(faces, facecolor=colour, alpha=mark.opacity, label=name), autolim=False)
     elif mark.arrows:
         for start, end in mark.ends.tolist():
             axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": mark.width})
     else:
-        ends = [_inside(panel, pair) for pair in mark.ends]
+        ends = [panel.within(pair) for pair in mark.ends]
         pieces = LineCollection(ends, colors=colour, linewidths=mark.width, alpha=mark.opacity, label=name)
         axes.add_collection(pieces, autolim=False)
-
-
-def _inside(panel: Panel, points: FloatArray) -> FloatArray:
-    """(n, 2) points whose infinite values stand at the edges of the panel."""
-    limits = np.array([panel.x.limits, panel.y.limits], dtype=np.float64)
-    low, high = limits.min(axis=1), limits.max(axis=1)
-    return np.where(np.isinf(points), np.where(points > 0, high, low), points)

@@ -23,6 +23,7 @@ from okid.arrays import FloatArray
 
 __all__ = [
     "COLOURS",
+    "IN_TURN",
     "NINETY_FIVE",
     "STYLE",
     "Anchor",
@@ -46,6 +47,9 @@ __all__ = [
 Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
 """What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
 says, what is left over, and modes that are of the system, may be, and are not."""
+
+IN_TURN: Final[tuple[Role, ...]] = ("measured", "model", "system", "residual", "doubtful", "muted")
+"""Draw channels and modes that stand side by side in these colours, in turn."""
 
 COLOURS: Final[dict[Role, str]] = {
     "paper": "#ffffff",
@@ -534,6 +538,11 @@ class Panel:
     def y_ticks(self) -> Sequence[Tick]:
         """Ticks upwards, as many as its height has room for."""
         return _ticks(self.y, self.box[3] / STYLE.down)
+
+    def within(self, points: FloatArray) -> FloatArray:
+        """(..., 2) values of which the infinite ones stand at the edges, once the limits are known."""
+        limits = np.array([self.x.limits, self.y.limits], dtype=np.float64)
+        return np.where(np.isinf(points), np.where(points > 0, limits[:, 1], limits[:, 0]), points)
 
     def place(self, points: FloatArray) -> FloatArray:
         """(..., 2) places in the figure of (..., 2) values; what is beyond an axis lies a little beyond its edge."""

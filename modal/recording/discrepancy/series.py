@@ -15,7 +15,8 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
-from modal.recording.figure import BLUE, GOLD, GREEN, GREY, RED, Colour
+from modal.plots.discrepancy import STAGE_ROLES
+from modal.recording.figure import BLUE, COLOURS, GREY
 from modal.recording.plan import SHOWN_OUTPUTS, name_with_unit, path_parts
 from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
 from modal.recording.tables import log_table
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     import rerun
 
 __all__ = [
-    "STAGE_COLOURS",
     "DiscrepancyPlan",
     "NumberTable",
     "diagnosis_tables",
@@ -112,8 +112,6 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     )
 
 
-STAGE_COLOURS: Final[dict[str, Colour]] = {"before": RED, "linear": GOLD, "after": GREEN}
-
 Columns = dict[str, list[object]]
 
 
@@ -140,7 +138,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
             width=3.0,
         )
         for stage in plan.stages:
-            colour = STAGE_COLOURS[stage.kind]
+            colour = COLOURS[STAGE_ROLES[stage.kind]]
             simulated = [run.outputs[:, output] for run in stage.gap.simulated]
             gap = [residual[:, output] for residual in stage.gap.residuals]
             part = stage_part(stage)

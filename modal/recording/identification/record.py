@@ -10,21 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from modal.plots.layout import grid_of
+from modal.plots.panels import IN_TURN, STYLE
 from modal.quality.findings import DataQuality, Finding
 from modal.recording.figure import (
     BLUE,
-    CYCLE,
+    COLOURS,
     GOLD,
-    ORANGE,
     RED,
-    SHARE_AXIS,
-    Axis,
     Colour,
-    Figure,
     Pane,
     document_view,
-    linear_axis,
-    log_axis,
+    log_chart,
     plot_view,
     series_view,
 )
@@ -32,7 +29,6 @@ from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
 from modal.recording.tables import UNKNOWN, bullets, log_table, table
-from okid.arrays import FloatArray
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -40,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEVEL_COLOURS",
-    "OUTPUT_COLOURS",
     "log_record_page",
     "marked",
     "marks_path",
@@ -110,8 +105,8 @@ def _figures(value: float) -> str:
 
 LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": RED, "doubtful": GOLD, "note": (140, 165, 210)}
 
-OUTPUT_COLOURS: Final[tuple[Colour, ...]] = (BLUE, ORANGE, *CYCLE[1:])
-"""For outputs of equal rank, in this order, again from the start when there are more."""
+INPUT_ROLES: Final = (*IN_TURN[4:], *IN_TURN[:4])
+"""Draw inputs in these colours, in turn, gold first."""
 
 MOST_MARKS: Final = 10
 SHORTEST_MARK: Final = 0.004
@@ -173,7 +168,7 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
             [record.inputs[:, i] for record in records],
             plan=plan,
             name=name_with_unit(first.input_names[i], first.input_units[i]),
-            colour=CYCLE[i % len(CYCLE)],
+            colour=COLOURS[INPUT_ROLES[i % len(INPUT_ROLES)]],
             interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
         )
     for i, path in enumerate(plan.output_paths):
@@ -265,55 +260,31 @@ def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan
     """Inputs over outputs over coherence, all over one axis of frequency."""
     if not quality.frequencies.size:
         return
-    n_inputs, n_outputs = len(plan.input_paths), len(plan.output_paths)
-    x = linear_axis("frequency [Hz]", 0.0, float(quality.frequencies[-1]))
-    bands = [("output", n_inputs, n_outputs, OUTPUT_COLOURS)]
+    n_inputs, n_outputs, coherence = len(plan.input_paths), len(plan.output_paths), quality.coherence
+    bands = [("output", n_inputs, n_outputs, IN_TURN)]
     if n_inputs:
-        bands = [("input", 0, n_inputs, CYCLE), *bands]
-    n_bands = len(bands) + (quality.coherence is not None)
-    edges = np.cumsum([0.0, *([0.34] * len(bands) + [0.32])[:n_bands]])
-    edges /= edges[-1]
-    for k, (role, start, count, colours) in enumerate(bands):
+        bands = [("input", 0, n_inputs, INPUT_ROLES), *bands]
+    chart = grid_of(len(bands) + (coherence is not None), 1, size=(STYLE.page, STYLE.page))
+    for panel, (role, start, count, roles) in zip(chart.panels, bands, strict=False):
         shown = range(start, start + min(count, SHOWN_SPECTRA))
-        figure = Figure(
-            recording=recording,
-            pane=spectra_pane(plan),
-            x=x,
-            y=_density_axis(f"{role}s [{_density_unit(quality, role)}]", quality.densities[:, shown]),
-            band=(float(edges[k]), float(edges[k + 1])),
-            part=f"{k}_{role}",
-        )
-        figure.frame()
         for i, channel in enumerate(shown):
-            density = quality.densities[:, channel]
-            colour = colours[i % len(colours)]
-            figure.line(f"line/{i:02d}", quality.frequencies, np.where(density > 0, density, np.nan), colour, width=0.9)
-        figure.legend_row(
-            [(label(quality.channels[c].name, 14), colours[i % len(colours)]) for i, c in enumerate(shown)]
-        )
-    if quality.coherence is not None:
-        band = (float(edges[-2]), 1.0)
-        _draw_coherence(quality, recording, plan, x=x, band=band)
-
-
-def _draw_coherence(
-    quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan, *, x: Axis, band: tuple[float, float]
-) -> None:
-    one = quality.coherence
-    if one is None:
-        return
-    figure = Figure(
-        recording=recording,
-        pane=spectra_pane(plan),
-        x=x,
-        y=SHARE_AXIS,
-        band=band,
-        part="9_coherence",
-    )
-    figure.frame()
-    for i in range(min(len(plan.output_paths), SHOWN_SPECTRA)):
-        colour = OUTPUT_COLOURS[i % len(OUTPUT_COLOURS)]
-        figure.line(f"line/{i:02d}", one.frequencies, one.multiple_coherence[:, i], colour, width=0.8)
+            name, density = label(quality.channels[channel].name, 14), quality.densities[:, channel]
+            panel.line(quality.frequencies, density, roles[i % len(roles)], width=STYLE.thin, label=name)
+        high = float(np.nanmax(quality.densities[:, shown], initial=0.0))
+        seen = quality.densities[:, shown].ravel()
+        panel.y.log = True
+        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-SPECTRUM_DECADES])
+        panel.y.label, panel.key = f"{role}s [{_density_unit(quality, role)}]", "best"
+    if coherence is not None:
+        panel = chart.panels[-1]
+        for i in range(min(n_outputs, SHOWN_SPECTRA)):
+            values = coherence.multiple_coherence[:, i]
+            panel.line(coherence.frequencies, values, IN_TURN[i % len(IN_TURN)], width=STYLE.thin)
+        panel.y.label, panel.y.limits = "coherence", (0.0, 1.04)
+    for panel in chart.panels:
+        panel.x.limits, panel.x.labelled = (0.0, float(quality.frequencies[-1])), panel is chart.panels[-1]
+    chart.panels[-1].x.label = "frequency [Hz]"
+    log_chart(recording, spectra_pane(plan), chart)
 
 
 def _density_unit(quality: DataQuality, role: str) -> str:
@@ -323,14 +294,6 @@ def _density_unit(quality: DataQuality, role: str) -> str:
     if not unit:
         return "unit²/Hz"
     return f"({label(unit, 12)})²/Hz" if set(unit) & set("/ ^*") else f"{label(unit, 12)}²/Hz"
-
-
-def _density_axis(title: str, densities: FloatArray) -> Axis:
-    positive = densities[np.isfinite(densities) & (densities > 0)]
-    if not positive.size:
-        return log_axis(title, 0.1, 10.0)
-    high = float(positive.max())
-    return log_axis(title, max(float(positive.min()), high * 10.0**-SPECTRUM_DECADES), high)
 
 
 ONE_COLUMN: Final = 4
@@ -381,7 +344,7 @@ def _thin(output: int) -> Any:
     """The style on this page: the colour that the output has in the spectra, and a thin line."""
     import rerun as rr
 
-    colour = OUTPUT_COLOURS[output % len(OUTPUT_COLOURS)]
+    colour = COLOURS[IN_TURN[output % len(IN_TURN)]]
     return rr.SeriesLines.from_fields(colors=colour, widths=1.0, aggregation_policy="MinMax")
 
 
