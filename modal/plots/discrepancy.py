@@ -1,9 +1,4 @@
-"""Where simulation and measurement disagree, and how the gap shrinks: over time, over frequency, by part, by step.
-
-A named law over the data: the force that the found effect makes, and the force that the data ask for without it.
-
-Modes against the level of the excitation: frequency and damping of the best linear model of each level.
-"""
+"""A diagnosis: where simulation and measurement disagree, how the gap shrinks, laws over data, modes against level."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,7 +9,7 @@ from modal.discrepancy.results import Hypothesis, LawCurve, Step
 from modal.localisation.gap import Gap
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of
-from modal.plots.panels import IN_TURN, NINETY_FIVE, STYLE, Panel, Role, envelope
+from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
 from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density
 from modal.sections.discrepancy_values import (
@@ -27,6 +22,7 @@ from modal.sections.discrepancy_values import (
     times_text,
 )
 from modal.wording.names import plot_label
+from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 from okid.record import Record
 

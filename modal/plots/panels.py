@@ -1,13 +1,7 @@
-"""A panel as numbers: two axes, and what is drawn between them.
+"""A panel as numbers: two axes with their scales and ticks, and the curves, areas, pieces and words between them.
 
 Lengths are points (1/72 inch) from the left upper corner of the chart; values beyond an axis, infinite ones too, are
-drawn as far as its edge.
-
-What is drawn on a panel: curves, areas, separate pieces and words, and the scale of an axis.
-
-Where an axis has its ticks, and what stands beside them.
-
-Colours by meaning, the same in every picture, and the sizes of letters and lines.
+drawn as far as its edge. Colours have a meaning, the same in every picture.
 """
 
 import math
@@ -24,7 +18,6 @@ from okid.arrays import FloatArray
 __all__ = [
     "COLOURS",
     "IN_TURN",
-    "NINETY_FIVE",
     "STYLE",
     "Anchor",
     "Area",
@@ -114,9 +107,6 @@ class Style:
     strong: float = 0.8
     page: float = 10.4
 
-
-NINETY_FIVE: Final = 1.96
-"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
 
 STYLE: Final = Style()
 """Draw every picture in these sizes."""

@@ -1,9 +1,7 @@
-"""A figure as text to be put into a page: the same bytes for the same figure, and colours that the page decides.
+"""A chart as text to be put into a page: the same bytes for the same chart, and colours that the page decides.
 
-What a page's script needs to read values off a figure: where its panels lie, and the numbers behind its lines.
-
-The picture itself stays an SVG that says everything without a script. This is the data beside it: for each panel its
-place in the picture and the limits of its axes, for each line its values to five digits. Nothing here is drawn.
+The picture is an SVG that says everything without a script. What a page's script needs to read values off it stands
+beside it: for each panel its place in the picture and the limits of its axes, for each line its values to five digits.
 """
 
 import html

@@ -1,16 +1,11 @@
 """What a recording of one identification will hold, settled before anything is written.
 
-The pages and the blueprint must agree on paths, on what is shown and on the time axis; they all read it here.
+Pages and blueprint must agree on paths, on what is shown and on the time axis; they all read it here. Measured series
+lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their paths, and the
+measured line belongs below the others. What the records show without any model is looked at once, for all pages.
 
-Measured series lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their
-paths, and the measured line belongs below the others.
-
-What the records show without any model, looked at once for all pages: their quality and their response.
-
-Names from files are not to be trusted: as parts of entity paths, as titles of views, as cells of a table.
-
-A channel may be called `<script>`, nothing at all, a thousand letters, or text that runs from right to left and
-carries what follows along. What is shown goes through `modal.wording.names`; here are the paths, and the short forms.
+Names from files are not to be trusted: a channel may be called `<script>`, nothing at all, a thousand letters, or text
+that runs from right to left and carries what follows along. Here are their paths and their short forms.
 """
 
 from collections.abc import Sequence
@@ -53,7 +48,7 @@ __all__ = [
 ]
 
 LONGEST_PART: Final = 64
-"""Letters of a channel name that are kept in an entity path."""
+"""Keep so many letters of a channel name in an entity path."""
 
 
 def label(text: str, longest: int = 28) -> str:
@@ -115,10 +110,11 @@ DATA: Final = "data"
 SHOWN_INPUTS: Final = 6
 SHOWN_OUTPUTS: Final = 12
 SHOWN_MODES: Final = 9
-"""Views stay bounded, whatever comes; the numbers of all the others are stored as well."""
+"""Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
 
-ENTITIES_PER_OUTPUT: Final = 3  # measured; predicted with simulated; the residuals of both
+ENTITIES_PER_OUTPUT: Final = 3
 SERIES_PER_OUTPUT: Final = 5
+"""Count so many of an output: measured; predicted and simulated; the residuals of both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -277,13 +273,13 @@ def _window(modes: tuple[Mode, ...], dt: float, duration: float) -> float:
 
 
 LONGEST_SEGMENT: Final = 8192
-"""Samples a segment: 4096 lines are more than a screen shows, and long segments cost time without end."""
+"""Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without end."""
 
 FINE_LINES: Final = 800
-"""Frequencies at which the response of a model is drawn, at least, as far as memory allows."""
+"""Draw the response of a model at so many frequencies at least, as far as memory allows."""
 
 MOST_NUMBERS: Final = 300_000
-"""Lines of the response times its pairs of channels, at most."""
+"""Store so many lines of the response times its pairs of channels, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

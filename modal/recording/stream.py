@@ -144,7 +144,7 @@ def _order_page(identification: Identification) -> Any:
 
 
 SECONDS_A_STEP = 1.5
-"""How long a step stands while the page plays."""
+"""Let a step stand so long while the page plays."""
 
 
 def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":

@@ -1,10 +1,6 @@
-"""The page "Discrepancy": spectrum of the gap, hypotheses, laws over the data, all drawn, and the verdict in words.
+"""The pages of a diagnosis: gap over frequency, hypotheses, laws over the data, modes against level, and the words.
 
-Modes against level in the recording: change of frequency and damping ratio, drawn where they tell something.
-
-The pages of a diagnosis in words and tables, as Markdown.
-
-The page "Step by step": the gap of one output, its spectrum, and the gap of each part, one row a step: they play.
+"Step by step" plays: the gap of one output, its spectrum, and the gap of each part, one row a step.
 """
 
 from collections.abc import Sequence
@@ -23,7 +19,7 @@ from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, l
 from modal.recording.figure import GREEN, ORANGE, Pane, log_chart, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
-from modal.recording.tables import UNKNOWN, bullets, log_table, table
+from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
@@ -62,9 +58,6 @@ __all__ = [
 ]
 
 LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
-
-
-MOST_ROWS = 40
 
 
 def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
@@ -117,11 +110,11 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
         for j, name in enumerate(record.output_names)
     ]
     parts = ["### Held-out gap, root mean square"]
-    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:MOST_ROWS]))
+    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:LISTED]))
     if plan.stages:
         heads = ["by", "part", *(stage.name for stage in plan.stages)]
         sizes = [[row.part, cell(row.name, 40), *map(times_text, row.sizes)] for row in rows_of(plan.stages)]
-        parts += ["### The same in times of the noise floor", table(heads, sizes[:MOST_ROWS])]
+        parts += ["### The same in times of the noise floor", table(heads, sizes[:LISTED])]
     return "\n\n".join([*parts, *bullets(words.floor_sentences(diagnosis))])
 
 
@@ -167,7 +160,7 @@ def _before_after(plan: DiscrepancyPlan) -> str:
     """The gap by output, in times of the noise floor."""
     rows = [[cell(row.name, 28), *map(times_text, row.sizes)] for row in rows_of(plan.stages) if row.part == "output"]
     heads = ["output, × noise", *(stage.name for stage in plan.stages)]
-    return table(heads, rows[:MOST_ROWS]) if rows else "The model as given does not run through the held-out records."
+    return table(heads, rows[:LISTED]) if rows else "The model as given does not run through the held-out records."
 
 
 VERDICT_TEXT: Final = "discrepancy/verdict"
@@ -175,8 +168,8 @@ LAW_TEXT: Final = "discrepancy/law/text"
 GAP_TEXT: Final = "discrepancy/gap_text"
 HYPOTHESES: Final = Pane("discrepancy/hypotheses/plot", 520.0, 400.0)
 
-SHOWN_HYPOTHESES: Final = 6
-SHOWN_LAWS: Final = 6
+SHOWN: Final = 6
+"""Draw so many hypotheses and so many laws, the best first."""
 
 
 def spectrum_pane(output: int) -> Pane:
@@ -186,7 +179,7 @@ def spectrum_pane(output: int) -> Pane:
 
 def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
     """Where each law is drawn, in the shape that its view will have on a common screen."""
-    n_laws = len(diagnosis.laws[:SHOWN_LAWS])
+    n_laws = len(diagnosis.laws[:SHOWN])
     width, height = {1: (900.0, 720.0), 2: (900.0, 370.0)}.get(n_laws, (480.0, 390.0))
     return tuple(Pane(f"discrepancy/law/{k + 1:02d}/plot", width, height) for k in range(n_laws))
 
@@ -198,7 +191,7 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
-    shown = diagnosis.hypotheses[:SHOWN_HYPOTHESES]
+    shown = diagnosis.hypotheses[:SHOWN]
     if shown:
         log_chart(recording, HYPOTHESES, hypothesis_bars(shown, chosen=found_hypothesis(diagnosis)))
     levels = level_lines(diagnosis)
@@ -268,7 +261,10 @@ STEP_SPECTRUM: Final = Pane("discrepancy/steps/spectrum/plot", 520.0, 400.0)
 STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
 STEP_TEXT: Final = "discrepancy/steps/text"
 DRAWN_SAMPLES: Final = 4000
+"""Draw the gap that plays with at most so many points a step."""
+
 SHOWN_PARTS: Final = 7
+"""Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:

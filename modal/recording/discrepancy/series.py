@@ -1,6 +1,4 @@
-"""The held-out records of a diagnosis over time, and all its tables: what is drawn, as numbers to be queried.
-
-What a recording of one diagnosis will hold, settled before anything is written.
+"""What the recording of a diagnosis will hold, and its held-out records over time: what is drawn, as numbers too.
 
 The held-out records share the timeline "time" as the records of an identification do. The timeline "step" counts the
 states of the model, from the model as given (0) on. What changes from step to step is stored on both: on "time" the
@@ -36,7 +34,8 @@ __all__ = [
     "stage_part",
 ]
 
-SERIES_PER_OUTPUT: Final = 8  # measured, and simulated and gap of up to three states, and the noise
+SERIES_PER_OUTPUT: Final = 8
+"""Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

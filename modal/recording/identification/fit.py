@@ -1,7 +1,4 @@
-"""The page "Observer fit": what the model makes of what was measured, and what is left over.
-
-How the page "Observer fit" opens; called by `modal.recording.stream`.
-"""
+"""The page "Observer fit": what the model makes of what was measured, and what is left over."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
@@ -38,7 +35,10 @@ MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
 WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)
 PREDICTED: Final[Colour] = (120, 205, 200)
 ONE_STEP: Final[Colour] = (250, 170, 160)
+"""Draw what is predicted one step ahead, and what that leaves, in these colours."""
+
 DRAWN_PAIRS: Final = 4
+"""Draw the strongest response of each of so many outputs."""
 
 
 def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
@@ -139,7 +139,7 @@ def _log_whiteness(identification: Identification, recording: "rerun.RecordingSt
 
 
 DETAILED_OUTPUTS: Final = 4
-"""Up to so many outputs, each has its window beside it on the first tab."""
+"""Set a window beside each output on the first tab up to so many outputs."""
 
 
 def fit_page(identification: Identification, plan: Plan) -> Any:

@@ -1,8 +1,7 @@
 """The page "Record": what was measured, over time and over frequency, and what there is to say against it.
 
-How the page "Record" opens; called by `modal.recording.stream`, and by `modal.recording.live` before any fit.
-
-The quality of the data in words, as Markdown: the verdict, what was found, one row a channel.
+It opens with a result, and before any fit in the live view; its words give the verdict on the data, what was found, and
+a row a channel.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,7 +27,7 @@ from modal.recording.figure import (
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import UNKNOWN, bullets, log_table, table
+from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -45,8 +44,8 @@ __all__ = [
     "spectra_pane",
 ]
 
-LISTED_CHANNELS: Final = 40
 LISTED_FINDINGS: Final = 20
+"""List so many findings in words, the gravest first; the table of findings holds all."""
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
@@ -84,7 +83,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
             f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
             one.level if one.level == "good" else f"**{one.level}**",
         ]
-        for one in quality.channels[:LISTED_CHANNELS]
+        for one in quality.channels[:LISTED]
     ]
     parts.append(table(head, rows))
     if first.n_inputs:
@@ -109,9 +108,16 @@ INPUT_ROLES: Final = (*IN_TURN[4:], *IN_TURN[:4])
 """Draw inputs in these colours, in turn, gold first."""
 
 MOST_MARKS: Final = 10
+"""Mark so many findings on the time axis, a row each."""
+
 SHORTEST_MARK: Final = 0.004
+"""Draw a mark at least this share of the timeline long, so that it is seen."""
+
 SHOWN_SPECTRA: Final = 6
+"""Draw the spectra of so many inputs and of so many outputs."""
+
 SPECTRUM_DECADES: Final = 8.0
+"""Leave out of the range of a spectrum what lies so many decades below its peak."""
 
 
 def quality_path(plan: DataPlan) -> str:
@@ -297,7 +303,7 @@ def _density_unit(quality: DataQuality, role: str) -> str:
 
 
 ONE_COLUMN: Final = 4
-"""Outputs stand one below the other up to so many, in two columns beyond."""
+"""Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:

@@ -3,12 +3,6 @@
 Over time the model runs freely: it sees the inputs alone. Over frequency its response is set against the quotient of
 the spectra, which knows nothing of the model, with the coherence that says where that quotient can be believed. Without
 inputs the spectrum of the outputs takes the place of the response.
-
-How the page "Validation" opens; called by `modal.recording.stream`.
-
-Where the page "Validation" draws what: a pane for each output, and one for each pair of output and input.
-
-The page "Validation" in words: what was run on which rows, and how much of each output is left over.
 """
 
 from collections.abc import Iterable
@@ -23,7 +17,7 @@ from modal.plots.responses import density_label
 from modal.recording.figure import Pane, document_view, log_chart, plot_view, series_view
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import SHOWN_INPUTS, Gathered, Plan, cell, label
-from modal.recording.tables import UNKNOWN, log_table, table
+from modal.recording.tables import LISTED, UNKNOWN, log_table, table
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -44,10 +38,13 @@ __all__ = [
 ]
 
 MOST_RESPONSES: Final = 16
+"""Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
+
 DECADES: Final = 5.0
-"""Of a magnitude that are shown; of a power spectrum, which is its square, twice as many hold the same."""
+"""Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
+
 HIGHEST: Final = 100.0
-"""Times the largest measured value that a peak of the model may have in the picture."""
+"""Let a peak of the model rise to so many times the largest measured value, and no further."""
 
 
 def response_pane(output: int, source: int) -> Pane:
@@ -99,9 +96,6 @@ def two_line_limits(seen: FloatArray, made: FloatArray, *, decades: float = DECA
     return max(float(first.min()), high * 10.0**-decades), high
 
 
-LISTED_OUTPUTS: Final = 40
-
-
 def validation_text(identification: Identification, evidence: Gathered) -> str:
     """What the pictures beside it show, on which rows, and the numbers of each output."""
     first = identification.records[0]
@@ -138,7 +132,7 @@ def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
     driven = bool(first.n_inputs)
     head = ["output", "unit", "cross-validated", "all rows" if driven else "one step", "left over", "output"]
     rows = []
-    for i in range(min(first.n_outputs, LISTED_OUTPUTS)):
+    for i in range(min(first.n_outputs, LISTED)):
         left, whole = _sizes(identification, i)
         rows.append(
             [
