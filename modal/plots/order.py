@@ -61,7 +61,7 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
 
 
 def order_fits(evidence: OrderEvidence) -> Chart:
-    """Cross-validated fit against model order; a very bad one and an unstable one stand at the edge."""
+    """Cross-validated fit against model order; a very bad one stands at the edge, an unstable one has a mark there."""
     figure = grid_of(1, 1, size=(5.2, 3.3))
     panel = figure.panels[0]
     orders, fits = np.asarray(evidence.candidate_orders, dtype=float), np.asarray(evidence.candidate_fits, dtype=float)
@@ -71,13 +71,14 @@ def order_fits(evidence: OrderEvidence) -> Chart:
         return figure
     best = float(fits[there].max(initial=-np.inf))
     floor = best - 0.5 if -np.inf < best <= 0 else -0.1
-    shown = np.maximum(fits[there], floor)
+    shown, room = np.maximum(fits[there], floor), 0.03
     panel.line(orders[there], shown, "measured", dot=STYLE.dot, label="on rows not fitted to")
     panel.across(0.5, "doubtful", dash="dashed", label="0.5: below it no mode is certain")
     panel.upright(evidence.order, "model", label=f"order {evidence.order} chosen")
     if not there.all():
-        panel.dots(orders[~there], np.full((~there).sum(), floor), "residual", dot=STYLE.dot, label="unstable")
-    panel.y.limits = (floor - 0.03, max(1.0, best) + 0.03)
+        ends = [[[order, -np.inf], [order, floor + room]] for order in orders[~there]]
+        panel.segments(ends, "residual", width=STYLE.dot, label="unstable")
+    panel.y.limits = (floor - room, max(1.0, best) + room)
     panel.x.label, panel.y.label = "model order", "cross-validated fit"
     panel.key = "lower right"
     return figure

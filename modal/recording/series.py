@@ -63,8 +63,8 @@ BYTES_PER_RECORDING: Final = 75_000_000
 
 BYTES_PER_ROW: Final = 14.0
 BYTES_PER_VALUE: Final = 8.1
-"""Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of Rerun 0.41
-with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3 bytes a row."""
+"""Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of Rerun
+0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3 bytes a row."""
 
 DETAIL_SHARE: Final = 8
 """Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""

@@ -118,8 +118,7 @@ def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, ev
     import rerun as rr
 
     at = np.array(orders_of(evidence), dtype=np.int64)
-    drawn = [line for line in panel.lines if line.dot and line.label != "unstable"]
-    values = {x: y for line in drawn for x, y in line.corners.tolist()}
+    values = {x: y for line in panel.lines if line.dot for x, y in line.corners.tolist()}
     heights = np.array([values.get(order, np.nan) for order in at.tolist()])
     there = np.isfinite(heights)
     if not there.any():
