@@ -1,8 +1,10 @@
-"""Pictures of a result: each function takes frozen types and returns a `Chart`, which is numbers; `svg_text` draws it.
+"""Pictures of a result: each function takes frozen types and returns a `Chart`, which is numbers.
 
-No plotting library: a page needs lines, areas and words as SVG, in colours that it exchanges itself.
+`svg_text` draws it for a page, without a plotting library: lines, areas and words in colours that the page exchanges
+itself. `figure_of` makes a matplotlib figure of it.
 """
 
+from modal.plots.figures import figure_of
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
 from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
@@ -15,6 +17,7 @@ __all__ = [
     "Notes",
     "assurance_matrix",
     "chart_text",
+    "figure_of",
     "frequency_responses",
     "geometry_picture",
     "markov_parameters",

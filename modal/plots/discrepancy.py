@@ -1,9 +1,4 @@
-"""Where simulation and measurement disagree, and how the gap shrinks: over time, over frequency, by part, by step.
-
-A named law over the data: the force that the found effect makes, and the force that the data ask for without it.
-
-Modes against the level of the excitation: frequency and damping of the best linear model of each level.
-"""
+"""A diagnosis: where simulation and measurement disagree, how the gap shrinks, laws over data, modes against level."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -12,12 +7,11 @@ import numpy as np
 
 from modal.discrepancy.results import Hypothesis, LawCurve, Step
 from modal.localisation.gap import Gap
-from modal.plots.histories import APART as ROLES
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of
-from modal.plots.panels import NINETY_FIVE, STYLE, Panel, Role, envelope
+from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
-from modal.sections.discrepancy_stages import LevelLine, Row, Stage, gap_density
+from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density
 from modal.sections.discrepancy_values import (
     NAMED_WITHIN,
     effect_text,
@@ -28,11 +22,14 @@ from modal.sections.discrepancy_values import (
     times_text,
 )
 from modal.wording.names import plot_label
+from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 from okid.record import Record
 
 __all__ = [
+    "STAGE_ROLES",
     "before_and_after",
+    "draw_gap_spectrum",
     "draw_laws",
     "gap_histories",
     "gap_spectra",
@@ -94,23 +91,27 @@ def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None
     figure = row_of(len(chosen), most_columns=2, width=STYLE.page, height=2.9)
     density = gap_density([stage.gap for stage in stages])
     for panel, output in zip(figure.panels, chosen, strict=True):
-        low, high = density.span(output)
-        measured = density.measured[:, output]
-        panel.x.log = panel.y.log = True
-        panel.area(density.frequency, low, measured, "measured", opacity=STYLE.faint)
-        panel.line(
-            density.frequency, measured, "measured", width=STYLE.thin, opacity=STYLE.half, label="measured output"
-        )
-        for stage, gap in zip(stages, density.gaps, strict=True):
-            positive = np.where(gap[:, output] > 0, gap[:, output], np.nan)
-            panel.line(density.frequency, positive, STAGE_ROLES[stage.kind], label=f"gap {stage.name}")
-        panel.across(density.noise[output], "muted", dash="dashed", label="noise floor")
-        panel.y.limits = (low, high)
-        panel.x.limits = (float(density.frequency[0]), float(density.frequency[-1]))
-        panel.x.label, panel.y.label = "frequency [Hz]", density_label(records[0].output_units[output])
+        draw_gap_spectrum(panel, density, stages, output)
+        panel.y.label = density_label(records[0].output_units[output])
         panel.head = plot_label(records[0].output_names[output])
     figure.key = Key(panel=figure.panels[0])
     return figure
+
+
+def draw_gap_spectrum(panel: Panel, density: GapDensity, stages: Sequence[Stage], output: int) -> None:
+    """The gap of one output in each of the stages that the density is of, over the measured output and the floor."""
+    low, high = density.span(output)
+    measured = density.measured[:, output]
+    panel.x.log = panel.y.log = True
+    panel.area(density.frequency, low, measured, "measured", opacity=STYLE.faint)
+    panel.line(density.frequency, measured, "measured", width=STYLE.thin, opacity=STYLE.half, label="measured output")
+    for stage, gap in zip(stages, density.gaps, strict=True):
+        positive = np.where(gap[:, output] > 0, gap[:, output], np.nan)
+        panel.line(density.frequency, positive, STAGE_ROLES[stage.kind], label=f"gap {stage.name}")
+    panel.across(density.noise[output], "muted", dash="dashed", label="noise floor")
+    panel.y.limits = (low, high)
+    panel.x.limits = (float(density.frequency[0]), float(density.frequency[-1]))
+    panel.x.label = "frequency [Hz]"
 
 
 def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
@@ -156,7 +157,9 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
     panel.x.log, panel.x.limits = True, (start, highest * 2.2)
     panel.y.ticks = [(float(place), plot_label(effects_text(one.effects), limit=64)) for place, one in enumerate(shown)]
     panel.y.limits, panel.y.grid = (len(shown) - 0.5, -0.5), False
-    _limits(panel)
+    panel.upright(1.0, "muted", dash="dashed", label="noise floor")
+    panel.upright(NAMED_WITHIN, "doubtful", dash="dotted", label=f"named only within {NAMED_WITHIN:.2f}")
+    figure.key = Key(panel=panel)
     panel.x.label = "left on held-out data (root mean square), times the noise floor"
     return figure
 
@@ -196,15 +199,6 @@ def _dumbbells(panel: Panel, group: Sequence[Row], stages: Sequence[Stage]) -> N
     panel.upright(1.0, "muted", dash="dashed", label="noise floor")
     panel.y.ticks = [(float(place), plot_label(row.name, limit=30)) for place, row in enumerate(group)]
     panel.y.limits, panel.y.grid, panel.y.role = (len(group) - 0.4, -0.6), False, "ink"
-
-
-def _limits(panel: Panel) -> None:
-    panel.upright(1.0, "muted", dash="dashed")
-    panel.upright(NAMED_WITHIN, "doubtful", dash="dotted")
-    panel.rows_above = 1
-    named = f"{NAMED_WITHIN:.2f}: named only within"
-    panel.word(1.0, np.inf, "noise floor", "muted", anchor="end", shift=(-STYLE.gap, -STYLE.gap))
-    panel.word(NAMED_WITHIN, np.inf, named, "doubtful", shift=(STYLE.gap, -STYLE.gap))
 
 
 def _worst_moment(gap: Gap, record: int) -> slice:
@@ -289,7 +283,7 @@ def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
     damped = [line for line in lines if np.isfinite(line.damping).any()]
     figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
     for place, line in enumerate(lines):
-        role, shift = ROLES[place % len(ROLES)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
+        role, shift = IN_TURN[place % len(IN_TURN)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
         _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
         if line in damped:
             _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)

@@ -1,12 +1,11 @@
 """Over time: what was measured, what the model says from the inputs alone, and whether what is left is white."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from modal.plots.layout import Chart, Key, grid_of
-from modal.plots.panels import STYLE, Panel, Role, envelope
+from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.names import plot_label
 from modal.wording.numbers import fit_text
 from okid.arrays import FloatArray
@@ -14,9 +13,6 @@ from okid.record import Record
 from okid.residuals import ResidualCheck
 
 __all__ = ["mark_moment", "measured_against_simulated", "residual_autocorrelation"]
-
-APART: Final[tuple[Role, ...]] = ("measured", "model", "system", "residual", "doubtful", "muted")
-"""Draw outputs and modes that stand side by side in these colours, in turn."""
 
 
 def measured_against_simulated(
@@ -85,7 +81,7 @@ def residual_autocorrelation(
         offset = 0.7 * (output - (shown - 1) / 2) / shown
         values = residuals.autocorrelation[1:, output]
         foot, tip = (np.stack([lags[1:] + offset, ends], axis=-1) for ends in (np.zeros_like(values), values))
-        panel.segments(np.stack([foot, tip], axis=1), APART[output % len(APART)], label=name)
+        panel.segments(np.stack([foot, tip], axis=1), IN_TURN[output % len(IN_TURN)], label=name)
     panel.x.label, panel.y.label = "lag [samples]", "autocorrelation"
     panel.x.limits = (0.3, float(lags[-1]) + 0.7)
     figure.key = Key(panel=panel)

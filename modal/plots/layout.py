@@ -1,17 +1,21 @@
 """A chart: panels in rows and columns, a key, and where each of them lies; nothing is drawn here.
 
-A chart is made once and read twice: `modal.plots.vector` draws it, `modal.plots.vector` tells its numbers to the page's
-script.
+A chart is made once and read several times: `modal.plots.vector` draws it for a page and tells the page's script its
+numbers, `modal.recording` draws it for the Rerun viewer, `modal.plots.figures` as a matplotlib figure.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from modal.plots.panels import STYLE, Panel, text_width
 
-__all__ = ["Chart", "Key", "grid_of", "row_of"]
+__all__ = ["INCH", "Chart", "Key", "grid_of", "row_of"]
+
+INCH: Final = 72.0
+"""Take an inch for so many points, as printers do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -99,7 +103,7 @@ def grid_of(
 ) -> Chart:
     """A figure of `size` inches with a panel in each of `n_rows` times `n_columns` places."""
     rows: list[list[Panel | None]] = [[Panel() for _ in range(n_columns)] for _ in range(n_rows)]
-    return Chart((72.0 * size[0], 72.0 * size[1]), rows, across=across, down=down)
+    return Chart((INCH * size[0], INCH * size[1]), rows, across=across, down=down)
 
 
 def row_of(n_panels: int, *, most_columns: int, width: float, height: float) -> Chart:

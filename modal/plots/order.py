@@ -1,7 +1,7 @@
 """What the model order was decided on: singular values, fit against order, and which poles stay when it grows."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["colour_measure", "order_fits", "pole_classes", "singular_values", "stabilisation_diagram"]
+__all__ = ["POLE_ROLES", "colour_measure", "order_fits", "pole_classes", "singular_values", "stabilisation_diagram"]
 
 MOST_POLES = 4000
 """Draw at most so many poles of all orders; of more, only those of every second, third, ... order."""
@@ -32,6 +32,9 @@ REPEATABILITY_CLASSES = (
     (0.9, 1.01, "above 0.9"),
 )
 """Repeatability over halves of the data and another observer: (from, below, word)."""
+
+POLE_ROLES: Final[tuple[Role, ...]] = ("noise", "doubtful", "measured", "system")
+"""Draw the poles of each class in these colours."""
 
 
 def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
@@ -58,20 +61,24 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
 
 
 def order_fits(evidence: OrderEvidence) -> Chart:
-    """Cross-validated fit against model order; an unstable one has no point, a very bad one stands at the edge."""
+    """Cross-validated fit against model order; a very bad one stands at the edge, an unstable one has a mark there."""
     figure = grid_of(1, 1, size=(5.2, 3.3))
     panel = figure.panels[0]
     orders, fits = np.asarray(evidence.candidate_orders, dtype=float), np.asarray(evidence.candidate_fits, dtype=float)
     there = np.isfinite(fits)
-    if not there.any():
+    if not orders.size:
         panel.word(0.5, 0.5, "no fits were compared", "muted", anchor="middle")
         return figure
-    floor = min(-0.1, 0.0) if fits[there].max() > 0 else float(fits[there].max()) - 0.5
-    shown = np.maximum(fits[there], floor)
+    best = float(fits[there].max(initial=-np.inf))
+    floor = best - 0.5 if -np.inf < best <= 0 else -0.1
+    shown, room = np.maximum(fits[there], floor), 0.03
     panel.line(orders[there], shown, "measured", dot=STYLE.dot, label="on rows not fitted to")
     panel.across(0.5, "doubtful", dash="dashed", label="0.5: below it no mode is certain")
     panel.upright(evidence.order, "model", label=f"order {evidence.order} chosen")
-    panel.y.limits = (floor - 0.03, max(1.0, float(shown.max())) + 0.03)
+    if not there.all():
+        ends = [[[order, -np.inf], [order, floor + room]] for order in orders[~there]]
+        panel.segments(ends, "residual", width=STYLE.dot, label="unstable")
+    panel.y.limits = (floor - room, max(1.0, best) + room)
     panel.x.label, panel.y.label = "model order", "cross-validated fit"
     panel.key = "lower right"
     return figure
@@ -95,14 +102,14 @@ def stabilisation_diagram(
     panel = figure.panels[0]
     nyquist = 0.5 / modes.dt
     highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
-    if measured:
-        frequency, power = _mean_spectrum(measured)
+    frequency, power = _mean_spectrum(measured) if measured else (np.zeros(0), np.zeros(0))
+    if power.any():
         level = 10.0 * np.log10(np.maximum(power, power.max() * 1e-8))
         height = (level - level.min()) / max(float(np.ptp(level)), 1e-9)
         panel.area(frequency, 0, height * highest * 0.96, "measured", opacity=STYLE.faint)
-        panel.line(frequency, height * highest * 0.96, "measured", width=STYLE.thin, opacity=STYLE.half)
-    roles: tuple[Role, ...] = ("noise", "doubtful", "measured", "system")
-    for number, ((word, points), role) in enumerate(zip(pole_classes(evidence), roles, strict=True)):
+        label = "mean spectrum of the outputs"
+        panel.line(frequency, height * highest * 0.96, "measured", width=STYLE.thin, opacity=STYLE.half, label=label)
+    for number, ((word, points), role) in enumerate(zip(pole_classes(evidence), POLE_ROLES, strict=True)):
         places = [point.frequency for point in points], [point.order for point in points]
         panel.dots(*places, role, dot=STYLE.dot if number else 2.4, label=word)
     panel.across(evidence.order, "model")

@@ -1,13 +1,7 @@
-"""A panel as numbers: two axes, and what is drawn between them.
+"""A panel as numbers: two axes with their scales and ticks, and the curves, areas, pieces and words between them.
 
 Lengths are points (1/72 inch) from the left upper corner of the chart; values beyond an axis, infinite ones too, are
-drawn as far as its edge.
-
-What is drawn on a panel: curves, areas, separate pieces and words, and the scale of an axis.
-
-Where an axis has its ticks, and what stands beside them.
-
-Colours by meaning, the same in every picture, and the sizes of letters and lines.
+drawn as far as its edge. Colours have a meaning, the same in every picture.
 """
 
 import math
@@ -23,7 +17,7 @@ from okid.arrays import FloatArray
 
 __all__ = [
     "COLOURS",
-    "NINETY_FIVE",
+    "IN_TURN",
     "STYLE",
     "Anchor",
     "Area",
@@ -46,6 +40,9 @@ __all__ = [
 Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
 """What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
 says, what is left over, and modes that are of the system, may be, and are not."""
+
+IN_TURN: Final[tuple[Role, ...]] = ("measured", "model", "system", "residual", "doubtful", "muted")
+"""Draw channels and modes that stand side by side in these colours, in turn."""
 
 COLOURS: Final[dict[Role, str]] = {
     "paper": "#ffffff",
@@ -110,9 +107,6 @@ class Style:
     strong: float = 0.8
     page: float = 10.4
 
-
-NINETY_FIVE: Final = 1.96
-"""Draw so many standard deviations for 95 %, the quantile of a normal distribution."""
 
 STYLE: Final = Style()
 """Draw every picture in these sizes."""
@@ -534,6 +528,11 @@ class Panel:
     def y_ticks(self) -> Sequence[Tick]:
         """Ticks upwards, as many as its height has room for."""
         return _ticks(self.y, self.box[3] / STYLE.down)
+
+    def within(self, points: FloatArray) -> FloatArray:
+        """(..., 2) values of which the infinite ones stand at the edges, once the limits are known."""
+        limits = np.array([self.x.limits, self.y.limits], dtype=np.float64)
+        return np.where(np.isinf(points), np.where(points > 0, limits[:, 1], limits[:, 0]), points)
 
     def place(self, points: FloatArray) -> FloatArray:
         """(..., 2) places in the figure of (..., 2) values; what is beyond an axis lies a little beyond its edge."""

@@ -1,9 +1,7 @@
-"""A figure as text to be put into a page: the same bytes for the same figure, and colours that the page decides.
+"""A chart as text to be put into a page: the same bytes for the same chart, and colours that the page decides.
 
-What a page's script needs to read values off a figure: where its panels lie, and the numbers behind its lines.
-
-The picture itself stays an SVG that says everything without a script. This is the data beside it: for each panel its
-place in the picture and the limits of its axes, for each line its values to five digits. Nothing here is drawn.
+The picture is an SVG that says everything without a script. What a page's script needs to read values off it stands
+beside it: for each panel its place in the picture and the limits of its axes, for each line its values to five digits.
 """
 
 import html
@@ -313,7 +311,7 @@ def chart_text(figure: Chart, name: str, *, notes: Mapping[str, Notes] | None = 
         One line of ASCII without "<", ">" and "&".
 
     Example:
-        >>> from modal.plots.panels import grid_of
+        >>> from modal.plots.layout import grid_of
         >>> figure = grid_of(1, 1, size=(4, 3))
         >>> figure.panels[0].line([0, 1, 2], [3, 4, 5], "measured", label="measured")
         >>> json.loads(chart_text(figure, "x"))["panels"][0]["series"][0]["y"]

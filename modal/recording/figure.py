@@ -1,25 +1,23 @@
-"""Plots with axes of their own, drawn from lines and points, for all that is not a function of time.
+"""A chart of `modal.plots` in a 2-D view of Rerun, and the views that several pages are made of.
 
-Rerun's plots run over a timeline and have no logarithmic axis; so singular values, stabilisation diagrams and spectra
-are drawn in a 2-D view: frame, grid, ticks, legend. One unit of the view is about one point of the screen.
-
-Several frames may stand one below the other in one pane, each a band of its height: they share the horizontal axis and
-zoom together, which separate views do not.
-
-Axes of drawn plots: a range of values, and ticks where a person would put them.
-
-The colours of every page: few, bright on near-black, one meaning each.
-
-The views that several pages are made of: series over time, drawn plots, words.
+Rerun's own plots run over a timeline and have no logarithmic axis, so all that is not a function of time is a `Chart`,
+the same that a report draws, as strips, points and labels. One unit of the view is about one point of the screen.
+Labels are as large as the viewer makes them and never stand on end: what an axis upwards shows stands above it, beside
+the key, whose words have the colours of what they name.
 """
 
-from collections.abc import Sequence
+import math
+import re
+import unicodedata
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from modal.plots.layout import Chart
+from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -28,9 +26,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BACKGROUND",
     "BLUE",
-    "CYCLE",
+    "COLOURS",
     "DIM_BLUE",
-    "DIM_GREEN",
     "FRAME",
     "GOLD",
     "GREEN",
@@ -39,99 +36,50 @@ __all__ = [
     "ORANGE",
     "PALE",
     "RED",
-    "SHARE_AXIS",
     "WHITE",
-    "Axis",
     "Colour",
-    "Figure",
     "Pane",
-    "by_share",
+    "colour_of",
     "document_view",
-    "legend_share",
-    "linear_axis",
-    "log_axis",
+    "drawable",
+    "log_chart",
     "plot_view",
+    "seen_at",
     "series_view",
 ]
 
+DRAWN: Final = (
+    *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
+    *((0x384, 0x38A), (0x38E, 0x3A1), (0x3A3, 0x3CF)),  # Greek
+    *((0x401, 0x40C), (0x40E, 0x44F), (0x451, 0x45C), (0x490, 0x493)),  # Cyrillic
+    *((0x1E80, 0x1E85), (0x1EA0, 0x1EF9)),  # more Latin
+    *((0x2010, 0x2011), (0x2013, 0x2014), (0x2018, 0x2022), (0x2026, 0x2026), (0x2074, 0x207A), (0x2080, 0x2089)),
+    *((0x2190, 0x2199), (0x2212, 0x2212), (0x221E, 0x221E), (0x2248, 0x2248), (0x2260, 0x2260), (0x2264, 0x2265)),
+    (0x25A0, 0x25A1),
+)
+"""Code points that both fonts inside Rerun 0.41 (Inter, JetBrains Mono) can draw. The viewer looks for others among the
+fonts of the machine, and where there are none it does not draw a box but stops: seen with Arabic, Han, U+FFFD."""
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Axis:
-    """A range of values, its ticks, and what it is.
-
-    Attributes:
-        title: quantity and unit.
-        low: value at the start (its logarithm for a logarithmic axis, as for the others below).
-        high: value at the end.
-        ticks: values that carry a grid line and a text.
-        texts: one a tick.
-        scale: "linear" or "log10".
-    """
-
-    title: str
-    low: float
-    high: float
-    ticks: tuple[float, ...]
-    texts: tuple[str, ...]
-    scale: Literal["linear", "log10"] = "linear"
-
-    def share(self, values: npt.ArrayLike) -> FloatArray:
-        """Where values lie on the axis: 0 at its start, 1 at its end; nan for those that a log axis cannot show."""
-        given = np.asarray(values, dtype=np.float64)
-        if self.scale == "log10":
-            given = np.log10(np.where(given > 0, given, np.nan))
-        return np.asarray((given - self.low) / (self.high - self.low))
+BOX: Final = "\N{WHITE SQUARE}"
 
 
-SHARE_AXIS: Final = Axis(title="coherence", low=0.0, high=1.04, ticks=(0.0, 0.5, 1.0), texts=("0", "0.5", "1"))
-"""Of a coherence, in a low frame."""
-
-
-def linear_axis(title: str, low: float, high: float, *, whole: bool = False) -> Axis:
-    """An axis from `low` to `high` with ticks at round steps.
-
-    Args:
-        title: quantity and unit.
-        low: start.
-        high: end; a range without width is widened.
-        whole: ticks at whole numbers only.
+def drawable(text: str) -> str:
+    """The text with a box for each character that not every Rerun viewer can draw, or its plain form where it has one.
 
     Example:
-        >>> linear_axis("order", 0, 42).texts
-        ('0', '10', '20', '30', '40')
+        >>> drawable("h\N{LATIN SMALL LETTER E WITH ACUTE}t\N{DOUBLE-STRUCK CAPITAL R}")
+        'hétR'
     """
-    if not high > low:
-        low, high = low - 0.5 - abs(low) / 2, low + 0.5 + abs(low) / 2
-    raw = (high - low) / 5
-    power = 10.0 ** np.floor(np.log10(raw))
-    step = power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / raw)))
-    if whole:
-        step = max(1.0, np.round(step))
-    first = np.ceil(low / step - 1e-9)
-    ticks = step * np.arange(first, np.floor(high / step + 1e-9) + 1)
-    ticks = np.where(np.abs(ticks) < step * 1e-9, 0.0, ticks)
-    texts = tuple(f"{tick:.6g}" for tick in ticks)
-    return Axis(title=title, low=low, high=high, ticks=tuple(ticks.tolist()), texts=texts)
+    return "".join(letter if _is_drawn(letter) else _plain(letter) for letter in text)
 
 
-def log_axis(title: str, low: float, high: float) -> Axis:
-    """A logarithmic axis a little wider than `low` to `high`, both positive, with ticks at decades.
+def _is_drawn(letter: str) -> bool:
+    return any(first <= ord(letter) <= last for first, last in DRAWN)
 
-    Example:
-        >>> log_axis("singular value", 0.03, 20).texts
-        ('0.1', '1', '10')
-    """
-    start, stop = np.log10(low), np.log10(high)
-    margin = max(0.08 * (stop - start), 0.15)
-    start, stop = start - margin, stop + margin
-    first, last = int(np.ceil(start)), int(np.floor(stop))
-    if last <= first:  # at least two decades, or nothing can be read off
-        first, last = min(first, last), max(first, last) + (first == last)
-        start, stop = min(start, first), max(stop, last)
-    step = max(1, -(-(last - first) // 7))
-    decades = np.arange(first, last + 1, step)
-    texts = tuple(f"{10.0**d:g}" if -4 < d < 5 else f"1e{d}" for d in decades.tolist())
-    return Axis(title=title, low=start, high=stop, ticks=tuple(map(float, decades)), texts=texts, scale="log10")
+
+def _plain(letter: str) -> str:
+    plain = unicodedata.normalize("NFKC", letter)
+    return plain if all(map(_is_drawn, plain)) else BOX
 
 
 Colour = tuple[int, int, int]
@@ -148,51 +96,6 @@ ORANGE: Final[Colour] = (255, 160, 77)  # simulated from the inputs alone
 GREEN: Final[Colour] = (72, 207, 140)  # kept, stable, system
 GOLD: Final[Colour] = (245, 196, 84)  # inputs, choices
 RED: Final[Colour] = (240, 96, 96)  # what is left over
-CYCLE: Final[tuple[Colour, ...]] = (
-    GOLD,
-    (150, 130, 255),
-    (86, 210, 220),
-    (240, 130, 190),
-    (190, 210, 90),
-    (210, 160, 120),
-)
-"""For channels of equal rank, in this order, again from the start when there are more."""
-
-DIM_GREEN: Final[Colour] = (38, 84, 62)
-
-_KNOTS: Final = np.array([0.0, 0.5, 0.8, 0.95, 1.0])
-_STOPS: Final = np.array([(84, 88, 98), (104, 98, 90), GOLD, GREEN, GREEN], dtype=np.float64)
-
-
-def by_share(share: npt.ArrayLike) -> npt.NDArray[np.uint8]:
-    """Colour of a share in [0, 1]: grey to 0.5, gold at 0.8, green from 0.95 on; nan is grey.
-
-    Args:
-        share: (n,) values; those outside [0, 1] take the colour of the nearer end.
-
-    Returns:
-        (n, 3) red, green, blue.
-
-    Example:
-        >>> by_share([0.0, 1.0]).tolist()
-        [[84, 88, 98], [72, 207, 140]]
-    """
-    position = np.clip(np.nan_to_num(np.atleast_1d(np.asarray(share, dtype=np.float64))), 0.0, 1.0)
-    channels = [np.interp(position, _KNOTS, _STOPS[:, c]) for c in range(3)]
-    return np.round(np.column_stack(channels)).astype(np.uint8)
-
-
-LEFT, RIGHT, TOP, BOTTOM = 62.0, 24.0, 40.0, 58.0
-"""Margins around the frame for ticks and titles, in view units."""
-
-PLAIN_BOTTOM: Final = 8.0
-"""The same below a frame whose horizontal axis carries no texts."""
-
-LETTER: Final = 7.0
-"""Width of a letter of a label, about, in view units."""
-
-BUBBLE: Final = 19.0
-"""A label hangs below its point by this much, in view units: its middle is to stand where it is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,205 +113,311 @@ class Pane:
     height: float
 
 
-def legend_share(pane: Pane, texts: Sequence[str]) -> float:
-    """Share of the frame's width to leave free for a legend inside it, at most half.
+ENLARGED: Final = 2.0
+"""Enlarge a chart so much: a row of words, 10.6 points, is as high as a label of the viewer with its ground."""
 
-    Example:
-        >>> legend_share(Pane("fit/markov/plot", 500.0, 200.0), ["tip / force"])
-        0.256...
-    """
-    return min(0.5, (LETTER * max(map(len, texts), default=0) + 29.0) / (pane.width - LEFT - RIGHT))
+DOTS: Final = 0.7
+"""Draw a dot with a radius of so much of its diameter in print."""
+
+STROKE: Final = 6.0
+"""Fill a box with strokes of at most this height, in view units: their ends are round."""
+
+LETTER: Final = 7.0
+"""Take a letter of a label as this wide, in view units."""
+
+PADDING: Final = 12.0
+"""Leave so much between the words of a label and its ends, in view units."""
+
+BUBBLE: Final = 19.0
+"""Raise a label by this, in view units: it hangs below its point, and its middle is to stand where it is asked for."""
+
+KEY_ROWS: Final = 2
+"""Give a key so many rows, the first of them beside the head; say how many more there are."""
+
+WORDS_SHARE: Final = 0.3
+"""Set the words of rows above their bars, inside of the panel, when beside it they need more of the pane than this."""
+
+COLOURS: Final[dict[Role, Colour]] = {
+    "paper": BACKGROUND,
+    "ink": PALE,
+    "muted": GREY,
+    "grid": GRID,
+    "measured": BLUE,
+    "model": ORANGE,
+    "residual": RED,
+    "system": GREEN,
+    "doubtful": GOLD,
+    "noise": GREY,
+}
+"""Draw what a role means in the colour that it has on every page."""
+
+Said = tuple[float, float, str, Colour]
+"""A label: the place of its middle in the view, its words and their colour."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Figure:
-    """A plot in a 2-D view: draws into `recording` below the pane's path, everything static.
+def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, behind: float = 2.0) -> None:
+    """Draw a chart below the path of its pane, everything static; it is laid out anew, in the shape of the pane.
 
-    Attributes:
+    Each line, area and set of pieces is an entity, named by its label; those of several panels stand below the
+    number of their panel.
+
+    Args:
         recording: the stream.
         pane: where and how large.
-        x: horizontal axis.
-        y: vertical axis.
-        band: where the plot begins and ends in the height of the pane, as shares of it.
-        part: what its entities are called below the pane's, where there are several plots in it.
+        chart: of `modal.plots`, which nobody else will draw.
+        behind: what the first line is drawn over; grid and frame lie below.
     """
+    chart.width, chart.height = pane.width / ENLARGED, pane.height / ENLARGED
+    keys = [_entries(chart, panel) for panel in chart.panels]
+    chart.key = None
+    for panel in chart.panels:
+        panel.head = (panel.y.label or panel.head).replace("\n", ": ")
+        panel.y.label, panel.centred = "", False
+        _words_inside(chart, panel)
+    chart.arrange()
+    rows = [_wrapped(panel, entries) for panel, entries in zip(chart.panels, keys, strict=True)]
+    for panel, lines in zip(chart.panels, rows, strict=True):
+        panel.rows_above += len(lines) - 1
+    chart.arrange()
+    for number, (panel, lines) in enumerate(zip(chart.panels, rows, strict=True)):
+        path = pane.path if len(chart.panels) == 1 else f"{pane.path}/{number}"
+        if panel.frame:
+            _log_frame(recording, path, panel)
+        for place, (name, mark) in enumerate(zip(_names(panel.marks), panel.marks, strict=True)):
+            _log_mark(recording, f"{path}/{name}", panel, mark, behind + place)
+        _log_words(recording, path, [*_ticks(panel), *_head(panel, lines), *_words(panel)])
 
-    recording: "rerun.RecordingStream"
-    pane: Pane
-    x: Axis
-    y: Axis
-    band: tuple[float, float] = (0.0, 1.0)
-    part: str = ""
 
-    @property
-    def path(self) -> str:
-        """The entity above all parts."""
-        return f"{self.pane.path}/{self.part}" if self.part else self.pane.path
+def seen_at(panel: Panel, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
+    """(n, 2) places in the view of values, once the chart is drawn; beyond an axis they lie on its edge."""
+    points = np.stack(np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in (x, y))), axis=-1)
+    left, top, width, height = panel.box
+    return ENLARGED * np.clip(panel.place(panel.within(points)), (left, top), (left + width, top + height))
 
-    @property
-    def is_lowest(self) -> bool:
-        """Whether the horizontal axis carries its numbers and its title: in the lowest band alone."""
-        return self.band[1] >= 1.0
 
-    @property
-    def top(self) -> float:
-        """Of the frame, in view units."""
-        return self.band[0] * self.pane.height + TOP
+def colour_of(role: Role, opacity: float = 1.0) -> Colour:
+    """The colour of a role as it shines through to the background: lines in the viewer hide what is behind them.
 
-    @property
-    def width(self) -> float:
-        """Of the frame, in view units."""
-        return self.pane.width - LEFT - RIGHT
+    Example:
+        >>> colour_of("measured"), colour_of("measured", 0.5)
+        ((86, 156, 255), (50, 85, 136))
+    """
+    red, green, blue = (
+        round(ground + opacity * (full - ground)) for full, ground in zip(COLOURS[role], BACKGROUND, strict=True)
+    )
+    return red, green, blue
 
-    @property
-    def height(self) -> float:
-        """Of the frame, in view units."""
-        below = BOTTOM if self.is_lowest else PLAIN_BOTTOM
-        return (self.band[1] - self.band[0]) * self.pane.height - TOP - below
 
-    def place(self, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
-        """(n, 2) view coordinates of values; the view's second axis points down."""
-        shares = np.broadcast_arrays(self.x.share(x), self.y.share(y))
-        return np.column_stack([LEFT + self.width * shares[0], self.top + self.height * (1.0 - shares[1])])
+def _entries(chart: Chart, panel: Panel) -> list[tuple[str, Colour]]:
+    """The words of the key of a panel, and their colours."""
+    outer = chart.key if chart.key is not None and chart.key.panel is panel else None
+    if outer is None and panel.key is None:
+        return []
+    title = [(outer.title, COLOURS["muted"])] if outer is not None and outer.title else []
+    return [*title, *((mark.label, colour_of(mark.role, max(mark.opacity, STYLE.half))) for mark in panel.keyed)]
 
-    def frame(self) -> None:
-        """Grid, axes, ticks, and titles."""
-        right, bottom = LEFT + self.width, self.top + self.height
-        x_ticks = LEFT + self.width * (np.array(self.x.ticks) - self.x.low) / (self.x.high - self.x.low)
-        y_ticks = bottom - self.height * (np.array(self.y.ticks) - self.y.low) / (self.y.high - self.y.low)
-        grid = [[[t, self.top], [t, bottom]] for t in x_ticks] + [[[LEFT, t], [right, t]] for t in y_ticks]
-        self._strips("0_grid", grid, GRID, 0.6, order=0.0)
-        self._strips("1_frame", [[[LEFT, self.top], [LEFT, bottom], [right, bottom]]], FRAME, 1.0, order=1.0)
-        places = [[LEFT - 26, t] for t in y_ticks]
-        texts = list(self.y.texts)
-        titles, named = [[24 + LETTER * len(self.y.title) / 2, self.top - 22]], [self.y.title]
-        if self.is_lowest:
-            places += [[t, bottom + 16] for t in x_ticks]
-            texts += self.x.texts
-            titles.append([LEFT + self.width / 2, bottom + 40])
-            named.append(self.x.title)
-        self._texts("2_ticks", places, texts, PALE)
-        self._texts("3_titles", titles, named, PALE)
 
-    def line(
-        self, name: str, x: npt.ArrayLike, y: npt.ArrayLike, colour: Colour, *, width: float = 1.2, order: float = 5.0
-    ) -> None:
-        """A line through values, broken where they are nan, cut at the frame."""
-        points = self.place(x, y)
-        points[:, 1] = np.clip(points[:, 1], self.top, self.top + self.height)
-        inside = (
-            np.isfinite(points).all(axis=1) & (points[:, 0] >= LEFT - 0.5) & (points[:, 0] <= LEFT + self.width + 0.5)
-        )
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-        strips = [points[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
-        self._strips(name, strips, colour, width, order=order)
+def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[tuple[str, Colour]]]:
+    """The entries in rows, the first of which begins behind the head."""
+    room = ENLARGED * panel.box[2]
+    lines: list[list[tuple[str, Colour]]] = [[]]
+    used = _wide(panel.head) if panel.head else 0.0
+    for text, colour in entries:
+        if used + _wide(text) > room and (lines[-1] or used):
+            lines.append([])
+            used = 0.0
+        lines[-1].append((text, colour))
+        used += _wide(text)
+    left = sum(map(len, lines[KEY_ROWS:]))
+    if left:
+        lines[KEY_ROWS - 1][-1:] = [(f"{left + 1} more", GREY)]
+    return lines[:KEY_ROWS]
 
-    def points(
-        self,
-        name: str,
-        x: npt.ArrayLike,
-        y: npt.ArrayLike,
-        colours: Colour | npt.NDArray[np.uint8],
-        *,
-        radius: float = 3.0,
-        order: float = 10.0,
-        texts: Sequence[str] = (),
-    ) -> None:
-        """A dot a value within the frame; `texts` show when the pointer rests on one."""
-        import rerun as rr
 
-        points = self.place(x, y)
-        edge = 0.5  # half a screen point, against rounding
-        low, high = [LEFT - edge, self.top - edge], [LEFT + self.width + edge, self.top + self.height + edge]
-        shown = ((points >= low) & (points <= high)).all(axis=1)  # nan is outside as well
-        if not shown.any():
-            return
-        self.recording.log(
-            f"{self.path}/{name}",
-            rr.Points2D(
-                points[shown],
-                radii=rr.Radius.ui_points(radius),
-                colors=colours[shown] if isinstance(colours, np.ndarray) else colours,
-                labels=[texts[i] for i in np.flatnonzero(shown).tolist()] if texts else None,
-                show_labels=False,
-                draw_order=order,
-            ),
-            static=True,
-            strict=True,
-        )
+def _wide(text: str) -> float:
+    return LETTER * len(text) + 2.0 * PADDING
 
-    def bars(
-        self, name: str, ends: Sequence[Sequence[Sequence[float]]], colour: Colour, *, width: float, order: float = 5.0
-    ) -> None:
-        """Straight strokes between pairs of values [[x, y], [x, y]], cut at the frame; those with nan are left out."""
-        strips = []
-        for pair in ends:
-            points = self.place([x for x, _ in pair], [y for _, y in pair])
-            if np.isfinite(points).all():
-                low, high = [LEFT, self.top], [LEFT + self.width, self.top + self.height]
-                strips.append(np.clip(points, low, high))
-        self._strips(name, strips, colour, width, order=order)
 
-    def text_from(self, name: str, x: float, y: float, text: str, colour: Colour = GREY) -> None:
-        """One text that begins at a value."""
-        ((left, middle),) = self.place([x], [y]).tolist()
-        self._texts(f"5_text/{name}", [[left + LETTER * len(text) / 2 + 6.0, middle]], [text], colour)
+def _words_inside(chart: Chart, panel: Panel) -> None:
+    """Take long words from beside their rows to above their bars; one row lies 1 below the other."""
+    ticks = panel.y.ticks or ()
+    if max([_wide(text) for _, text in ticks], default=0.0) > WORDS_SHARE * ENLARGED * chart.width:
+        panel.y.labelled = False
+        for place, text in ticks:
+            panel.word(-math.inf, place - 0.5, text, "ink", shift=(0.0, STYLE.tick / 3))
+        first, last = panel.y.limits or (0.0, 1.0)
+        panel.y.limits = (first, min(last, -0.9)) if first > last else (first, last)
 
-    def legend(self, entries: Sequence[tuple[str, Colour]]) -> None:
-        """Texts in the colours of what they name, in one row above the frame, to the right."""
-        right = self.pane.width - RIGHT
-        for i, (text, colour) in reversed(list(enumerate(entries))):
-            width = LETTER * len(text) + 22.0
-            self._texts(f"4_legend/{i}", [[right - width / 2, self.top - 22]], [text], colour)
-            right -= width
 
-    def legend_row(self, entries: Sequence[tuple[str, Colour]]) -> None:
-        """`legend`, as many entries as fit beside the title of the vertical axis; the last says how many more."""
-        room = self.width - LETTER * len(self.y.title) - 20.0
-        widths = np.cumsum([LETTER * len(text) + 22.0 for text, _ in entries])
-        n_fit = int(np.searchsorted(widths, room, side="right"))
-        if n_fit < len(entries):
-            n_fit = int(np.searchsorted(widths, room - 9 * LETTER, side="right"))
-            self.legend([*entries[:n_fit], (f"{len(entries) - n_fit} more", GREY)])
-        else:
-            self.legend(entries)
+def _log_frame(recording: "rerun.RecordingStream", path: str, panel: Panel) -> None:
+    left, top, width, height = (ENLARGED * edge for edge in panel.box)
+    right, bottom = left + width, top + height
+    across = [[(x, top), (x, bottom)] for x, _ in _seen(panel, panel.x, panel.x_ticks()) if panel.x.grid]
+    along = [[(left, y), (right, y)] for y, _ in _seen(panel, panel.y, panel.y_ticks()) if panel.y.grid]
+    _strips(recording, f"{path}/grid", [*across, *along], GRID, width=STYLE.grid, order=0.0)
+    _strips(recording, f"{path}/frame", [[(left, top), (left, bottom), (right, bottom)]], FRAME, order=1.0)
 
-    def legend_inside(self, entries: Sequence[tuple[str, Colour]]) -> None:
-        """The same for long texts: one below the other in the upper right corner of the frame."""
-        for i, (text, colour) in enumerate(entries):
-            at = [self.pane.width - RIGHT - LETTER * len(text) / 2 - 12, self.top + 12 + 23 * i]
-            self._texts(f"4_legend/{i}", [at], [text], colour)
 
-    def text(self, name: str, x: float, y: float, text: str, colour: Colour = GREY) -> None:
-        """One text whose middle stands at a value."""
-        self._texts(f"5_text/{name}", self.place([x], [y]).tolist(), [text], colour)
+def _seen(panel: Panel, axis: Scale, ticks: Sequence[Tick]) -> list[Tick]:
+    """(place in the view, words) of the ticks within the limits, of plain numbers as the viewer's fonts have them."""
+    low, high = sorted(axis.limits or (0.0, 1.0))
+    slack = 1e-9 * (high - low)
+    inside = [(value, text) for value, text in ticks if low - slack <= value <= high + slack]
+    side = 0 if axis is panel.x else 1
+    plain = axis.ticks is None
+    return [(float(seen_at(panel, value, value)[side]), f"{value:.6g}" if plain else text) for value, text in inside]
 
-    def _strips(self, name: str, strips: Sequence[object], colour: Colour, width: float, *, order: float) -> None:
-        import rerun as rr
 
-        if not len(strips):
-            return
-        archetype = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(width), colors=colour, draw_order=order)
-        self.recording.log(f"{self.path}/{name}", archetype, static=True, strict=True)
+def _ticks(panel: Panel) -> Iterator[Said]:
+    left, top, width, height = (ENLARGED * edge for edge in panel.box)
+    low = top + height + ENLARGED * (STYLE.gap + STYLE.tick / 2)
+    if not panel.frame:
+        return
+    if panel.x.labelled:
+        for x, text in _seen(panel, panel.x, panel.x_ticks()):
+            yield x, low, text.replace("\n", " "), COLOURS["ink"]
+    if panel.y.labelled:
+        for y, text in _seen(panel, panel.y, panel.y_ticks()):
+            yield left - (_wide(text) - PADDING) / 2, y, text, COLOURS["ink"]
+    if panel.x.label:
+        down = ENLARGED * STYLE.line * STYLE.tick if panel.x.labelled else 0.0
+        yield left + width / 2, low + down, panel.x.label, COLOURS["ink"]
 
-    def _texts(self, name: str, places: Sequence[Sequence[float]], texts: Sequence[str], colour: Colour) -> None:
-        import rerun as rr
 
-        if not texts:
-            return
-        self.recording.log(
-            f"{self.path}/{name}",
-            rr.Points2D(
-                np.asarray(places, dtype=np.float64) - [0.0, BUBBLE],
-                radii=rr.Radius.ui_points(0.0),
-                colors=colour,
-                labels=list(texts),
-                show_labels=True,
-                draw_order=30.0,
-            ),
-            static=True,
-            strict=True,
-        )
+def _head(panel: Panel, lines: Sequence[Sequence[tuple[str, Colour]]]) -> Iterator[Said]:
+    """What the panel shows on the left, the key beside and below it from the right."""
+    left, top, width, _ = (ENLARGED * edge for edge in panel.box)
+    row = ENLARGED * STYLE.line * STYLE.tick
+    upper = top - ENLARGED * (STYLE.gap + STYLE.tick / 2) - row * panel.rows_above
+    if panel.head:
+        yield left + (_wide(panel.head) - PADDING) / 2 - ENLARGED * STYLE.gap, upper, panel.head, COLOURS["ink"]
+    for number, entries in enumerate(lines):
+        right = left + width
+        for text, colour in reversed(entries):
+            yield right - _wide(text) / 2, upper + row * number, text, colour
+            right -= _wide(text)
+
+
+def _words(panel: Panel) -> Iterator[Said]:
+    for word in panel.words:
+        x, y = seen_at(panel, word.x, word.y) + ENLARGED * np.array(word.shift)
+        aside = {"start": 0.5, "middle": 0.0, "end": -0.5}[word.anchor] * _wide(word.text)
+        yield x + aside, y - ENLARGED * word.size / 3, word.text, COLOURS[word.role]
+
+
+def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Said]) -> None:
+    import rerun as rr
+
+    if not said:
+        return
+    labels = rr.Points2D(
+        [(x, y - BUBBLE) for x, y, _, _ in said],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[colour for *_, colour in said],
+        labels=[drawable(text) for _, _, text, _ in said],
+        show_labels=True,
+        draw_order=30.0,
+    )
+    recording.log(f"{path}/words", labels, static=True, strict=True)
+
+
+def _log_mark(recording: "rerun.RecordingStream", path: str, panel: Panel, mark: Mark, order: float) -> None:
+    colour = colour_of(mark.role, mark.opacity)
+    if isinstance(mark, Area):
+        _log_area(recording, path, panel, mark, order)
+    elif isinstance(mark, Segments):
+        ends = [seen_at(panel, *pair.T) for pair in mark.ends[~np.isnan(mark.ends).any(axis=(1, 2))]]
+        _strips(recording, path, ends, colour, width=mark.width, order=order)
+    else:
+        if mark.width:
+            _strips(recording, path, _curve(panel, mark), colour, width=mark.width, order=order)
+        if mark.dot:
+            _log_dots(recording, f"{path}/dots" if mark.width else path, panel, mark, order)
+
+
+def _curve(panel: Panel, curve: Curve) -> list[FloatArray]:
+    """The strips of a line within the panel: it ends on the edge, and is not drawn along it."""
+    points = panel.within(curve.corners)
+    outside = ~_is_inside(panel, points)
+    around = np.pad(outside, 1, constant_values=True)
+    points[outside & around[:-2] & around[2:]] = np.nan
+    places = seen_at(panel, points[:, 0], points[:, 1])
+    return [places[first:behind] for first, behind in runs(places) if behind - first > 1]
+
+
+def _is_inside(panel: Panel, points: FloatArray) -> npt.NDArray[np.bool_]:
+    """(n,) whether a point lies between the limits; nan does not."""
+    left, top, width, height = panel.box
+    places, edge = panel.place(points), 0.5  # half a point, against rounding
+    return np.asarray(
+        ((places >= (left - edge, top - edge)) & (places <= (left + width + edge, top + height + edge))).all(axis=-1)
+    )
+
+
+def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve: Curve, order: float) -> None:
+    """The dots within the panel; where the pointer rests on one, its numbers show."""
+    import rerun as rr
+
+    shown = curve.corners[_is_inside(panel, curve.corners)]
+    if not len(shown):
+        return
+    along, upwards = panel.x.label.split(" [")[0], panel.head.split(" [")[0]
+    texts = [drawable(f"{along} {x:.5g}: {upwards} {y:.5g}") for x, y in shown.tolist()]
+    dots = rr.Points2D(
+        seen_at(panel, *shown.T),
+        radii=rr.Radius.ui_points(DOTS * curve.dot),
+        colors=colour_of(curve.role, curve.opacity),
+        labels=texts,
+        show_labels=False,
+        draw_order=order + 0.5,
+    )
+    recording.log(path, dots, static=True, strict=True)
+
+
+def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area: Area, order: float) -> None:
+    """An opaque box as strokes side by side; of a band with a name the rim, since the view cannot fill a polygon."""
+    import rerun as rr
+
+    rims = [seen_at(panel, *polygon.T) for polygon in area.polygons if len(polygon)]
+    if area.opacity < 1.0 and not area.label:
+        return
+    if area.opacity < 1.0:
+        closed = [np.concatenate([rim, rim[:1]]) for rim in rims]
+        _strips(recording, path, closed, colour_of(area.role, max(area.opacity, STYLE.pale)), order=order)
+        return
+    strokes, radii = [], []
+    for rim in rims:
+        (left, top), (right, bottom) = rim.min(axis=0), rim.max(axis=0)
+        n_strokes = max(1, math.ceil((bottom - top) / STROKE))
+        edges, radius = np.linspace(top, bottom, n_strokes + 1), (bottom - top) / (2 * n_strokes)
+        ends = min(left + radius, right), max(right - radius, left)
+        strokes += [[(end, middle) for end in ends] for middle in ((edges[1:] + edges[:-1]) / 2).tolist()]
+        radii += [radius] * n_strokes
+    boxes = rr.LineStrips2D(strokes, radii=radii, colors=COLOURS[area.role], draw_order=order)
+    recording.log(path, boxes, static=True, strict=True)
+
+
+def _strips(
+    recording: "rerun.RecordingStream",
+    path: str,
+    strips: Sequence[object],
+    colour: Colour,
+    *,
+    width: float = STYLE.thin,
+    order: float,
+) -> None:
+    import rerun as rr
+
+    if strips:
+        radius = rr.Radius.ui_points(ENLARGED * width / 2)
+        lines = rr.LineStrips2D(strips, radii=radius, colors=colour, draw_order=order)
+        recording.log(path, lines, static=True, strict=True)
+
+
+def _names(marks: Sequence[Mark]) -> list[str]:
+    """The label of each as a part of a path, letters and digits alone; its place where it has none of its own."""
+    names = [re.sub(r"[^a-z0-9]+", "_", mark.label.lower()).strip("_") for mark in marks]
+    return [name if name and names.count(name) == 1 else f"{place}_{name}" for place, name in enumerate(names)]
 
 
 def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:

@@ -1,19 +1,13 @@
 """What a recording of one identification will hold, settled before anything is written.
 
-The pages and the blueprint must agree on paths, on what is shown and on the time axis; they all read it here.
+Pages and blueprint must agree on paths, on what is shown and on the time axis; they all read it here. Measured series
+lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their paths, and the
+measured line belongs below the others. What the records show without any model is looked at once, for all pages.
 
-Measured series lie below `data`, what a model makes of them below `fit`: lines are painted in the order of their
-paths, and the measured line belongs below the others.
-
-What the records show without any model, looked at once for all pages: their quality and their response.
-
-Names from files are not to be trusted: as parts of entity paths, as titles of views, as cells of a table.
-
-A channel may be called `<script>`, nothing at all, a thousand letters, or text that runs from right to left and
-carries what follows along. What is shown goes through `modal.wording.names`; here are the paths, and the short forms.
+Names from files are not to be trusted: a channel may be called `<script>`, nothing at all, a thousand letters, or text
+that runs from right to left and carries what follows along. Here are their paths and their short forms.
 """
 
-import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -26,6 +20,7 @@ from modal.modes.mode import Mode, numbered
 from modal.modes.response_synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
+from modal.recording.figure import drawable
 from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
 from modal.wording.names import escape_markdown, shorten, visible
 from okid.arrays import ComplexArray, FloatArray
@@ -43,7 +38,6 @@ __all__ = [
     "Gathered",
     "Plan",
     "cell",
-    "drawable",
     "gather",
     "label",
     "name_with_unit",
@@ -54,40 +48,7 @@ __all__ = [
 ]
 
 LONGEST_PART: Final = 64
-"""Letters of a channel name that are kept in an entity path."""
-
-DRAWN: Final = (
-    *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
-    *((0x384, 0x38A), (0x38E, 0x3A1), (0x3A3, 0x3CF)),  # Greek
-    *((0x401, 0x40C), (0x40E, 0x44F), (0x451, 0x45C), (0x490, 0x493)),  # Cyrillic
-    *((0x1E80, 0x1E85), (0x1EA0, 0x1EF9)),  # more Latin
-    *((0x2010, 0x2011), (0x2013, 0x2014), (0x2018, 0x2022), (0x2026, 0x2026), (0x2074, 0x207A), (0x2080, 0x2089)),
-    *((0x2190, 0x2199), (0x2212, 0x2212), (0x221E, 0x221E), (0x2248, 0x2248), (0x2260, 0x2260), (0x2264, 0x2265)),
-    (0x25A0, 0x25A1),
-)
-"""Code points that both fonts inside Rerun 0.41 (Inter, JetBrains Mono) can draw. The viewer looks for others among the
-fonts of the machine, and where there are none it does not draw a box but stops: seen with Arabic, Han, U+FFFD."""
-
-BOX: Final = "\N{WHITE SQUARE}"
-
-
-def drawable(text: str) -> str:
-    """The text with a box for each character that not every Rerun viewer can draw, or its plain form where it has one.
-
-    Example:
-        >>> drawable("h\N{LATIN SMALL LETTER E WITH ACUTE}t\N{DOUBLE-STRUCK CAPITAL R}")
-        'hétR'
-    """
-    return "".join(letter if _is_drawn(letter) else _plain(letter) for letter in text)
-
-
-def _is_drawn(letter: str) -> bool:
-    return any(first <= ord(letter) <= last for first, last in DRAWN)
-
-
-def _plain(letter: str) -> str:
-    plain = unicodedata.normalize("NFKC", letter)
-    return plain if all(map(_is_drawn, plain)) else BOX
+"""Keep so many letters of a channel name in an entity path."""
 
 
 def label(text: str, longest: int = 28) -> str:
@@ -149,10 +110,11 @@ DATA: Final = "data"
 SHOWN_INPUTS: Final = 6
 SHOWN_OUTPUTS: Final = 12
 SHOWN_MODES: Final = 9
-"""Views stay bounded, whatever comes; the numbers of all the others are stored as well."""
+"""Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
 
-ENTITIES_PER_OUTPUT: Final = 3  # measured; predicted with simulated; the residuals of both
+ENTITIES_PER_OUTPUT: Final = 3
 SERIES_PER_OUTPUT: Final = 5
+"""Count so many of an output: measured; predicted and simulated; the residuals of both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -311,13 +273,13 @@ def _window(modes: tuple[Mode, ...], dt: float, duration: float) -> float:
 
 
 LONGEST_SEGMENT: Final = 8192
-"""Samples a segment: 4096 lines are more than a screen shows, and long segments cost time without end."""
+"""Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without end."""
 
 FINE_LINES: Final = 800
-"""Frequencies at which the response of a model is drawn, at least, as far as memory allows."""
+"""Draw the response of a model at so many frequencies at least, as far as memory allows."""
 
 MOST_NUMBERS: Final = 300_000
-"""Lines of the response times its pairs of channels, at most."""
+"""Store so many lines of the response times its pairs of channels, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -56,21 +56,21 @@ __all__ = [
 ]
 
 SAMPLES_PER_SERIES: Final = 200_000
-"""No series is stored with more rows than this."""
+"""Store no series with more rows than this."""
 
 BYTES_PER_RECORDING: Final = 75_000_000
-"""All series of a recording together, about; pictures, words and tables are a few megabytes more."""
+"""Store all series of a recording in about so many; pictures, words and tables are a few megabytes more."""
 
 BYTES_PER_ROW: Final = 14.0
 BYTES_PER_VALUE: Final = 8.1
-"""What Rerun 0.41 needs on disk for a row of an entity (its time and its identity) and for each value in the row; the
-files of 200 000 rows of noise with 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3 bytes a row."""
+"""Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of Rerun
+0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3 bytes a row."""
 
 DETAIL_SHARE: Final = 8
-"""Each stretch of detail takes at most this part of the rows; a record has two at most, the overview has the rest."""
+"""Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""
 
 LONGEST_DETAIL: Final = 20_000
-"""Samples of a stretch of detail, at most."""
+"""Store so many samples of a stretch of detail, at most."""
 
 
 def row_budget(n_entities: int, n_values: int) -> int:
@@ -201,7 +201,7 @@ def positions(n_samples: int, bucket: int) -> FloatArray:
 
 
 LATEST: Final = 9.2e9
-"""Rerun counts time in nanoseconds, with 63 bits [s]."""
+"""Reject times beyond this [s]: Rerun counts nanoseconds, with 63 bits."""
 
 
 class Tracks(Protocol):

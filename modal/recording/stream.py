@@ -1,11 +1,7 @@
 """One result into one stream, and one stream into one file.
 
-How a recording opens: pages, views and panels.
-
-All blueprint code is here and in the modules named for their page (`..._blueprint`), and nowhere else: Rerun calls its
-blueprint types unstable. A page is a container with a name; a further page is one function more in `_pages`.
-
-How the recording of a diagnosis opens; beside `modal.recording.stream`, from which its views come.
+How a recording opens stands here too: a page is a container of views with a name, made beside what the page draws; a
+further page is one function more in `_pages` or in `diagnosis_blueprint`.
 """
 
 import hashlib
@@ -23,8 +19,7 @@ from modal.recording.discrepancy.page import (
     GAP_TEXT,
     HYPOTHESES,
     LAW_TEXT,
-    LEVEL_DAMPING,
-    LEVEL_FREQUENCY,
+    LEVELS,
     STEP_GAP,
     STEP_PARTS,
     STEP_SPECTRUM,
@@ -32,7 +27,6 @@ from modal.recording.discrepancy.page import (
     VERDICT_TEXT,
     law_panes,
     law_title,
-    level_panes,
     log_discrepancy_page,
     log_steps_page,
     spectrum_pane,
@@ -47,6 +41,7 @@ from modal.recording.identification.shapes import PERIODS
 from modal.recording.identification.validation import log_validation_page, validation_page
 from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
 from modal.recording.series import TIMELINE, Span
+from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -149,7 +144,7 @@ def _order_page(identification: Identification) -> Any:
 
 
 SECONDS_A_STEP = 1.5
-"""How long a step stands while the page plays."""
+"""Let a step stand so long while the page plays."""
 
 
 def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":
@@ -231,9 +226,8 @@ def _levels_page(diagnosis: Diagnosis) -> list[Any]:
     """Modes against level, where they tell something; else no page."""
     import rerun.blueprint as rrb
 
-    titles = {LEVEL_FREQUENCY: "Frequency of each mode against level", LEVEL_DAMPING: "Damping against level"}
-    views = [plot_view(pane, titles[pane]) for pane in level_panes(diagnosis)]
-    return [rrb.Horizontal(*views, name="Levels")] if views else []
+    known = bool(level_lines(diagnosis))
+    return [rrb.Vertical(plot_view(LEVELS, "Modes against level"), name="Levels")] if known else []
 
 
 def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
@@ -324,7 +318,7 @@ def log_identification(
         evidence = gather(identification, quality)
         log_record_page(identification.records, recording, plan.data, evidence.quality)
         log_fit_page(identification, recording, plan)
-        log_order_page(identification, recording, plan, evidence)
+        log_order_page(identification, recording, plan)
         log_modes_page(identification, recording, plan)
         log_validation_page(identification, recording, plan, evidence)
         if layout == "send":

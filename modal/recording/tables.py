@@ -1,9 +1,7 @@
-"""Tables of numbers on a timeline that counts rows: modes, orders, outputs, records.
+"""Tables: of numbers, on a timeline that counts rows (modes, orders, outputs, records), and of words, as Markdown.
 
 A value that is not known is left out of its row rather than stored as nan: it shows as empty, and two recordings of
 one result compare equal (nan never equals nan).
-
-The pages in words and tables, as Markdown: the fit and the choices; what every page makes its tables of.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +17,7 @@ from modal.sections.words import data_sentences, modes_headline
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["UNKNOWN", "bullets", "choices_text", "fit_page_text", "log_table", "table"]
+__all__ = ["LISTED", "UNKNOWN", "bullets", "choices_text", "fit_page_text", "log_table", "table"]
 
 MATRIX: Final = 2
 
@@ -81,11 +79,13 @@ def _known(value: object) -> list[object]:
     return [value.item() if isinstance(value, np.generic) else value]
 
 
-LISTED_OUTPUTS: Final = 40
+LISTED: Final = 40
+"""List so many channels, outputs or parts in words; the tables of numbers hold all."""
 UNKNOWN: Final = "–"
 LONGEST_SENTENCE: Final = 2000
-"""Letters: a sentence of ours is shown whole, and one with hostile names in it still ends somewhere."""
+"""Cut a sentence at so many letters: ours are shown whole, one with hostile names in it still ends somewhere."""
 LISTED_STRETCHES: Final = 6
+"""Name so many stretches of time in a sentence."""
 
 
 def fit_page_text(identification: Identification, plan: Plan) -> str:
@@ -99,7 +99,7 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
         f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
         "fitted to."
     )
-    listed = range(min(first.n_outputs, LISTED_OUTPUTS))
+    listed = range(min(first.n_outputs, LISTED))
     rows = [
         [
             cell(first.output_names[i], 24),

@@ -1,7 +1,4 @@
-"""A comparison as files: a page, the same as Markdown, and every number as JSON.
-
-The pages of a comparison for people: the same tables and words in HTML and in Markdown.
-"""
+"""A comparison as files: one set of tables and words as HTML and as Markdown, and every number as JSON."""
 
 import json
 import math

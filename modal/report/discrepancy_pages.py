@@ -1,7 +1,4 @@
-"""The pages of a diagnosis for people: the same sections in HTML (with pictures) and in Markdown (without).
-
-The pictures of a diagnosis as SVG text, each with the words that stand under it.
-"""
+"""The pages of a diagnosis for people: the same sections in HTML, with pictures and their words, and in Markdown."""
 
 import platform
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,4 @@
-"""The files of a diagnosis: where they are, and writing all of them or none.
-
-A diagnosis for programs: JSON with every number, CSV with one row a parameter found.
-"""
+"""The files of a diagnosis, all of them or none; for programs JSON with every number, CSV with one row a parameter."""
 
 import csv
 import io
@@ -23,6 +20,7 @@ from modal.sections.provenance import Provenance, installed_version
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.wording.names import csv_cell
+from modal.wording.numbers import NINETY_FIVE
 
 __all__ = [
     "DIAGNOSIS_SCHEMA",
@@ -106,7 +104,7 @@ def _rows(number: int, finding: Finding, status: str) -> list[list[object]]:
     ]
     rows: list[list[object]] = []
     for one in finding.parameters:
-        ends = (one.value - 1.96 * one.std, one.value + 1.96 * one.std)
+        ends = (one.value - NINETY_FIVE * one.std, one.value + NINETY_FIVE * one.std)
         row = [number, csv_cell(finding.effect), csv_cell(finding.where), csv_cell(one.name)]
         row += [number_cell(one.value), number_cell(one.std), csv_cell(one.unit)]
         row += [*(number_cell(end) for end in ends), csv_cell(one.meaning), *common]

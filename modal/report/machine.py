@@ -1,12 +1,8 @@
-"""The result for programs: JSON with every number, CSV with one row a mode.
+"""The result for programs: JSON with every number and its JSON Schema (draft 2020-12), CSV with one row a mode.
 
-The whole schema of a report's JSON: the keys of the document, and the types behind them.
-
-The JSON Schema (draft 2020-12) of a report's JSON, made from the types that it is written from.
-
-Each number's meaning and unit stand in the docstring of its type, under "Attributes:", and nowhere else; they become
-the descriptions of the schema. The file `schema.json` beside this one is what `modal.report.machine` makes; a
-test compares the two.
+The schema is made from the types that the document is written from. Each number's meaning and unit stand in the
+docstring of its type, under "Attributes:", and nowhere else; they become the descriptions of the schema. A test
+compares the file `schema.json` beside this one with what is made here.
 """
 
 import csv

@@ -1,8 +1,6 @@
 """The pages for people: the same sections in HTML (with pictures) and in Markdown (without).
 
-Where templates are found, and how text that came from a file is made harmless in HTML or in Markdown.
-
-The shapes of the modes as numbers for the page's script, which turns and moves them.
+Text that came from a file is made harmless in both; the shapes are numbers for the page's script, which moves them.
 """
 
 import base64

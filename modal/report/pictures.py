@@ -1,11 +1,4 @@
-"""The pictures of a report as SVG text, each with the words that stand under it.
-
-A figure as a page takes it: the SVG, the words below it, and the numbers that a script reads off it.
-
-Frequency responses as a page shows them: measured, synthesised, and what the modes of the system make alone.
-
-What a report knows besides the result: the test file, the geometry, the quality of the data, the limits.
-"""
+"""The pictures of a report: the SVG, the words that stand under it, and the numbers that a script reads off it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""The files of a report: where they are, and writing all of them or none.
-
-The result itself beside its report, so that it can be loaded, compared and drawn again.
-"""
+"""The files of a report, all of them or none, with the result itself beside them to be loaded and compared again."""
 
 import os
 from collections.abc import Iterator

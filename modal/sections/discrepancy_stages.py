@@ -1,10 +1,6 @@
 """The gap before, in between and after: what every page of a diagnosis shows, cut once by output, band and level.
 
-Spectra of the gap, of the measured output and of the noise: the numbers of the picture in report and recording.
-
-Modes against level as drawn: the change of each frequency and the damping ratio, where they tell something.
-
-Power spectra of outputs, for pictures: Hann windows of half overlap over every uninterrupted stretch.
+With it the spectra of gap, measured output and noise, and the modes against level, as report and recording draw them.
 """
 
 from collections.abc import Sequence

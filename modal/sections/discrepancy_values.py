@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.discrepancy.results import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
 from modal.effects.catalogue import effect_name
-from modal.wording.numbers import listed, number
+from modal.wording.numbers import NINETY_FIVE, listed, number
 
 __all__ = [
     "CLOSE_COMPANY",
@@ -157,7 +157,7 @@ def interval_text(value: float, std: float) -> str:
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         return "–"
     power, digits = _written(value, std)
-    text = " to ".join(f"{(value + side * std) / 10.0**power:.{digits}f}" for side in (-1.96, 1.96))
+    text = " to ".join(f"{(value + side * std) / 10.0**power:.{digits}f}" for side in (-NINETY_FIVE, NINETY_FIVE))
     return f"({text})e{power}" if power else text
 
 

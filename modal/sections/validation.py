@@ -1,9 +1,4 @@
-"""What the model was tested against, and what a comparison with a simulation would add, in words.
-
-What the intervals of a result mean and what they rest on, in words that its numbers carry.
-
-The set-up as a page shows it: what the test file says of the article and of each sensor, beside each channel.
-"""
+"""What the model was tested against, what its intervals mean and rest on, and the set-up of the test, in words."""
 
 import math
 import shlex
@@ -14,7 +9,7 @@ import numpy as np
 
 from modal.identification.result import Identification
 from modal.sections.provenance import Provenance
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, fit_text, whole_percent
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, whole_percent
 
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
@@ -123,11 +118,8 @@ def _folds(n_folds: int) -> str:
     return "the only fold" if n_folds == 1 else f"each of {n_folds} folds"
 
 
-NORMAL_FACTOR = 1.96
-"""Standard deviations on either side of a value that make its 95 % interval, as the reports show it."""
-
 FEW_FACTOR = 2.1
-"""Student's factor of 95 % above which the degrees of freedom are called few (17 or fewer)."""
+"""Warn of few degrees of freedom above this factor of Student's for 95 %, at which there are 17."""
 
 WHITE_RATIO = 2.0
 """Whiteness statistic over its degrees of freedom above which residuals are not white."""
@@ -155,7 +147,7 @@ def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
     if known is None or not has_intervals(result):
         return ("No standard deviations are known for this result, so no interval is given.",)
     meaning = (
-        f"± is half of a 95 % interval, {NORMAL_FACTOR} standard deviations: if the test were repeated with other "
+        f"± is half of a 95 % interval, {NINETY_FIVE} standard deviations: if the test were repeated with other "
         "noise, about 95 of 100 such intervals would hold the true value, as long as the model has the form of the "
         "system."
     )
@@ -164,7 +156,7 @@ def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
     if factor > FEW_FACTOR:
         sentences.append(
             f"The noise is known from {known.degrees_of_freedom:.0f} degrees of freedom only: widen each interval by "
-            f"{100 * (factor / NORMAL_FACTOR - 1):.0f} %."
+            f"{100 * (factor / NINETY_FIVE - 1):.0f} %."
         )
     elif math.isfinite(known.degrees_of_freedom):
         sentences.append(f"The noise is known from {known.degrees_of_freedom:,.0f} degrees of freedom.")

@@ -1,8 +1,6 @@
 """What the numbers mean, in plain words: each sentence comes from a rule, and says no more than the rule carries.
 
 The report, the Markdown page and the terminal all take their words from here, so that they cannot disagree.
-
-Whether the acceptance limits are met, in one sentence and one word.
 """
 
 import math

@@ -1,8 +1,6 @@
-"""Numbers, lists and plurals as a person writes them; no type of ours is known here.
+"""Numbers, lists and plurals as a person writes them, and sentences with their evidence; no type of ours is known here.
 
 Every text for a reader, in the report, the recording and the terminal, takes its numbers from here.
-
-One sentence of evidence and what it is about; numbers as a person writes them.
 """
 
 import math
@@ -13,6 +11,7 @@ from typing import Literal
 __all__ = [
     "GOOD_FIT",
     "LEAST_FIT",
+    "NINETY_FIVE",
     "Statement",
     "Subject",
     "counted",
@@ -30,6 +29,9 @@ __all__ = [
     "whole_percent",
     "with_interval",
 ]
+
+NINETY_FIVE = 1.96
+"""Take so many standard deviations on either side as a 95 % interval, the quantile of a normal distribution."""
 
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
@@ -101,7 +103,9 @@ def ratio_text(ratio: float, std: float = math.nan) -> str:
     """A damping ratio in percent, with its 95 % interval where that is known."""
     if not math.isfinite(ratio):
         return "–"
-    return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 196 * std)} %"
+    return (
+        f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 100 * NINETY_FIVE * std)} %"
+    )
 
 
 def percent(share: float) -> str:

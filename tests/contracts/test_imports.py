@@ -25,7 +25,7 @@ BEHIND = {
     "rerun": ("modal/recording/",),
     "control": ("era/",),
     "filterpy": ("era/",),
-    "matplotlib": (),
+    "matplotlib": ("modal/plots/figures.py",),
     "pint": ("okid/",),
     "pyarrow": ("okid/", "modal/"),
     "h5py": ("okid/readers/",),

@@ -1,51 +1,32 @@
-"""The page "Discrepancy": spectrum of the gap, hypotheses, laws over the data, all drawn, and the verdict in words.
+"""The pages of a diagnosis: gap over frequency, hypotheses, laws over the data, modes against level, and the words.
 
-Modes against level in the recording: change of frequency and damping ratio, drawn where they tell something.
-
-The pages of a diagnosis in words and tables, as Markdown.
-
-The page "Step by step": the gap of one output, its spectrum, and the gap of each part, one row a step: they play.
+"Step by step" plays: the gap of one output, its spectrum, and the gap of each part, one row a step.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding, LawCurve
 from modal.localisation.gap import Gap
-from modal.recording.discrepancy.series import STAGE_COLOURS, DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import (
-    BLUE,
-    CYCLE,
-    DIM_BLUE,
-    FRAME,
-    GOLD,
-    GREEN,
-    GREY,
-    ORANGE,
-    PALE,
-    Axis,
-    Colour,
-    Figure,
-    Pane,
-    linear_axis,
-    log_axis,
-)
+from modal.plots.discrepancy import draw_gap_spectrum, draw_laws, hypothesis_bars, modes_against_level
+from modal.plots.layout import grid_of
+from modal.plots.panels import STYLE
+from modal.plots.responses import density_label
+from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
+from modal.recording.figure import GREEN, ORANGE, Pane, log_chart, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
-from modal.recording.tables import UNKNOWN, bullets, log_table, table
+from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
 from modal.sections import discrepancy_words as words
-from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density, level_lines, rows_of
+from modal.sections.discrepancy_stages import Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
-    NAMED_WITHIN,
     effect_text,
-    effects_text,
     found_hypothesis,
     found_value,
     interval_text,
-    law_against,
-    law_gives,
     size_text,
     step_text,
     times_floor,
@@ -60,8 +41,7 @@ __all__ = [
     "GAP_TEXT",
     "HYPOTHESES",
     "LAW_TEXT",
-    "LEVEL_DAMPING",
-    "LEVEL_FREQUENCY",
+    "LEVELS",
     "STEP_GAP",
     "STEP_PARTS",
     "STEP_SPECTRUM",
@@ -70,78 +50,14 @@ __all__ = [
     "gap_text",
     "law_panes",
     "law_text",
-    "level_panes",
     "log_discrepancy_page",
-    "log_level_modes",
     "log_steps_page",
     "spectrum_pane",
     "step_document",
     "verdict_text",
 ]
 
-LEVEL_FREQUENCY: Final = Pane("discrepancy/levels/frequency/plot", 700.0, 520.0)
-LEVEL_DAMPING: Final = Pane("discrepancy/levels/damping/plot", 700.0, 520.0)
-NINETY_FIVE: Final = 1.96
-
-Values = Callable[[LevelLine], tuple[FloatArray, FloatArray]]
-
-
-def level_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
-    """The plots that there is something to draw in."""
-    lines = level_lines(diagnosis)
-    damped = any(np.isfinite(line.damping).any() for line in lines)
-    return (*([LEVEL_FREQUENCY] if lines else []), *([LEVEL_DAMPING] if damped else []))
-
-
-def log_level_modes(diagnosis: Diagnosis, recording: "rerun.RecordingStream") -> None:
-    """Both plots; nothing where nothing is known of how modes move with level."""
-    lines = level_lines(diagnosis)
-    panes = level_panes(diagnosis)
-    if LEVEL_FREQUENCY in panes:
-        title = "change of frequency [%]"
-        _draw(recording, LEVEL_FREQUENCY, lines, title, lambda line: (line.change, line.change_std))
-    if LEVEL_DAMPING in panes:
-        _draw(recording, LEVEL_DAMPING, lines, "damping ratio [%]", lambda line: (line.damping, line.damping_std))
-
-
-def _draw(recording: "rerun.RecordingStream", pane: Pane, lines: Sequence[LevelLine], title: str, of: Values) -> None:
-    shown = [(line, *of(line)) for line in lines if np.isfinite(of(line)[0]).any()]
-    ends = [values + side * NINETY_FIVE * np.nan_to_num(std) for _, values, std in shown for side in (-1.0, 1.0)]
-    low, high = min(0.0, float(np.min(np.concatenate(ends)))), max(0.0, float(np.max(np.concatenate(ends))))
-    margin = 0.08 * (high - low) or 1.0
-    figure = Figure(
-        recording=recording, pane=pane, x=_level_axis(lines), y=linear_axis(title, low - margin, high + margin)
-    )
-    figure.frame()
-    span = [10.0**figure.x.low, 10.0**figure.x.high]
-    figure.bars("0_zero", [[[span[0], 0.0], [span[1], 0.0]]], FRAME, width=0.6, order=2.0)
-    entries = []
-    for k, (line, values, std) in enumerate(shown):
-        colour, width = CYCLE[k % len(CYCLE)], NINETY_FIVE * np.nan_to_num(std)
-        figure.line(f"1_line/{k}", line.levels, values, colour, width=1.2, order=5.0)
-        stack = zip(line.levels.tolist(), (values - width).tolist(), (values + width).tolist(), strict=True)
-        figure.bars(f"2_bars/{k}", [[[x, a], [x, b]] for x, a, b in stack], colour, width=0.8, order=6.0)
-        figure.points(f"3_points/{k}", line.levels, values, colour, radius=4.0)
-        entries.append((label(line.name, 24), colour))
-    figure.legend_row(entries)
-
-
-def _level_axis(lines: Sequence[LevelLine]) -> Axis:
-    """A logarithmic axis with a tick at each level: nothing is known between them."""
-    levels = sorted({level for line in lines for level in line.levels.tolist()})
-    places = tuple(float(np.log10(level)) for level in levels)
-    margin = max(0.08 * (places[-1] - places[0]), 0.03)
-    return Axis(
-        title="level of the excitation, relative to the loudest record",
-        low=places[0] - margin,
-        high=places[-1] + margin,
-        ticks=places,
-        texts=tuple(f"{level:.2g}" for level in levels),
-        scale="log10",
-    )
-
-
-MOST_ROWS = 40
+LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
 
 
 def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
@@ -194,11 +110,11 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
         for j, name in enumerate(record.output_names)
     ]
     parts = ["### Held-out gap, root mean square"]
-    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:MOST_ROWS]))
+    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:LISTED]))
     if plan.stages:
         heads = ["by", "part", *(stage.name for stage in plan.stages)]
         sizes = [[row.part, cell(row.name, 40), *map(times_text, row.sizes)] for row in rows_of(plan.stages)]
-        parts += ["### The same in times of the noise floor", table(heads, sizes[:MOST_ROWS])]
+        parts += ["### The same in times of the noise floor", table(heads, sizes[:LISTED])]
     return "\n\n".join([*parts, *bullets(words.floor_sentences(diagnosis))])
 
 
@@ -244,7 +160,7 @@ def _before_after(plan: DiscrepancyPlan) -> str:
     """The gap by output, in times of the noise floor."""
     rows = [[cell(row.name, 28), *map(times_text, row.sizes)] for row in rows_of(plan.stages) if row.part == "output"]
     heads = ["output, × noise", *(stage.name for stage in plan.stages)]
-    return table(heads, rows[:MOST_ROWS]) if rows else "The model as given does not run through the held-out records."
+    return table(heads, rows[:LISTED]) if rows else "The model as given does not run through the held-out records."
 
 
 VERDICT_TEXT: Final = "discrepancy/verdict"
@@ -252,8 +168,8 @@ LAW_TEXT: Final = "discrepancy/law/text"
 GAP_TEXT: Final = "discrepancy/gap_text"
 HYPOTHESES: Final = Pane("discrepancy/hypotheses/plot", 520.0, 400.0)
 
-SHOWN_HYPOTHESES: Final = 6
-SHOWN_LAWS: Final = 6
+SHOWN: Final = 6
+"""Draw so many hypotheses and so many laws, the best first."""
 
 
 def spectrum_pane(output: int) -> Pane:
@@ -263,7 +179,7 @@ def spectrum_pane(output: int) -> Pane:
 
 def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
     """Where each law is drawn, in the shape that its view will have on a common screen."""
-    n_laws = len(diagnosis.laws[:SHOWN_LAWS])
+    n_laws = len(diagnosis.laws[:SHOWN])
     width, height = {1: (900.0, 720.0), 2: (900.0, 370.0)}.get(n_laws, (480.0, 390.0))
     return tuple(Pane(f"discrepancy/law/{k + 1:02d}/plot", width, height) for k in range(n_laws))
 
@@ -275,12 +191,16 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
-    _draw_hypotheses(diagnosis, recording)
-    log_level_modes(diagnosis, recording)
+    shown = diagnosis.hypotheses[:SHOWN]
+    if shown:
+        log_chart(recording, HYPOTHESES, hypothesis_bars(shown, chosen=found_hypothesis(diagnosis)))
+    levels = level_lines(diagnosis)
+    if levels:
+        log_chart(recording, LEVELS, modes_against_level(levels))
     for number, law in enumerate(diagnosis.laws):
         _log_law(recording, law, number)
     for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False):
-        _draw_law(recording, pane, law)
+        log_chart(recording, pane, draw_laws([law]))
     documents = (
         (VERDICT_TEXT, verdict_text(diagnosis, plan)),
         (LAW_TEXT, law_text(diagnosis)),
@@ -306,50 +226,12 @@ def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan:
             f"gap_{stage_part(stage)[2:]}": gap[:, output] for stage, gap in zip(plan.stages, density.gaps, strict=True)
         }
         log_table(recording, f"discrepancy/spectrum/{output + 1:02d}/numbers", "frequency_line", lines, columns)
-    x_axis = log_axis("frequency [Hz]", float(density.frequency[0]), float(density.frequency[-1]))
     for output in plan.shown_outputs:
-        pane = spectrum_pane(output)
-        figure = Figure(recording=recording, pane=pane, x=x_axis, y=density_axis(density, output, diagnosis))
-        figure.frame()
-        figure.line("0_measured", density.frequency, density.measured[:, output], DIM_BLUE, width=1.0, order=3.0)
-        ends = [float(density.frequency[0]), float(density.frequency[-1])]
-        figure.line("8_noise", ends, [density.noise[output]] * 2, GREY, width=0.9, order=4.0)
-        for k, (stage, gap) in enumerate(zip(plan.stages, density.gaps, strict=True)):
-            colour = STAGE_COLOURS[stage.kind]
-            figure.line(f"1_{stage_part(stage)}", density.frequency, gap[:, output], colour, order=5.0 + k)
-        entries = [(f"gap {stage.name}", STAGE_COLOURS[stage.kind]) for stage in plan.stages]
-        figure.legend_inside([*entries, ("measured output", DIM_BLUE), ("noise floor", GREY)])
-
-
-def _draw_hypotheses(diagnosis: Diagnosis, recording: "rerun.RecordingStream") -> None:
-    shown = diagnosis.hypotheses[:SHOWN_HYPOTHESES]
-    if not shown:
-        return
-    found = found_hypothesis(diagnosis)
-    sizes = [times_floor(one.held_out_level) for one in shown]
-    known = [size for size in sizes if np.isfinite(size) and size > 0]
-    low, high = min([0.7, *(0.8 * size for size in known)]), max([3.0, *known])
-    n_rows = len(shown)
-    rows = Axis(title="what was tried, the best first", low=0.0, high=n_rows + 0.1, ticks=(), texts=())
-    figure = Figure(
-        recording=recording,
-        pane=HYPOTHESES,
-        x=log_axis("left on held-out data, times the noise floor", low, high * 2.0),
-        y=rows,
-    )
-    figure.frame()
-    start = 10.0**figure.x.low
-    figure.bars("limits/0_floor", [[[1.0, 0.0], [1.0, n_rows]]], GREY, width=0.9, order=3.0)
-    figure.bars("limits/1_named", [[[NAMED_WITHIN, 0.0], [NAMED_WITHIN, n_rows]]], GOLD, width=0.7, order=3.0)
-    for k, (one, size) in enumerate(zip(shown, sizes, strict=True)):
-        height = n_rows - k - 0.68
-        colour = GREEN if one is found else DIM_BLUE
-        end = size if np.isfinite(size) and size > 0 else high * 2.0
-        figure.bars(f"bar/{k}", [[[start, height], [end, height]]], colour, width=7.0)
-        figure.text_from(f"name/{k}", start, height + 0.42, label(effects_text(one.effects), 58), PALE)
-        words = times_text(size) if np.isfinite(size) else "does not run through"
-        figure.text_from(f"size/{k}", end, height, words, GREEN if one is found else PALE)
-    figure.legend([("noise floor", GREY), (f"named only within {NAMED_WITHIN:.2f}", GOLD)])
+        chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+        (panel,) = chart.panels
+        draw_gap_spectrum(panel, density, plan.stages, output)
+        panel.y.label, panel.key = _density_title(diagnosis, output), "best"
+        log_chart(recording, spectrum_pane(output), chart)
 
 
 def _log_law(recording: "rerun.RecordingStream", law: LawCurve, number: int) -> None:
@@ -363,41 +245,9 @@ def _log_law(recording: "rerun.RecordingStream", law: LawCurve, number: int) -> 
         log_table(recording, f"{path}/{name}", timeline, np.arange(1, columns["motion"].size + 1), columns)
 
 
-def _draw_law(recording: "rerun.RecordingStream", pane: Pane, law: LawCurve) -> None:
-    low, high = _span([law.motion, law.points_motion, law.loop_motion])
-    bottom, top = _span([law.force, law.points_force, law.loop_force])
-    figure = Figure(
-        recording=recording,
-        pane=pane,
-        x=linear_axis(label(law_against(law), 44), low, high),
-        y=linear_axis(label(law_gives(law), 44), bottom, top),
-    )
-    figure.frame()
-    figure.bars("zero", [[[low, 0.0], [high, 0.0]], [[0.0, bottom], [0.0, top]]], FRAME, width=0.5, order=2.0)
-    entries = [("law as found", GREEN)]
-    if law.loop_motion.size:
-        figure.line("1_loading", law.motion, law.force, PALE, width=0.8, order=5.0)
-        figure.line("2_loop", law.loop_motion, law.loop_force, GREEN, width=1.3, order=6.0)
-        entries = [("law as found, along the record", GREEN), ("loaded from rest", PALE)]
-    else:
-        for side, name in ((-1.96, "low"), (1.96, "high")):
-            figure.line(f"1_band/{name}", law.motion, law.force + side * law.deviation, GREEN, width=0.5, order=4.0)
-        figure.line("2_law", law.motion, law.force, GREEN, width=1.6, order=6.0)
-        entries = [("law as found, thin: 95 %", GREEN)]
-    if law.points_motion.size:
-        width = 1.96 * law.points_deviation
-        stack = zip(law.points_motion, law.points_force - width, law.points_force + width, strict=True)
-        figure.bars("3_bars", [[[x, a], [x, b]] for x, a, b in stack], BLUE, width=0.8, order=7.0)
-        figure.points("4_points", law.points_motion, law.points_force, BLUE, radius=3.5)
-        entries.append(("from the data, bars 95 %", BLUE))
-    figure.legend(entries)
-
-
-def density_axis(density: GapDensity, output: int, diagnosis: Diagnosis) -> Axis:
-    """The axis of the spectral density of an output."""
-    unit = diagnosis.held_out[0].output_units[output]
-    title = f"gap of {label(diagnosis.held_out[0].output_names[output])}"
-    return log_axis(f"{title} [({label(unit, 12)})²/Hz]" if unit else title, *density.span(output))
+def _density_title(diagnosis: Diagnosis, output: int) -> str:
+    first = diagnosis.held_out[0]
+    return f"gap of {label(first.output_names[output])} [{density_label(first.output_units[output])}]"
 
 
 def law_title(law: LawCurve) -> str:
@@ -405,23 +255,16 @@ def law_title(law: LawCurve) -> str:
     return f"{effect_text(law.effect)} at {label(law.where)}"
 
 
-def _span(parts: Sequence[np.ndarray]) -> tuple[float, float]:
-    values = np.concatenate([part[np.isfinite(part)] for part in parts])
-    if not values.size:
-        return -1.0, 1.0
-    low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
-    margin = 0.08 * (high - low) or 1.0
-    return low - margin, high + margin
-
-
 STEP: Final = "step"
 STEP_GAP: Final = Pane("discrepancy/steps/gap/plot", 1400.0, 335.0)
 STEP_SPECTRUM: Final = Pane("discrepancy/steps/spectrum/plot", 520.0, 400.0)
 STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
 STEP_TEXT: Final = "discrepancy/steps/text"
-DIM_RED: Final[Colour] = (120, 56, 58)
 DRAWN_SAMPLES: Final = 4000
+"""Draw the gap that plays with at most so many points a step."""
+
 SHOWN_PARTS: Final = 7
+"""Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
@@ -446,63 +289,50 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
     reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
     name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
-    figure = Figure(
-        recording=recording,
-        pane=STEP_GAP,
-        x=linear_axis("time [s]", float(times[0]), float(times[-1])),
-        y=linear_axis(f"gap of {name}, held out", -reach, reach),
-    )
-    figure.frame()
-    figure.line("1_first", times, curves[0], DIM_RED, width=0.6, order=3.0)
-    for side in (-noise, noise):
-        ends = [float(times[0]), float(times[-1])]
-        figure.line(f"2_noise/{'low' if side < 0 else 'high'}", ends, [side, side], GREY, width=0.6, order=4.0)
-    _play_lines(recording, plan, f"{STEP_GAP.path}/3_now", [[figure.place(times, curve)] for curve in curves])
-    figure.legend([("as given", DIM_RED), ("this step", ORANGE), ("the last", GREEN), ("noise, ±2 deviations", GREY)])
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    (panel,) = chart.panels
+    panel.line(times, curves[0], "residual", width=STYLE.thin, opacity=STYLE.half, label="as given")
+    panel.line([], [], "model", label="this step")
+    panel.line([], [], "system", label="the last")
+    panel.box_of((-np.inf, np.inf), (-noise, noise), "muted", opacity=STYLE.half, label="noise, ±2 deviations")
+    panel.x.limits, panel.y.limits = (float(times[0]), float(times[-1])), (-reach, reach)
+    panel.x.label, panel.y.label, panel.key = "time [s]", f"gap of {name}, held out", "best"
+    log_chart(recording, STEP_GAP, chart)
+    _play_lines(recording, plan, f"{STEP_GAP.path}/3_now", [[seen_at(panel, times, curve)] for curve in curves])
 
 
 def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     density = gap_density(plan.step_gaps)
-    frequency, output = density.frequency, plan.output
-    figure = Figure(
-        recording=recording,
-        pane=STEP_SPECTRUM,
-        x=log_axis("frequency [Hz]", float(frequency[0]), float(frequency[-1])),
-        y=density_axis(density, output, diagnosis),
-    )
-    figure.frame()
-    figure.line("0_measured", frequency, density.measured[:, output], DIM_BLUE, width=0.9, order=2.0)
-    figure.line("1_first", frequency, density.gaps[0][:, output], DIM_RED, width=0.9, order=3.0)
-    ends = [float(frequency[0]), float(frequency[-1])]
-    figure.line("2_noise", ends, [float(density.noise[output])] * 2, GREY, width=0.9, order=4.0)
-    low, high = 10.0**figure.y.low, 10.0**figure.y.high
-    strips = [[figure.place(frequency, np.clip(gap[:, output], low, high))] for gap in density.gaps]
-    _play_lines(recording, plan, f"{STEP_SPECTRUM.path}/3_now", strips, width=1.3)
-    figure.legend_inside([("measured output", DIM_BLUE), ("gap as given", DIM_RED), ("gap now", ORANGE)])
+    first = Stage(name="as given", kind="before", step=0, gap=plan.step_gaps[0])
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    (panel,) = chart.panels
+    draw_gap_spectrum(panel, replace(density, gaps=density.gaps[:1]), [first], plan.output)
+    panel.line([], [], "model", label="gap now")
+    panel.y.label, panel.key = _density_title(diagnosis, plan.output), "best"
+    log_chart(recording, STEP_SPECTRUM, chart)
+    strips = [[seen_at(panel, density.frequency, gap[:, plan.output])] for gap in density.gaps]
+    _play_lines(recording, plan, f"{STEP_SPECTRUM.path}/3_now", strips, width=STYLE.stroke)
 
 
 def _draw_parts(recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     """A bar a part, as long as its gap is in times of the noise floor."""
     rows = _shown(plan.step_gaps)
     sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
-    figure = Figure(
-        recording=recording,
-        pane=STEP_PARTS,
-        x=log_axis("times the noise floor", min([0.7, *sizes]), max([3.0, *sizes])),
-        y=Axis(title="gap by output, record and band", low=0.0, high=len(rows) + 0.1, ticks=(), texts=()),
-    )
-    figure.frame()
-    figure.bars("0_floor", [[[1.0, 0.0], [1.0, len(rows)]]], GREY, width=0.9, order=3.0)
-    start = 10.0**figure.x.low
-    bars: list[list[FloatArray]] = [[] for _ in plan.step_gaps]
-    for k, row in enumerate(rows):
-        height = len(rows) - k - 0.75
-        figure.text_from(f"name/{k}", start, height + 0.42, f"{row.part}: {label(row.name, 40)}", PALE)
-        first = row.sizes[0] if np.isfinite(row.sizes[0]) else start
-        figure.bars(f"1_first/{k}", [[[start, height], [first, height]]], DIM_RED, width=3.0, order=4.0)
-        for strips, size in zip(bars, row.sizes, strict=True):
-            end = size if np.isfinite(size) and size > start else start
-            strips.append(figure.place([start, end], [height, height]))
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    (panel,) = chart.panels
+    panel.x.log = True
+    panel.x.limits = panel.x.fitted(np.array([0.7, 3.0, *sizes]))
+    panel.x.label, panel.head = "times the noise floor", "gap by output, record and band"
+    panel.y.ticks = [(float(k), f"{row.part}: {label(row.name, 40)}") for k, row in enumerate(rows)]
+    panel.y.limits, panel.y.grid = (len(rows) - 0.5, -0.9), False
+    panel.upright(1.0, "muted", label="noise floor")
+    ends = [[[-np.inf, k], [row.sizes[0], k]] for k, row in enumerate(rows) if np.isfinite(row.sizes[0])]
+    panel.segments(ends, "residual", width=3.0, opacity=STYLE.half)
+    log_chart(recording, STEP_PARTS, chart)
+    bars = [
+        [seen_at(panel, [-np.inf, size if np.isfinite(size) else -np.inf], [k, k]) for k, size in enumerate(step)]
+        for step in zip(*(row.sizes for row in rows), strict=True)
+    ]
     _play_lines(recording, plan, f"{STEP_PARTS.path}/2_now", bars, width=5.0)
 
 

@@ -1,6 +1,4 @@
-"""The held-out records of a diagnosis over time, and all its tables: what is drawn, as numbers to be queried.
-
-What a recording of one diagnosis will hold, settled before anything is written.
+"""What the recording of a diagnosis will hold, and its held-out records over time: what is drawn, as numbers too.
 
 The held-out records share the timeline "time" as the records of an identification do. The timeline "step" counts the
 states of the model, from the model as given (0) on. What changes from step to step is stored on both: on "time" the
@@ -15,7 +13,8 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
-from modal.recording.figure import BLUE, GOLD, GREEN, GREY, RED, Colour
+from modal.plots.discrepancy import STAGE_ROLES
+from modal.recording.figure import BLUE, COLOURS, GREY
 from modal.recording.plan import SHOWN_OUTPUTS, name_with_unit, path_parts
 from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
 from modal.recording.tables import log_table
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     import rerun
 
 __all__ = [
-    "STAGE_COLOURS",
     "DiscrepancyPlan",
     "NumberTable",
     "diagnosis_tables",
@@ -36,7 +34,8 @@ __all__ = [
     "stage_part",
 ]
 
-SERIES_PER_OUTPUT: Final = 8  # measured, and simulated and gap of up to three states, and the noise
+SERIES_PER_OUTPUT: Final = 8
+"""Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -112,8 +111,6 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     )
 
 
-STAGE_COLOURS: Final[dict[str, Colour]] = {"before": RED, "linear": GOLD, "after": GREEN}
-
 Columns = dict[str, list[object]]
 
 
@@ -140,7 +137,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
             width=3.0,
         )
         for stage in plan.stages:
-            colour = STAGE_COLOURS[stage.kind]
+            colour = COLOURS[STAGE_ROLES[stage.kind]]
             simulated = [run.outputs[:, output] for run in stage.gap.simulated]
             gap = [residual[:, output] for residual in stage.gap.residuals]
             part = stage_part(stage)

@@ -1,7 +1,4 @@
-"""The page "Observer fit": what the model makes of what was measured, and what is left over.
-
-How the page "Observer fit" opens; called by `modal.recording.stream`.
-"""
+"""The page "Observer fit": what the model makes of what was measured, and what is left over."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
@@ -9,19 +6,16 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from modal.identification.result import Identification
+from modal.plots.histories import residual_autocorrelation
+from modal.plots.layout import grid_of
+from modal.plots.panels import IN_TURN, STYLE
 from modal.recording.figure import (
-    BLUE,
-    CYCLE,
-    GREY,
     ORANGE,
-    PALE,
     RED,
     Colour,
-    Figure,
     Pane,
     document_view,
-    legend_share,
-    linear_axis,
+    log_chart,
     plot_view,
     series_view,
 )
@@ -37,11 +31,14 @@ if TYPE_CHECKING:
 __all__ = ["FIT_TEXT", "MARKOV", "WHITENESS", "fit_page", "inputs_view", "log_fit_page", "run_view"]
 
 FIT_TEXT: Final = "fit/text"
-MARKOV: Final = Pane("fit/markov/plot", 480.0, 235.0)
-WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 175.0)
+MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
+WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)
 PREDICTED: Final[Colour] = (120, 205, 200)
 ONE_STEP: Final[Colour] = (250, 170, 160)
+"""Draw what is predicted one step ahead, and what that leaves, in these colours."""
+
 DRAWN_PAIRS: Final = 4
+"""Draw the strongest response of each of so many outputs."""
 
 
 def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
@@ -120,52 +117,29 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     log_sequence(recording, "fit/markov/numbers", timeline="lag", index=lags, values=numbers, names=names)
     strength = np.abs(scaled[1:]).max(axis=0)
     pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:DRAWN_PAIRS]]
-    drawn = np.stack([scaled[:, i, j] for i, j in pairs], axis=1)
-    colours = (BLUE, ORANGE, *CYCLE[1:])
-    entries = [(f"{label(out[i], 11)} / {label(into[j], 11)}", colours[k]) for k, (i, j) in enumerate(pairs)]
-    seconds = lags * markov.dt
-    low, high = float(min(drawn.min(), 0.0)), float(max(drawn.max(), 0.0))
-    figure = Figure(
-        recording=recording,
-        pane=MARKOV,
-        x=linear_axis(
-            "time [s]", 0.0, float(seconds[-1]) / (1.0 - legend_share(MARKOV, [text for text, _ in entries]))
-        ),
-        y=linear_axis(title, low, high + 0.05 * (high - low)),
-    )
-    figure.frame()
-    for k in reversed(range(len(pairs))):
-        figure.line(f"line/{k}", seconds, drawn[:, k], colours[k], width=1.0, order=6.0 - 0.1 * k)
-    figure.legend_inside(entries)
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    (panel,) = chart.panels
+    for (i, j), role in zip(pairs, IN_TURN, strict=False):
+        panel.line(lags * markov.dt, scaled[:, i, j], role, label=f"{label(out[i], 11)} / {label(into[j], 11)}")
+    panel.x.label, panel.y.label, panel.key = "time [s]", title, "best"
+    panel.x.limits = (0.0, float(lags[-1] * markov.dt))
+    log_chart(recording, MARKOV, chart)
 
 
 def _log_whiteness(identification: Identification, recording: "rerun.RecordingStream") -> None:
     residuals, first = identification.residuals, identification.records[0]
-    correlation, limit = residuals.autocorrelation, residuals.confidence_limit
+    correlation = residuals.autocorrelation
     lags = np.arange(float(correlation.shape[0]))
     names = [label(name, 60) for name in first.output_names]
     log_sequence(recording, "fit/whiteness/numbers", timeline="lag", index=lags, values=correlation, names=names)
-    shown = correlation[1:, :SHOWN_OUTPUTS]
-    if not shown.size:
-        return
-    height = float(np.nanmax(np.abs(shown), initial=2.0 * limit)) * 1.15
-    figure = Figure(
-        recording=recording,
-        pane=WHITENESS,
-        x=linear_axis("lag [samples]", 0.0, float(lags[-1])),
-        y=linear_axis("autocorrelation of the residual", -height, height),
-    )
-    figure.frame()
-    for side in (-limit, limit):
-        figure.line(f"limit/{'low' if side < 0 else 'high'}", [0.0, lags[-1]], [side, side], GREY, width=0.5, order=4.0)
-    colours = (BLUE, ORANGE, *CYCLE[1:], PALE)
-    for i in range(shown.shape[1]):
-        figure.line(f"line/{i}", lags[1:], shown[:, i], colours[i % len(colours)], width=0.9)
-    figure.text("limit", 0.93 * lags[-1], limit + 0.12 * height, "95 %", GREY)
+    if correlation[1:].size:
+        short = [label(name, 14) for name in first.output_names]
+        chart = residual_autocorrelation(residuals, output_names=short, n_outputs=SHOWN_OUTPUTS)
+        log_chart(recording, WHITENESS, chart)
 
 
 DETAILED_OUTPUTS: Final = 4
-"""Up to so many outputs, each has its window beside it on the first tab."""
+"""Set a window beside each output on the first tab up to so many outputs."""
 
 
 def fit_page(identification: Identification, plan: Plan) -> Any:
@@ -180,7 +154,7 @@ def fit_page(identification: Identification, plan: Plan) -> Any:
     if identification.markov.n_inputs or identification.markov.gain is not None:
         words.append(plot_view(MARKOV, "Markov parameters"))
     words.append(plot_view(WHITENESS, "Whiteness"))
-    right = rrb.Vertical(*words, row_shares=[1.6, 1.05, 0.85][: len(words)], name="Fit in words")
+    right = rrb.Vertical(*words, row_shares=[1.2, 1.0, 0.9][: len(words)], name="Fit in words")
     return rrb.Horizontal(series, right, column_shares=[2.15, 1.0], name="Observer fit")
 
 

@@ -32,7 +32,7 @@ from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, 
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
-from modal.wording.numbers import hertz, ratio_text, with_interval
+from modal.wording.numbers import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
 from okid.record import Record
 
@@ -56,16 +56,16 @@ __all__ = [
 
 COMPLEXITY: Final = "modes/complexity"
 ROOM: Final = (390.0, 230.0)
-"""Width and height of the plot, about those of its pane on a common screen: a view unit is a point of the screen."""
+"""Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""
 
 WORDS: Final = 24.0
-"""Height of the words under a circle, in view units."""
+"""Leave this height for the words under a circle, in view units."""
 
 GAP: Final = 7.0
-"""Between two circles, in view units."""
+"""Keep two circles so far apart, in view units."""
 
 MOST_COLUMNS: Final = 3
-"""Circles in a row, so that the words under them have room."""
+"""Set so many circles in a row, so that the words under them have room."""
 
 
 def complexity_pane(n_shapes: int) -> Pane:
@@ -177,6 +177,8 @@ def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, te
 
 
 REASON_LETTERS: Final = 90
+"""Show so many letters of a reason beside the numbers; the whole of a longer one stands below the table."""
+
 HEAD: Final = (
     *("", "f [Hz]", "ζ [%]", "verdict", "repeats", "P", "gain", "γ", "EMAC out", "EMAC in", "EMAC", "MPC", "MPD [°]"),
     *("shape", "CMI", "MSV", "kind", "why"),
@@ -230,7 +232,7 @@ def _assurance_words(identification: Identification, plan: Plan) -> list[str]:
 def _row(number: int, mode: Mode) -> list[str]:
     strong = "**" if mode.verdict == "system" else ""
     known = mode.kind != "real" and mode.damping_resolved
-    damping = f"{strong}{_interval(100 * mode.damping_ratio, 196 * mode.damping_ratio_std)}{strong}"
+    damping = f"{strong}{_interval(100 * mode.damping_ratio, 100 * NINETY_FIVE * mode.damping_ratio_std)}{strong}"
     return [
         str(number),
         f"{strong}{_frequency(mode)}{strong}",
@@ -252,7 +254,7 @@ def _row(number: int, mode: Mode) -> list[str]:
 def _frequency(mode: Mode) -> str:
     if not np.isfinite(mode.frequency_std):
         return hertz(mode.frequency)
-    return with_interval(mode.frequency, 1.96 * mode.frequency_std)
+    return with_interval(mode.frequency, NINETY_FIVE * mode.frequency_std)
 
 
 def _interval(value: float, half_width: float) -> str:
@@ -311,7 +313,7 @@ FIELDS: Final = (
 NUMBERED_CELLS: Final = 12
 CROWDED: Final = 6
 SMALL: Final = 0.05
-"""Up to so many shapes every cell has its number; with more of them, numbers below this would only hide the colours."""
+"""Write the numbers of cells up to so many shapes; beyond so many leave out those below this, which hide colours."""
 
 
 def placement_in(identification: Identification, plan: Plan) -> Placement:
@@ -437,18 +439,20 @@ def _log_texts(
 
 
 HALF_VIEW: Final = 0.52
-"""Half the height that a 3-D view shows, at a distance of 1."""
+"""Take half the height that a 3-D view shows at a distance of 1 as this."""
 
 SHAPES_ROOM: Final = (1000.0, 500.0)
 TITLE: Final = 28.0
-"""Width and height of the room for all shapes on a common screen, and height of the title of each, in its points."""
+"""Share this width and height among all shapes, less a title of each, in points of a common screen."""
 
 SHAPES_COLUMNS: Final = 4
-"""Panes side by side, so that each is wide enough for its title."""
+"""Set at most so many panes side by side, so that each is wide enough for its title."""
 
 MARGIN: Final = 1.1
+"""Show so much more than the shapes reach."""
+
 AIMING: Final = 20
-"""Steps of the search for the aim, each halving what is off."""
+"""Move the aim so often, each time halving what is off."""
 
 
 def modes_page(identification: Identification, plan: Plan) -> Any:

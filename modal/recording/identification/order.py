@@ -1,39 +1,27 @@
 """The page "Order": how many states the data carry, and which poles stay when there are more.
 
-The page "Order", order by order: on the timeline "model_order" the poles appear as the order grows.
-
-A row of the timeline is an order: the poles of all orders up to it, its own in front, its fit and its singular value,
-and a text. On the timeline "time" all poles stand there at once, and the text is that of the order chosen.
+On the timeline "model_order" it plays: a row is an order, with the poles of all orders up to it, its own in front, its
+fit, its singular value and a text. On the timeline "time" all poles stand there at once, and the text is that of the
+order chosen.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
-from modal.recording.figure import (
-    BLUE,
-    DIM_BLUE,
-    DIM_GREEN,
-    GOLD,
-    GREEN,
-    GREY,
-    RED,
-    WHITE,
-    Figure,
-    Pane,
-    by_share,
-    linear_axis,
-    log_axis,
-)
-from modal.recording.plan import Gathered, Plan
+from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
+from modal.plots.panels import STYLE, Curve, Panel
+from modal.recording.figure import WHITE, Pane, colour_of, log_chart, seen_at
+from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
 from modal.recording.tables import UNKNOWN, log_table, table
 from modal.verdict.stabilisation import StabilisationPoint
-from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -57,9 +45,10 @@ __all__ = [
 MODEL_ORDER: Final = "model_order"
 ORDER_TEXT: Final = "order/text"
 SURE: Final = 0.95
-"""Overlap from which a pole counts as the same as another."""
+"""Count a pole as the same as another from this overlap on."""
 
 LISTED_POLES: Final = 24
+"""List so many poles of an order."""
 
 
 def is_repeatability_known(evidence: OrderEvidence) -> bool:
@@ -72,26 +61,24 @@ def orders_of(evidence: OrderEvidence) -> list[int]:
     return sorted({point.order for point in evidence.stabilisation})
 
 
-def log_poles(figure: Figure, evidence: OrderEvidence, plan: Plan) -> None:
+def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
     """All poles on "time"; on "model_order" those of the orders below, and those of the order in front of them."""
     import rerun as rr
 
+    low, high = panel.x.limits or (0.0, np.inf)
     points = sorted(evidence.stabilisation, key=lambda point: point.order)
-    low, high = figure.x.low, figure.x.high
     points = [point for point in points if low <= point.frequency <= high]
     if not points:
         return
     orders = np.array([point.order for point in points])
-    places = figure.place([point.frequency for point in points], orders)
-    known = is_repeatability_known(evidence)
-    colours = by_share([point.repeatability if known else point.overlap for point in points])
+    places = seen_at(panel, [point.frequency for point in points], orders)
+    colours = _pole_colours(points, evidence)
     texts = [_pole_label(point) for point in points]
-    recording, path = figure.recording, figure.path
-    steps = np.unique(orders)
+    path, steps = STABILISATION.path, np.unique(orders)
     index = [rr.TimeColumn(MODEL_ORDER, sequence=steps)]
     own = [np.flatnonzero(orders == step) for step in steps]
     below = [np.flatnonzero(orders < step) for step in steps]
-    for name, rows, radius in (("poles", below, 2.6), ("poles_now", own, 4.5)):
+    for name, rows, radius in (("poles", below, STYLE.dot / 2), ("poles_now", own, STYLE.dot)):
         entity, chosen = f"{path}/{name}", np.concatenate(rows)
         now = name == "poles_now"
         columns = rr.Points2D.columns(
@@ -99,39 +86,49 @@ def log_poles(figure: Figure, evidence: OrderEvidence, plan: Plan) -> None:
         ).partition([len(row) for row in rows])
         recording.send_columns(entity, index, columns, strict=True)
         style = rr.Points2D.from_fields(
-            radii=rr.Radius.ui_points(radius), show_labels=False, draw_order=11.0 if now else 10.0
+            radii=rr.Radius.ui_points(radius), show_labels=False, draw_order=POLES + 1.0 if now else POLES
         )
         recording.log(entity, style, static=True, strict=True)
     whole = rr.Points2D.columns(positions=places, colors=colours, labels=texts).partition([len(points)])
     recording.send_columns(f"{path}/poles", [rr.TimeColumn(TIMELINE, duration=[plan.start])], whole, strict=True)
-    line = np.stack([figure.place([low, high], [step, step]) for step in steps])
+    line = np.stack([seen_at(panel, [low, high], [step, step]) for step in steps])
     columns = rr.LineStrips2D.columns(strips=line)
     recording.send_columns(f"{path}/order_now", index, columns, strict=True)
-    style = rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(0.6), colors=WHITE, draw_order=4.5)
+    style = rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(STYLE.thin), colors=WHITE, draw_order=POLES - 1.0)
     recording.log(f"{path}/order_now", style, static=True, strict=True)
 
 
-def mark_orders(figure: Figure, evidence: OrderEvidence, values: Mapping[int, float]) -> None:
+def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence) -> npt.NDArray[np.uint8]:
+    """(n_points, 3) those of the class that each pole is of."""
+    measure, classes, _ = colour_measure(evidence)
+    shares = np.nan_to_num([getattr(point, measure) for point in points])
+    number = np.searchsorted([below for _, below, _ in classes[:-1]], shares, side="right")
+    return np.array([colour_of(role) for role in POLE_ROLES], dtype=np.uint8)[number]
+
+
+def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
     """On "model_order", a white dot on the plotted value of each order, and none at an order without a value.
 
     Args:
-        figure: where orders stand along the horizontal axis.
+        recording: the stream.
+        pane: of the plot.
+        panel: where orders stand along, and values as dots.
         evidence: whose orders.
-        values: that are plotted, by order; nan is none.
     """
     import rerun as rr
 
     at = np.array(orders_of(evidence), dtype=np.int64)
+    values = {x: y for line in panel.lines if line.dot for x, y in line.corners.tolist()}
     heights = np.array([values.get(order, np.nan) for order in at.tolist()])
     there = np.isfinite(heights)
     if not there.any():
         return
-    entity = f"{figure.path}/order_now"
-    columns = rr.Points2D.columns(positions=figure.place(at[there], heights[there])).partition(there.astype(int))
+    entity = f"{pane.path}/order_now"
+    columns = rr.Points2D.columns(positions=seen_at(panel, at[there], heights[there])).partition(there.astype(int))
     index = [rr.TimeColumn(MODEL_ORDER, sequence=at)]
-    figure.recording.send_columns(entity, index, columns, strict=True)
-    style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(6.0), colors=WHITE, draw_order=9.0)
-    figure.recording.log(entity, style, static=True, strict=True)
+    recording.send_columns(entity, index, columns, strict=True)
+    style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(STYLE.dot), colors=WHITE, draw_order=POLES)
+    recording.log(entity, style, static=True, strict=True)
 
 
 def log_order_texts(evidence: OrderEvidence, recording: "rerun.RecordingStream", plan: Plan) -> None:
@@ -214,42 +211,36 @@ def _share(value: float) -> str:
 SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 480.0, 430.0)
 ORDER_FIT: Final = Pane("order/fit/plot", 480.0, 370.0)
 STABILISATION: Final = Pane("order/stabilisation/plot", 840.0, 830.0)
+"""Draw in about the shape that the view has on a common screen."""
+
+POLES: Final = 20.0
+"""Draw what plays on "model_order" over all lines of the chart."""
+
 RESPONSE_LINES: Final = 1024
-RESPONSE_DECADES: Final = 4.0
-TEXT_LEVELS: Final = (1.065, 1.11, 1.155)
-TEXT_WIDTH: Final = 52.0
+"""Store the response of the model at so many frequencies."""
 
 
-def log_order_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, seen: Gathered
-) -> None:
-    """Singular values, cross-validated fit against order, stabilisation diagram over the measured response."""
+def log_order_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+    """Singular values, cross-validated fit against order, stabilisation diagram over the measured spectrum."""
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
-    _draw_singular_values(evidence, recording)
-    _draw_fits(evidence, recording)
     log_order_texts(evidence, recording, plan)
     frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, RESPONSE_LINES + 1)[1:]
-    size = _response_size(identification, frequencies)
-    _log_response(recording, frequencies, size)
-    measured = _measured_size(identification, seen)
-    _draw_stabilisation(identification, recording, plan, modelled=(frequencies, size), measured=measured)
-
-
-def _measured_size(identification: Identification, seen: Gathered) -> tuple[FloatArray, FloatArray] | None:
-    """Frequencies, and the root mean square over all pairs of channels of what was measured, by their scales.
-
-    Of the responses; without inputs, of the square roots of the spectra.
-    """
-    markov, first = identification.markov, identification.records[0]
-    if seen.measured is not None:
-        scaled = np.abs(seen.measured.frf) * markov.input_scale / markov.output_scale[:, np.newaxis]
-        with np.errstate(over="ignore"):  # what is no number is left out of the plot
-            return seen.measured.frequencies[1:], np.sqrt(np.mean(scaled**2, axis=(1, 2)))[1:]
-    if first.n_inputs or not seen.density_frequencies.size:
-        return None
-    scaled = seen.quality.densities[: seen.density_frequencies.size, first.n_inputs :] / markov.output_scale**2
-    return seen.density_frequencies[1:], np.sqrt(np.mean(scaled, axis=1))[1:]
+    _log_response(recording, frequencies, _response_size(identification, frequencies))
+    for pane, chart in (
+        (SINGULAR_VALUES, singular_values(evidence, limit=max(40, 4 * evidence.order))),
+        (ORDER_FIT, order_fits(evidence)),
+    ):
+        log_chart(recording, pane, chart)
+        mark_orders(recording, pane, chart.panels[0], evidence)
+    chart = stabilisation_diagram(evidence, identification.modes, measured=identification.records)
+    panel = chart.panels[0]
+    none = np.zeros(0)  # the poles are of the key, but play
+    panel.marks = [
+        replace(mark, x=none, y=none) if isinstance(mark, Curve) and mark.dot else mark for mark in panel.marks
+    ]
+    log_chart(recording, STABILISATION, chart)
+    log_poles(recording, panel, evidence, plan)
 
 
 def _response_size(identification: Identification, frequencies: FloatArray) -> FloatArray:
@@ -291,127 +282,3 @@ def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") ->
 def _log_response(recording: "rerun.RecordingStream", frequencies: FloatArray, size: FloatArray) -> None:
     lines = np.arange(1, frequencies.size + 1)
     log_table(recording, "order/response", "frequency_line", lines, {"frequency": frequencies, "size": size})
-
-
-def _draw_singular_values(evidence: OrderEvidence, recording: "rerun.RecordingStream") -> None:
-    values = evidence.singular_values
-    positive = values[values > 0]
-    if not positive.size:
-        return
-    # below 1e-12 of the largest there is only rounding; showing it would flatten everything else
-    lowest = max(float(positive.min()), 1e-12 * float(positive.max()))
-    n_shown = int(min(values.size, max(40, 4 * evidence.order)))
-    figure = Figure(
-        recording=recording,
-        pane=SINGULAR_VALUES,
-        x=linear_axis("index", 0.0, n_shown + 1.0, whole=True),
-        y=log_axis("Hankel singular value", lowest, float(positive.max())),
-    )
-    figure.frame()
-    index = np.arange(1, n_shown + 1)
-    shown = np.maximum(values[:n_shown], lowest)
-    kept = index <= evidence.order
-    texts = [f"{i}: {value:.4g}" for i, value in zip(index, values[:n_shown], strict=True)]
-    for name, chosen, colour in (("dropped", ~kept, GREY), ("kept", kept, GREEN)):
-        labels = [text for text, there in zip(texts, chosen, strict=True) if there]
-        figure.points(name, index[chosen], shown[chosen], colour, radius=3.2, texts=labels)
-    _order_line(figure, evidence.order + 0.5)
-    entries = [("kept", GREEN), ("dropped", GREY), (f"order {evidence.order}", GOLD)]
-    figure.legend(entries)
-    by_order = dict(enumerate(shown.tolist(), start=1))
-    mark_orders(figure, evidence, by_order)
-
-
-def _order_line(figure: Figure, at: float) -> None:
-    top, bottom = (
-        (10.0**figure.y.high, 10.0**figure.y.low) if figure.y.scale == "log10" else (figure.y.high, figure.y.low)
-    )
-    figure.line("order", [at, at], [bottom, top], GOLD, width=0.7, order=8.0)
-
-
-def _draw_fits(evidence: OrderEvidence, recording: "rerun.RecordingStream") -> None:
-    order = np.argsort(evidence.candidate_orders, kind="stable")
-    orders, fits = evidence.candidate_orders[order], evidence.candidate_fits[order]
-    if not orders.size:
-        return
-    there = np.isfinite(fits)
-    best = float(fits[there].max()) if there.any() else 1.0
-    low = float(np.clip(fits[there].min() - 0.05, -0.2, 0.95 * best)) if there.any() else 0.0
-    high = max(min(1.0, best + 0.25 * (best - low)), low + 0.02)
-    figure = Figure(
-        recording=recording,
-        pane=ORDER_FIT,
-        x=linear_axis("model order", 0.0, float(orders.max()) * 1.05 + 1.0, whole=True),
-        y=linear_axis("cross-validated fit", low, high),
-    )
-    figure.frame()
-    _order_line(figure, float(evidence.order))
-    shown = np.where(there, np.maximum(fits, low), np.nan)
-    figure.line("line", orders, shown, DIM_BLUE, width=1.2)
-    texts = [f"order {o:g}: {fit:.4f}" for o, fit in zip(orders, fits, strict=True)]
-    colours = np.where((orders == evidence.order)[:, np.newaxis], GREEN, BLUE).astype(np.uint8)
-    figure.points("fits", orders, shown, colours, radius=3.5, texts=texts)
-    mark_orders(figure, evidence, dict(zip(orders.tolist(), shown.tolist(), strict=True)))
-    entries = [("chosen", GREEN), ("tried", BLUE)]
-    if not there.all():
-        figure.points("unstable", orders[~there], np.full((~there).sum(), low), RED, radius=3.5)
-        entries.append(("unstable", RED))
-    figure.legend(entries)
-
-
-def _draw_stabilisation(
-    identification: Identification,
-    recording: "rerun.RecordingStream",
-    plan: Plan,
-    *,
-    modelled: tuple[FloatArray, FloatArray],
-    measured: tuple[FloatArray, FloatArray] | None,
-) -> None:
-    """The poles over what was measured, or over the model's response where nothing of the kind could be."""
-    evidence = identification.order_evidence
-    frequencies = modelled[0]
-    highest = max([point.order for point in evidence.stabilisation], default=evidence.order)
-    figure = Figure(
-        recording=recording,
-        pane=STABILISATION,
-        x=linear_axis("frequency [Hz]", 0.0, float(frequencies[-1])),
-        y=linear_axis("model order", 0.0, highest * 1.2 + 1.0, whole=True),
-    )
-    figure.frame()
-    _draw_response(figure, *(measured or modelled))
-    figure.line("chosen", [0.0, frequencies[-1]], [evidence.order] * 2, GOLD, width=0.5, order=4.0)
-    _draw_modes(figure, plan, highest)
-    log_poles(figure, evidence, plan)
-    meaning = "found again" if is_repeatability_known(evidence) else "overlap with the order below"
-    swatches = [(f"{meaning}: 0.95", GREEN), ("0.8", GOLD), ("0.5 and less", GREY)]
-    response = "model's response"
-    if measured:
-        response = "measured response" if identification.records[0].n_inputs else "measured spectrum"
-    figure.legend([*swatches, (f"order {evidence.order}", GOLD), (response, DIM_BLUE)])
-
-
-def _draw_modes(figure: Figure, plan: Plan, highest: float) -> None:
-    """A line and its frequency above the poles for each mode of the system; neighbours' texts on different levels."""
-    last, level = -np.inf, 0
-    for number, mode in enumerate(plan.modes, start=1):
-        share = float(figure.x.share(mode.frequency))
-        if mode.verdict != "system" or not 0 < share < 1:
-            continue
-        level = (level + 1) % len(TEXT_LEVELS) if share - last < TEXT_WIDTH / figure.width else 0
-        last = share
-        figure.line(f"mode/{number}", [mode.frequency] * 2, [0.0, highest * 1.03], DIM_GREEN, width=0.5, order=3.0)
-        figure.text(f"mode/{number}", mode.frequency, highest * TEXT_LEVELS[level], hertz(mode.frequency), GREEN)
-
-
-def _draw_response(figure: Figure, frequencies: FloatArray, size: FloatArray) -> None:
-    """The response on a logarithmic scale of its own, over the height of the frame, dim behind the poles."""
-    there = np.isfinite(size) & (size > 0)
-    if not there.any():
-        return
-    level = np.log10(np.where(there, size, np.nan))
-    high = float(np.nanmax(level))
-    low = max(float(np.nanmin(level)), high - RESPONSE_DECADES)
-    share = (level - low) / (high - low) if high > low else np.where(there, 0.5, np.nan)
-    figure.line(
-        "response", frequencies, figure.y.low + (figure.y.high - figure.y.low) * 0.8 * share, DIM_BLUE, order=2.0
-    )

@@ -1,8 +1,7 @@
 """The page "Record": what was measured, over time and over frequency, and what there is to say against it.
 
-How the page "Record" opens; called by `modal.recording.stream`, and by `modal.recording.live` before any fit.
-
-The quality of the data in words, as Markdown: the verdict, what was found, one row a channel.
+It opens with a result, and before any fit in the live view; its words give the verdict on the data, what was found, and
+a row a channel.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,29 +9,25 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from modal.plots.layout import grid_of
+from modal.plots.panels import IN_TURN, STYLE
 from modal.quality.findings import DataQuality, Finding
 from modal.recording.figure import (
     BLUE,
-    CYCLE,
+    COLOURS,
     GOLD,
-    ORANGE,
     RED,
-    SHARE_AXIS,
-    Axis,
     Colour,
-    Figure,
     Pane,
     document_view,
-    linear_axis,
-    log_axis,
+    log_chart,
     plot_view,
     series_view,
 )
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import SHOWN_OUTPUTS, DataPlan, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import UNKNOWN, bullets, log_table, table
-from okid.arrays import FloatArray
+from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -40,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEVEL_COLOURS",
-    "OUTPUT_COLOURS",
     "log_record_page",
     "marked",
     "marks_path",
@@ -50,8 +44,8 @@ __all__ = [
     "spectra_pane",
 ]
 
-LISTED_CHANNELS: Final = 40
 LISTED_FINDINGS: Final = 20
+"""List so many findings in words, the gravest first; the table of findings holds all."""
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
@@ -89,7 +83,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
             f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
             one.level if one.level == "good" else f"**{one.level}**",
         ]
-        for one in quality.channels[:LISTED_CHANNELS]
+        for one in quality.channels[:LISTED]
     ]
     parts.append(table(head, rows))
     if first.n_inputs:
@@ -110,13 +104,20 @@ def _figures(value: float) -> str:
 
 LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": RED, "doubtful": GOLD, "note": (140, 165, 210)}
 
-OUTPUT_COLOURS: Final[tuple[Colour, ...]] = (BLUE, ORANGE, *CYCLE[1:])
-"""For outputs of equal rank, in this order, again from the start when there are more."""
+INPUT_ROLES: Final = (*IN_TURN[4:], *IN_TURN[:4])
+"""Draw inputs in these colours, in turn, gold first."""
 
 MOST_MARKS: Final = 10
+"""Mark so many findings on the time axis, a row each."""
+
 SHORTEST_MARK: Final = 0.004
+"""Draw a mark at least this share of the timeline long, so that it is seen."""
+
 SHOWN_SPECTRA: Final = 6
+"""Draw the spectra of so many inputs and of so many outputs."""
+
 SPECTRUM_DECADES: Final = 8.0
+"""Leave out of the range of a spectrum what lies so many decades below its peak."""
 
 
 def quality_path(plan: DataPlan) -> str:
@@ -173,7 +174,7 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
             [record.inputs[:, i] for record in records],
             plan=plan,
             name=name_with_unit(first.input_names[i], first.input_units[i]),
-            colour=CYCLE[i % len(CYCLE)],
+            colour=COLOURS[INPUT_ROLES[i % len(INPUT_ROLES)]],
             interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
         )
     for i, path in enumerate(plan.output_paths):
@@ -265,55 +266,31 @@ def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan
     """Inputs over outputs over coherence, all over one axis of frequency."""
     if not quality.frequencies.size:
         return
-    n_inputs, n_outputs = len(plan.input_paths), len(plan.output_paths)
-    x = linear_axis("frequency [Hz]", 0.0, float(quality.frequencies[-1]))
-    bands = [("output", n_inputs, n_outputs, OUTPUT_COLOURS)]
+    n_inputs, n_outputs, coherence = len(plan.input_paths), len(plan.output_paths), quality.coherence
+    bands = [("output", n_inputs, n_outputs, IN_TURN)]
     if n_inputs:
-        bands = [("input", 0, n_inputs, CYCLE), *bands]
-    n_bands = len(bands) + (quality.coherence is not None)
-    edges = np.cumsum([0.0, *([0.34] * len(bands) + [0.32])[:n_bands]])
-    edges /= edges[-1]
-    for k, (role, start, count, colours) in enumerate(bands):
+        bands = [("input", 0, n_inputs, INPUT_ROLES), *bands]
+    chart = grid_of(len(bands) + (coherence is not None), 1, size=(STYLE.page, STYLE.page))
+    for panel, (role, start, count, roles) in zip(chart.panels, bands, strict=False):
         shown = range(start, start + min(count, SHOWN_SPECTRA))
-        figure = Figure(
-            recording=recording,
-            pane=spectra_pane(plan),
-            x=x,
-            y=_density_axis(f"{role}s [{_density_unit(quality, role)}]", quality.densities[:, shown]),
-            band=(float(edges[k]), float(edges[k + 1])),
-            part=f"{k}_{role}",
-        )
-        figure.frame()
         for i, channel in enumerate(shown):
-            density = quality.densities[:, channel]
-            colour = colours[i % len(colours)]
-            figure.line(f"line/{i:02d}", quality.frequencies, np.where(density > 0, density, np.nan), colour, width=0.9)
-        figure.legend_row(
-            [(label(quality.channels[c].name, 14), colours[i % len(colours)]) for i, c in enumerate(shown)]
-        )
-    if quality.coherence is not None:
-        band = (float(edges[-2]), 1.0)
-        _draw_coherence(quality, recording, plan, x=x, band=band)
-
-
-def _draw_coherence(
-    quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan, *, x: Axis, band: tuple[float, float]
-) -> None:
-    one = quality.coherence
-    if one is None:
-        return
-    figure = Figure(
-        recording=recording,
-        pane=spectra_pane(plan),
-        x=x,
-        y=SHARE_AXIS,
-        band=band,
-        part="9_coherence",
-    )
-    figure.frame()
-    for i in range(min(len(plan.output_paths), SHOWN_SPECTRA)):
-        colour = OUTPUT_COLOURS[i % len(OUTPUT_COLOURS)]
-        figure.line(f"line/{i:02d}", one.frequencies, one.multiple_coherence[:, i], colour, width=0.8)
+            name, density = label(quality.channels[channel].name, 14), quality.densities[:, channel]
+            panel.line(quality.frequencies, density, roles[i % len(roles)], width=STYLE.thin, label=name)
+        high = float(np.nanmax(quality.densities[:, shown], initial=0.0))
+        seen = quality.densities[:, shown].ravel()
+        panel.y.log = True
+        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-SPECTRUM_DECADES])
+        panel.y.label, panel.key = f"{role}s [{_density_unit(quality, role)}]", "best"
+    if coherence is not None:
+        panel = chart.panels[-1]
+        for i in range(min(n_outputs, SHOWN_SPECTRA)):
+            values = coherence.multiple_coherence[:, i]
+            panel.line(coherence.frequencies, values, IN_TURN[i % len(IN_TURN)], width=STYLE.thin)
+        panel.y.label, panel.y.limits = "coherence", (0.0, 1.04)
+    for panel in chart.panels:
+        panel.x.limits, panel.x.labelled = (0.0, float(quality.frequencies[-1])), panel is chart.panels[-1]
+    chart.panels[-1].x.label = "frequency [Hz]"
+    log_chart(recording, spectra_pane(plan), chart)
 
 
 def _density_unit(quality: DataQuality, role: str) -> str:
@@ -325,16 +302,8 @@ def _density_unit(quality: DataQuality, role: str) -> str:
     return f"({label(unit, 12)})²/Hz" if set(unit) & set("/ ^*") else f"{label(unit, 12)}²/Hz"
 
 
-def _density_axis(title: str, densities: FloatArray) -> Axis:
-    positive = densities[np.isfinite(densities) & (densities > 0)]
-    if not positive.size:
-        return log_axis(title, 0.1, 10.0)
-    high = float(positive.max())
-    return log_axis(title, max(float(positive.min()), high * 10.0**-SPECTRUM_DECADES), high)
-
-
 ONE_COLUMN: Final = 4
-"""Outputs stand one below the other up to so many, in two columns beyond."""
+"""Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:
@@ -381,7 +350,7 @@ def _thin(output: int) -> Any:
     """The style on this page: the colour that the output has in the spectra, and a thin line."""
     import rerun as rr
 
-    colour = OUTPUT_COLOURS[output % len(OUTPUT_COLOURS)]
+    colour = COLOURS[IN_TURN[output % len(IN_TURN)]]
     return rr.SeriesLines.from_fields(colors=colour, widths=1.0, aggregation_policy="MinMax")
 
 

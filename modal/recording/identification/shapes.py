@@ -25,29 +25,31 @@ if TYPE_CHECKING:
 __all__ = ["MOST_POINTS", "PERIODS", "Pace", "log_shape", "measured_nodes", "pace_of", "shape_path"]
 
 PERIODS: Final = 12
-"""Oscillations from the start of the record to its end, for every mode: at their own rates one would see a blur."""
+"""Swing so often from the start of the record to its end, in every mode: at their own rates one would see a blur."""
 
 FRAMES: Final = 32
-"""Pictures a period."""
+"""Store so many pictures a period."""
 
 FEWEST_PERIODS: Final = 6
 FEWEST_FRAMES: Final = 10
+"""Leave at least so many, whatever the geometry: then lines and surfaces are left out."""
+
 MOST_POINTS: Final = 2_000_000
-"""Points in motion that one recording stores, over all shapes and moments: 24 MB."""
+"""Store so many points in motion at most, over all shapes and moments: 24 MB."""
 
 MOST_STILL: Final = 20_000
-"""Segments of the structure at rest, of which many more would make a viewer slow."""
+"""Draw so many segments of the structure at rest: many more would make a viewer slow."""
 
 NAMED_LETTERS: Final = 48
 NAMED_SHAPES: Final = 4
-"""Nodes carry their names where there is room: so many letters in all, in so many pictures."""
+"""Name the nodes where their names have so many letters in all, in so many pictures."""
 
 STEMS: Final = 16
-"""Up to so many measured nodes have a stem from rest to where they are."""
+"""Give up to so many measured nodes a stem from rest to where they are."""
 
 ARROWS: Final = 60
 ARROW: Final = 0.16
-"""Up to so many sensors are shown as arrows of this length; half the largest extent is 1."""
+"""Show up to so many sensors as arrows of this length; half the largest extent is 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -3,12 +3,6 @@
 Over time the model runs freely: it sees the inputs alone. Over frequency its response is set against the quotient of
 the spectra, which knows nothing of the model, with the coherence that says where that quotient can be believed. Without
 inputs the spectrum of the outputs takes the place of the response.
-
-How the page "Validation" opens; called by `modal.recording.stream`.
-
-Where the page "Validation" draws what: a pane for each output, and one for each pair of output and input.
-
-The page "Validation" in words: what was run on which rows, and how much of each output is left over.
 """
 
 from collections.abc import Iterable
@@ -17,24 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.recording.figure import (
-    BLUE,
-    GREY,
-    ORANGE,
-    PALE,
-    SHARE_AXIS,
-    Axis,
-    Figure,
-    Pane,
-    document_view,
-    linear_axis,
-    log_axis,
-    plot_view,
-    series_view,
-)
+from modal.plots.layout import grid_of
+from modal.plots.panels import STYLE, Panel
+from modal.plots.responses import density_label
+from modal.recording.figure import Pane, document_view, log_chart, plot_view, series_view
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import SHOWN_INPUTS, Gathered, Plan, cell, label
-from modal.recording.tables import UNKNOWN, log_table, table
+from modal.recording.tables import LISTED, UNKNOWN, log_table, table
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -49,16 +32,19 @@ __all__ = [
     "magnitude_pane",
     "overview_columns",
     "response_pane",
-    "two_line_axis",
+    "two_line_limits",
     "validation_page",
     "validation_text",
 ]
 
 MOST_RESPONSES: Final = 16
+"""Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
+
 DECADES: Final = 5.0
-"""Of a magnitude that are shown; of a power spectrum, which is its square, twice as many hold the same."""
+"""Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
+
 HIGHEST: Final = 100.0
-"""Times the largest measured value that a peak of the model may have in the picture."""
+"""Let a peak of the model rise to so many times the largest measured value, and no further."""
 
 
 def response_pane(output: int, source: int) -> Pane:
@@ -98,22 +84,16 @@ def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]
     return tuple(np.argsort(-strength, kind="stable")[:n_drawn].tolist())
 
 
-def two_line_axis(title: str, seen: FloatArray, made: FloatArray, *, decades: float = DECADES) -> Axis:
+def two_line_limits(seen: FloatArray, made: FloatArray, *, decades: float = DECADES) -> tuple[float, float]:
     """Down to what was measured, as a zero of the model goes down to nothing; up to the peaks of both.
 
     A pole on the unit circle has no peak: the model may rise by some decades above what was measured, and no more.
     """
     known = [values[np.isfinite(values) & (values > 0)] for values in (seen, made)]
-    first = next((values for values in known if values.size), None)
-    if first is None:
-        return log_axis(title, 0.1, 10.0)
+    first = next((values for values in known if values.size), np.array([0.1, 10.0]))
     high = float(first.max())
-    highest = max(float(values.max()) for values in known if values.size)
-    high = max(high, min(HIGHEST * high, highest))
-    return log_axis(title, max(float(first.min()), high * 10.0**-decades), high)
-
-
-LISTED_OUTPUTS: Final = 40
+    high = max(high, min(HIGHEST * high, max(float(values.max(initial=0.0)) for values in known)))
+    return max(float(first.min()), high * 10.0**-decades), high
 
 
 def validation_text(identification: Identification, evidence: Gathered) -> str:
@@ -152,7 +132,7 @@ def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
     driven = bool(first.n_inputs)
     head = ["output", "unit", "cross-validated", "all rows" if driven else "one step", "left over", "output"]
     rows = []
-    for i in range(min(first.n_outputs, LISTED_OUTPUTS)):
+    for i in range(min(first.n_outputs, LISTED)):
         left, whole = _sizes(identification, i)
         rows.append(
             [
@@ -265,52 +245,37 @@ def _draw_response(
     measured = evidence.measured
     if measured is None:
         return
-    pane = response_pane(output, source)
-    x = linear_axis("frequency [Hz]", 0.0, float(measured.frequencies[-1]))
+    chart = grid_of(3, 1, size=(STYLE.page, STYLE.page), down=(2.0, 1.2, 1.0))
+    magnitude, phase, coherence = chart.panels
+    _fill_magnitude(magnitude, identification, evidence, output=output, source=source)
     seen, made = measured.frf[:, output, source], evidence.fine[:, output, source]
-    magnitude = Figure(
-        recording=recording,
-        pane=pane,
-        x=x,
-        y=_magnitude_axis(identification, seen, made, output=output, source=source),
-        band=(0.0, 0.46),
-        part="0_magnitude",
-    )
-    _draw_pair(magnitude, (measured.frequencies, np.abs(seen)), (evidence.fine_frequencies, np.abs(made)))
-    phase = Figure(
-        recording=recording,
-        pane=pane,
-        x=x,
-        y=Axis(
-            title="phase [°]",
-            low=-190.0,
-            high=190.0,
-            ticks=(-180.0, -90.0, 0.0, 90.0, 180.0),
-            texts=("−180", "−90", "0", "90", "180"),
-        ),
-        band=(0.46, 0.74),
-        part="1_phase",
-    )
-    phase.frame()
-    phase.line("0_measured", measured.frequencies, _phase(seen), BLUE, width=1.3, order=5.0)
-    phase.line("1_synthesised", evidence.fine_frequencies, _phase(made), ORANGE, width=1.0, order=6.0)
-    coherence = Figure(
-        recording=recording,
-        pane=pane,
-        x=x,
-        y=SHARE_AXIS,
-        band=(0.74, 1.0),
-        part="2_coherence",
-    )
-    coherence.frame()
+    phase.line(measured.frequencies, _phase(seen), "measured", width=STYLE.thick, label="measured")
+    phase.line(evidence.fine_frequencies, _phase(made), "model", label="synthesised")
+    phase.y.label, phase.y.limits = "phase [°]", (-190.0, 190.0)
+    phase.y.ticks = [(float(angle), f"{angle}".replace("-", "−")) for angle in (-180, -90, 0, 90, 180)]
     several = measured.ordinary_coherence.shape[2] > 1
     if several:
         ordinary = measured.ordinary_coherence[:, output, source]
-        coherence.line("0_ordinary", measured.frequencies, ordinary, GREY, width=0.8, order=5.0)
-    coherence.line(
-        "1_multiple", measured.frequencies, measured.multiple_coherence[:, output], PALE, width=1.0, order=6.0
-    )
-    coherence.legend([("with all inputs", PALE), ("with this one", GREY)] if several else [("with the input", PALE)])
+        coherence.line(measured.frequencies, ordinary, "muted", width=STYLE.thin, label="with this input")
+    name = "with all inputs" if several else "with the input"
+    coherence.line(measured.frequencies, measured.multiple_coherence[:, output], "ink", label=name)
+    coherence.y.label, coherence.y.limits, coherence.key = "coherence", (0.0, 1.04), "best"
+    for panel in chart.panels:
+        panel.x.limits, panel.x.labelled = magnitude.x.limits, panel is coherence
+    magnitude.x.label, coherence.x.label = "", magnitude.x.label
+    log_chart(recording, response_pane(output, source), chart)
+
+
+def _fill_magnitude(
+    panel: Panel, identification: Identification, evidence: Gathered, *, output: int, source: int
+) -> None:
+    first, measured = identification.records[0], evidence.measured
+    if measured is None:
+        return
+    units = (first.output_units[output], first.input_units[source])
+    panel.y.label = f"magnitude [{label(units[0], 9)} per {label(units[1], 7)}]" if all(units) else "magnitude"
+    seen, made = np.abs(measured.frf[:, output, source]), np.abs(evidence.fine[:, output, source])
+    _fill_pair(panel, (measured.frequencies, seen), (evidence.fine_frequencies, made), "synthesised")
 
 
 def _draw_magnitude(
@@ -322,17 +287,9 @@ def _draw_magnitude(
     output: int,
     source: int,
 ) -> None:
-    measured = evidence.measured
-    if measured is None:
-        return
-    seen, made = measured.frf[:, output, source], evidence.fine[:, output, source]
-    figure = Figure(
-        recording=recording,
-        pane=pane,
-        x=linear_axis("frequency [Hz]", 0.0, float(measured.frequencies[-1])),
-        y=_magnitude_axis(identification, seen, made, output=output, source=source),
-    )
-    _draw_pair(figure, (measured.frequencies, np.abs(seen)), (evidence.fine_frequencies, np.abs(made)))
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    _fill_magnitude(chart.panels[0], identification, evidence, output=output, source=source)
+    log_chart(recording, pane, chart)
 
 
 def _draw_density(
@@ -343,47 +300,29 @@ def _draw_density(
     *,
     output: int,
 ) -> None:
-    first = identification.records[0]
-    model = evidence.model_density[:, output]
+    first, model = identification.records[0], evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
-    unit = first.output_units[output]
-    title = f"spectrum [({label(unit, 10)})²/Hz]" if unit else "spectrum"
-    figure = Figure(
-        recording=recording,
-        pane=pane,
-        x=linear_axis("frequency [Hz]", 0.0, float(evidence.density_frequencies[-1])),
-        y=two_line_axis(title, seen, model, decades=2 * DECADES),
-    )
-    _draw_pair(
-        figure, (evidence.density_frequencies, seen), (evidence.density_frequencies, model), made_by="of the model"
-    )
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    frequencies = evidence.density_frequencies
+    _fill_pair(chart.panels[0], (frequencies, seen), (frequencies, model), "of the model", decades=2 * DECADES)
+    chart.panels[0].y.label = f"spectrum [{density_label(first.output_units[output])}]"
+    log_chart(recording, pane, chart)
 
 
-def _draw_pair(
-    figure: Figure,
+def _fill_pair(
+    panel: Panel,
     seen: tuple[FloatArray, FloatArray],
     made: tuple[FloatArray, FloatArray],
+    made_by: str,
     *,
-    made_by: str = "synthesised",
+    decades: float = DECADES,
 ) -> None:
-    """Two lines, each of its frequencies and values; one that has left the frame is not drawn along its edge."""
-    figure.frame()
-    lowest = 10.0**figure.y.low
-    for name, (frequencies, values), colour, width, order in (
-        ("0_measured", seen, BLUE, 1.6, 5.0),
-        ("1_synthesised", made, ORANGE, 1.0, 6.0),
-    ):
-        figure.line(name, frequencies, np.where(values > lowest, values, np.nan), colour, width=width, order=order)
-    figure.legend([("measured", BLUE), (made_by, ORANGE)])
-
-
-def _magnitude_axis(
-    identification: Identification, seen: ComplexArray, made: ComplexArray, *, output: int, source: int
-) -> Axis:
-    first = identification.records[0]
-    units = (first.output_units[output], first.input_units[source])
-    title = f"magnitude [{label(units[0], 9)} per {label(units[1], 7)}]" if all(units) else "magnitude"
-    return two_line_axis(title, np.abs(seen), np.abs(made))
+    """Two lines, each of its frequencies and values."""
+    panel.y.log = True
+    panel.y.limits = panel.y.fitted(np.array(two_line_limits(seen[1], made[1], decades=decades)))
+    panel.line(*seen, "measured", width=STYLE.thick, label="measured")
+    panel.line(*made, "model", label=made_by)
+    panel.x.limits, panel.x.label, panel.key = (0.0, float(seen[0][-1])), "frequency [Hz]", "best"
 
 
 def _phase(values: ComplexArray) -> FloatArray:

@@ -191,7 +191,7 @@ def test_evidence_may_be_empty_or_all_unstable(identification, tmp_path, read):
         identification.order_evidence, candidate_orders=np.array([2.0, 4.0]), candidate_fits=np.array([np.nan, np.nan])
     )
     stored = read(save_recording(replace(identification, order_evidence=unstable), tmp_path / "unstable.rrd"))
-    assert "/order/fit/plot/unstable" in stored.entities("Points2D:positions")
+    assert "/order/fit/plot/unstable" in stored.entities("LineStrips2D:strips")
 
 
 def test_a_constant_model_and_extreme_numbers_are_drawn(identification, tmp_path):

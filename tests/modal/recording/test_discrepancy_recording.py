@@ -184,17 +184,17 @@ def test_wrong_use_is_one_sentence(diagnosis, identification):
 
 
 @pytest.mark.parametrize(
-    ("modes", "n_views"), [((HARDENS, RESTS, VAGUE), 2), ((POLE,), 1), ((VAGUE,), 0)], ids=["modes", "pole", "vague"]
+    ("modes", "n_panels"), [((HARDENS, RESTS, VAGUE), 2), ((POLE,), 1), ((VAGUE,), 0)], ids=["modes", "pole", "vague"]
 )
-def test_modes_against_level_have_a_page_where_they_tell_something(diagnosis, tmp_path, read, modes, n_views):
+def test_modes_against_level_have_a_page_where_they_tell_something(diagnosis, tmp_path, read, modes, n_panels):
     found = with_levels(diagnosis, *modes)
     pages = diagnosis_blueprint(found, planned_diagnosis(found)).root_container.contents
     shown = [view.name for page in pages if page.name == "Levels" for view in views(page)]
-    assert len(shown) == n_views
+    assert len(shown) == bool(n_panels)
     stored = read(save_recording(found, tmp_path / "levels.rrd"))
     drawn = [path for path in stored.entities("LineStrips2D:strips") if path.startswith("/discrepancy/levels/")]
-    assert bool(drawn) == bool(n_views)
-    assert any("/damping/" in path for path in drawn) == (n_views == 2)
+    assert bool(drawn) == bool(n_panels)
+    assert any("/plot/1/" in path for path in drawn) == (n_panels == 2)
     table = stored.table("/discrepancy/level_modes", "mode_at_level")
     n_cells = sum(int(np.isfinite(mode.frequencies).sum()) for mode in modes)
     assert len(table["frequency"]) == n_cells  # those that are not drawn as well

@@ -1,12 +1,8 @@
 """The blueprint: every view has an origin that holds something, and a name; panels are out of the way."""
 
-from pathlib import Path
-
 import pytest
 
-import modal.recording
 from modal.recording import save_recording
-from modal.recording.figure import linear_axis, log_axis
 from modal.recording.plan import gather, planned
 from modal.recording.stream import GLOBAL_AXIS, blueprint
 
@@ -57,28 +53,3 @@ def test_linked_plots_open_on_the_whole_record(build):
     assert holders[0].name == "Inputs"
     linked = [v for v in views(layout.root_container) if v.class_identifier == "TimeSeries" and "cursor" not in v.name]
     assert len(linked) > 5
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 42.0), (-1e-9, 1e-9), (3.0, 3.0), (0.0, 1e12), (-0.31, 0.97)])
-def test_linear_ticks_are_round_few_and_inside(low, high):
-    axis = linear_axis("x", low, high)
-    assert axis.low <= low <= high <= axis.high
-    assert 2 <= len(axis.ticks) <= 12
-    assert all(axis.low - 1e-9 * abs(axis.low) <= tick <= axis.high * (1 + 1e-9) for tick in axis.ticks)
-    assert [float(text) for text in axis.texts] == pytest.approx(axis.ticks)
-
-
-@pytest.mark.parametrize(("low", "high"), [(1e-12, 1.0), (0.4, 0.5), (5.0, 5.0), (1e-300, 1e300)])
-def test_log_ticks_are_decades_inside(low, high):
-    axis = log_axis("x", low, high)
-    assert 0 <= axis.share(low) <= axis.share(high) <= 1
-    assert 2 <= len(axis.ticks) <= 9
-    assert all(axis.low <= tick <= axis.high for tick in axis.ticks)
-    assert [float(text) for text in axis.texts] == pytest.approx([10.0**tick for tick in axis.ticks])
-
-
-def test_what_rerun_calls_unstable_stays_in_the_modules_named_for_it():
-    folder = Path(modal.recording.__file__).parent
-    using = {path.name for path in folder.glob("*.py") if "rerun.blueprint as rrb" in path.read_text(encoding="utf-8")}
-    assert "blueprint.py" in using
-    assert all(name.endswith("blueprint.py") for name in using)

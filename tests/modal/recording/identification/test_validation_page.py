@@ -7,7 +7,7 @@ import pytest
 
 from era.realisation import Realisation
 from modal.recording import save_recording
-from modal.recording.identification.validation import drawn_inputs, two_line_axis, validation_text
+from modal.recording.identification.validation import drawn_inputs, two_line_limits, validation_text
 from modal.recording.plan import gather, planned, response_of
 from okid.record import Record
 
@@ -46,13 +46,13 @@ def test_every_output_has_its_numbers_and_the_shown_ones_their_picture(stored, i
     for output in range(1, 5):
         table = stored.rows(f"/validation/response/{output:02d}/numbers", "frequency_line")
         assert len(table[1]["ordinary_coherence"]) == 2
-        assert f"/validation/overview/{output:02d}/plot/1_synthesised" in paths
+        assert f"/validation/overview/{output:02d}/plot/synthesised" in paths
         for source in (1, 2):
             plot = f"/validation/response/{output:02d}/{source:02d}/plot"
             parts = {
-                f"{plot}/0_magnitude/0_measured",
-                f"{plot}/1_phase/1_synthesised",
-                f"{plot}/2_coherence/1_multiple",
+                f"{plot}/0/measured",
+                f"{plot}/1/synthesised",
+                f"{plot}/2/with_all_inputs",
             }
             assert parts <= paths
     assert identification.records[0].n_inputs == 2
@@ -152,17 +152,16 @@ def test_between_coarse_lines_the_model_is_drawn_and_stored_as_it_is(build, tmp_
         z = np.exp(2j * np.pi * rows[line + 1]["frequency"][0] * model.dt)
         expected = model.D + model.C @ np.linalg.solve(z * np.eye(model.order) - model.A, model.B)
         np.testing.assert_allclose(made[line], expected[1], rtol=1e-9)
-    drawn = stored.static("/validation/overview/02/plot/1_synthesised", "LineStrips2D:strips")
+    drawn = stored.static("/validation/overview/02/plot/synthesised", "LineStrips2D:strips")
     assert sum(map(len, drawn)) > 3 * evidence.measured.frequencies.size
 
 
 def test_the_axis_holds_the_peaks_of_the_model_but_not_those_that_are_none():
     seen = np.array([0.1, 1.0, np.nan])
-    assert two_line_axis("", seen, np.array([1e-9, 5.0])).high >= np.log10(5.0)
-    assert two_line_axis("", seen, np.array([1e-9, 5.0])).low > -3.0
-    assert np.log10(5.0) < two_line_axis("", seen, np.array([1e9])).high < 4.0
-    assert two_line_axis("", np.array([np.nan]), np.array([2.0, 3.0])).high >= np.log10(3.0)
-    assert two_line_axis("", np.array([np.nan]), np.array([np.nan])).high > 0.0
-    low, lowest = (two_line_axis("", np.array([1e-12, 1.0]), seen, decades=n).low for n in (5.0, 10.0))
-    assert -6.0 <= low <= -5.0
-    assert -11.0 <= lowest <= -10.0
+    assert two_line_limits(seen, np.array([1e-9, 5.0])) == (0.1, 5.0)
+    assert 5.0 < two_line_limits(seen, np.array([1e9]))[1] < 1e4
+    assert two_line_limits(np.array([np.nan]), np.array([2.0, 3.0]))[1] >= 3.0
+    assert two_line_limits(np.array([np.nan]), np.array([np.nan]))[1] > 0.0
+    low, lowest = (two_line_limits(np.array([1e-12, 1.0]), seen, decades=n)[0] for n in (5.0, 10.0))
+    assert low == pytest.approx(1e-5)
+    assert lowest == pytest.approx(1e-10)
