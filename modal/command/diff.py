@@ -131,10 +131,10 @@ def carry_out_diff(job: DiffJob) -> Comparison:
 EXAMPLES = examples(
     "two results: diff before after",
     "with a page to keep: diff before after -o change",
-    "saved results or JSON: diff monday.npz tuesday/report.json",
+    "saved results: diff monday.npz tuesday.npz",
 )
 
-_RESULT = "Folder that run wrote, its report.json, or a saved result (.npz)."
+_RESULT = "Folder that run wrote, or a saved result (.npz)."
 
 
 def diff(

@@ -66,7 +66,6 @@ __all__ = [
     "Progress",
     "Reading",
     "carry_out",
-    "clear_stale",
     "exit_status",
     "extras_of",
     "own_warnings",
@@ -157,21 +156,6 @@ def refuse_other_report(folder: Path, mark: str) -> None:
         raise InvalidDataError(
             f"{shorten(visible(str(folder)), 200)!r} holds a report of another kind ({mark}); choose another folder."
         )
-
-
-def clear_stale(job: "Job", files: "ReportFiles") -> None:
-    """Take away what an earlier, replaced report left and this one does not have: it would pass for part of this one.
-
-    A printed report goes in any case: stopped while it prints the new one, the old one must not stand beside the rest.
-
-    Args:
-        job: with the folder, and whether its files may be replaced.
-        files: that were written.
-    """
-    if job.existing == "replace":
-        (job.folder / "report.pdf").unlink(missing_ok=True)
-        if files.result is None:
-            (job.folder / "result.npz").unlink(missing_ok=True)
 
 
 def unknown_sensors(specification: "Specification | None", records: Sequence[Record]) -> tuple[str, ...]:
@@ -343,7 +327,8 @@ def carry_out(
             specification=specification,
             quality=quality,
         )
-        clear_stale(job, files)
+        if job.existing == "replace":  # stopped while it prints the new one, the old one must not stand beside the rest
+            (job.folder / "report.pdf").unlink(missing_ok=True)
         if job.pdf is not None:
             tell("printing the report", 0.95)
             write_pdf(files.html, job.pdf)

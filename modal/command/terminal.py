@@ -137,15 +137,12 @@ def show_files(console: Console, files: ReportFiles, *, pdf: Path | None = None)
         (files.json, "every number"),
         (files.csv, "one row a pole"),
         (files.uff55, "the modes for other programs"),
-        (files.result, "the result itself, for modal.load, diff and view"),
+        (files.result, f"the result itself, its summary above {LARGEST_KEPT >> 20} MiB, for modal.load and diff"),
         (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
     )
     for path, meaning in meanings:
         if path is not None:
             console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
-    if files.result is None:
-        sentence = f"The result itself is above {LARGEST_KEPT >> 20} MiB and was not kept; diff reads report.json."
-        console.print(plain(sentence, "bright_black"))
 
 
 def _mode_table(modes: Sequence[Mode]) -> Table:

@@ -212,7 +212,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     Example:
         >>> from modal.modes.choice import Choice
         >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
-        ...                       trust="not carried", degrees_of_freedom=float("inf"), data=frozenset())
+        ...                       trust="not carried", degrees_of_freedom=float("inf"), data=())
         >>> compare_results(empty, empty).changed
         False
     """
@@ -252,10 +252,10 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     )
 
 
-def _same_data(first: frozenset[str], second: frozenset[str]) -> bool | None:
+def _same_data(first: Sequence[str], second: Sequence[str]) -> bool | None:
     """Whether hashes are shared; None where there are none of one kind (of files, of samples) in both."""
     kinds = [{text.partition(" ")[0] for text in one} for one in (first, second)]
-    return bool(first & second) if kinds[0] & kinds[1] else None
+    return bool(set(first) & set(second)) if kinds[0] & kinds[1] else None
 
 
 def _summary(result: Identification | ResultSummary) -> ResultSummary:

@@ -163,7 +163,7 @@ def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
         sentences.append(
             "Both results come from the same measured data: their errors are not independent, and a shift is the work "
             "of the settings, not of the structure."
-            if comparison.before.data == comparison.after.data
+            if set(comparison.before.data) == set(comparison.after.data)
             else "Both results come in part from the same measured data: their errors are not independent, so the test "
             "is not exact."
         )
