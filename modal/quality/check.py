@@ -20,21 +20,18 @@ from modal.quality.amplitude import (
     resolution_of,
     stuck_findings,
 )
-from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.coherence import FAIR, FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.findings import LEVELS, Channel, ChannelQuality, ChannelStatistics, DataQuality, Finding, channels_of
 from modal.quality.inputs import (
     copy_findings,
     excitation_findings,
-    hit_findings,
-    hits_of,
-    is_hammer,
-    ring_findings,
     timing_findings,
     together_findings,
 )
 from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
 from modal.quality.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality.spectrum import (
+    SHORTEST_SEGMENT,
     HumLines,
     alias_findings,
     hum_findings,
@@ -51,12 +48,10 @@ from okid.scaling import channel_scaling
 __all__ = ["check_quality", "spoiled_channels"]
 
 AVERAGES = 32
-"""Segments without overlap that the coherence is made of, about: chance then gives 2 % an input."""
+"""Make the coherence of so many segments without overlap, about: chance then gives 2 % an input."""
+
 LONGEST_SEGMENT = 8192
-SHORTEST_SEGMENT = 64
-"""Coherence of shorter ones, as gaps leave them, says nothing of the outputs."""
-FEWEST_AVERAGES = 8
-"""Of the longer segments, which smear less and are tried as well."""
+"""Make no segment longer: its lines are finer than any mode that a record holds often enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -90,7 +85,6 @@ class _Inputs:
     sharp: tuple[BoolArray, ...]
     lines: list[HumLines]
     steady: list[bool]
-    hammers: list[tuple[list[tuple[int, int]], ...]]
 
 
 def check_quality(records: Record | Sequence[Record]) -> DataQuality:
@@ -121,15 +115,13 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
     spectra = _spectra(several)
     densities = spectra.densities(first.n_inputs + first.n_outputs)
     n_samples = [record.n_samples for record in several]
-    known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [], [])
+    known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [])
     findings: list[Finding] = []
     statistics: list[ChannelStatistics] = []
     for number, channel in enumerate(channels_of(several, scaling)):
         resolution = resolution_of(channel)
         density = densities[:, number]
-        findings += _channel_findings(
-            channel, several, known, resolution=resolution, spectrum=(spectra.frequencies, density)
-        )
+        findings += _channel_findings(channel, several, known, resolution=resolution)
         explained = float(spectra.shares.explained[channel.index]) if channel.role == "output" else float("nan")
         statistics.append(_statistics(channel, resolution, spectra.frequencies, density, explained))
     findings += _findings_together(several, spectra, densities, findings)
@@ -169,7 +161,6 @@ def _channel_findings(
     known: _Inputs,
     *,
     resolution: float,
-    spectrum: tuple[FloatArray, FloatArray],
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
     n = len(records)
@@ -185,15 +176,12 @@ def _channel_findings(
     found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]
     found += spike_findings(channel, resolution, known.sharp, n)
     found += [*offset_findings(channel, n), *hum_findings(channel, lines, known.lines, n)]
-    found += [*level_findings(channel, known.steady, n), *ring_findings(channel, known.hammers, n)]
+    found += level_findings(channel, known.steady, n)
     if channel.role == "input":
         known.lines.append(lines)
         known.steady.append(is_steady(channel))
         sharp = sharp_samples(channel, resolution)
         known.sharp = tuple(mask | more for mask, more in zip(known.sharp, sharp, strict=True))
-        if is_hammer(channel):
-            known.hammers.append(hits_of(channel))
-            found += hit_findings(channel, *spectrum, n)
     return found
 
 
