@@ -27,6 +27,7 @@ References:
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +36,11 @@ from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.source import summary_of
 from modal.comparison.words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
+from modal.examples.story import print_written
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
-from okid.errors import IdentificationError
 from okid.record import Record
 
 __all__ = ["Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
@@ -53,7 +54,7 @@ LOOSENED, LOSS = 2, 0.01
 """The joint whose bolt was loosened, counted from 0 at the left wall, and the share of stiffness that it lost."""
 ACROSS = np.eye(N_MODULES + 1, N_MODULES) - np.eye(N_MODULES + 1, N_MODULES, k=-1)
 """Row e: how far joint e is stretched, from the positions of the modules."""
-LEVELS = (60.0, 15.0, 150.0)
+LEVELS = (60, 15, 150)
 """Of the shaker on the three days [N]."""
 
 
@@ -196,19 +197,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     comparison = compared(before, after)
     print(summary(comparison))
     for folder in map(Path, given[:1]):
-        for line in _written(folder, before, after, comparison):
-            print(line)
+        print_written(partial(_written, folder, before, after, comparison))
     return 0 if comparison.changed else 1
 
 
-def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> Sequence[str]:
-    """The comparison as pages and both results, a sentence a file, or why there are none."""
-    try:
-        paths = [write_comparison(comparison, folder).html]
-        paths += [result.save(folder / f"{name}.npz") for name, result in (("before", before), ("after", after))]
-    except IdentificationError as error:
-        return [f"not written: {error}"]
-    return [f"written: {path}" for path in paths]
+def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> list[Path]:
+    """The comparison as pages, and both results."""
+    page = write_comparison(comparison, folder).html
+    return [page, before.save(folder / "before.npz"), after.save(folder / "after.npz")]
 
 
 if __name__ == "__main__":

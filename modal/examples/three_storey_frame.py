@@ -19,6 +19,7 @@ the report with its recording.
 import shutil
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,11 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
 from modal.examples.linear_structure import LinearStructure, random_forces
+from modal.examples.story import print_written
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
 from okid.arrays import FloatArray
-from okid.errors import IdentificationError
 from okid.record import Record
 
 __all__ = ["TEST_FILE", "frame", "main", "measured_record", "study", "summary", "truth"]
@@ -170,24 +171,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result, specification, outcomes = study(record)
     print(summary(compare_with_truth(truth(), result.modes), outcomes))
     for folder in map(Path, given[:1]):
-        for line in _written(folder, record, result, specification):
-            print(line)
+        print_written(partial(_written, folder, record, result, specification))
     return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
-def _written(folder: Path, record: Record, result: Identification, specification: Specification) -> Sequence[str]:
-    """Report, measured file and test file, a sentence a file, or why there are none."""
-    try:
-        paths = [*write_report(result, folder, specification=specification)]
-    except IdentificationError as error:
-        return [f"not written: {error}"]
+def _written(folder: Path, record: Record, result: Identification, specification: Specification) -> list[Path]:
+    """Report, measured file and test file."""
+    paths = [*write_report(result, folder, specification=specification), folder / "frame.csv", folder / TEST_FILE.name]
     units = record.input_units + record.output_units
     header = [f"{name} [{unit}]" for name, unit in zip(record.input_names + record.output_names, units, strict=True)]
     table = np.hstack([record.time[:, None], record.inputs, record.outputs])
-    paths += [folder / "frame.csv", folder / TEST_FILE.name]
     np.savetxt(paths[-2], table, fmt="%.6g", delimiter=",", header=",".join(["time [s]", *header]), comments="")
     shutil.copyfile(TEST_FILE, paths[-1])
-    return [f"written: {path}" for path in paths]
+    return paths
 
 
 if __name__ == "__main__":

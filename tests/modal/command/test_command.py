@@ -547,8 +547,8 @@ def test_a_viewer_that_cannot_be_had_is_said_and_is_not_in_the_report(data, quic
 def test_a_viewer_is_told_of_records_progress_and_result(data, quick, monkeypatch):
     told = []
     monkeypatch.setattr("modal.command.terminal.live_recording", lambda **_: contextlib.nullcontext("stream"))
-    monkeypatch.setattr("modal.command.terminal.log_records", lambda records, to: told.append((to, len(records))))
-    monkeypatch.setattr("modal.command.terminal.log_result", lambda result, to, **_: told.append((to, result)))
+    monkeypatch.setattr("modal.command.run.log_records", lambda records, to: told.append((to, len(records))))
+    monkeypatch.setattr("modal.command.run.log_result", lambda result, to, **_: told.append((to, result)))
     assert invoke(data / "good.csv", "--inputs", "force", "--live", "-o", data / "out").exit_code == 0
     assert told == [("stream", 1), ("stream", quick["result"])]
 

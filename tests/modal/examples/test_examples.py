@@ -194,7 +194,7 @@ def test_demo_is_integrated_right():
         outputs.append([*motion(state[:6], state[6:], force)[:5], state[5] - state[4]])
         step = scipy.integrate.solve_ivp(
             lambda _, s, force=force: np.concatenate([s[6:], motion(s[:6], s[6:], force)]),
-            (0.0, demo.DT),
+            (0.0, demo.TOWER.dt),
             state,
             method="DOP853",
             rtol=1e-11,
@@ -245,7 +245,7 @@ def test_comparison_pairs_one_to_one_and_leaves_noise_out():
 
     close = [mode(truth.frequencies[i] * 1.001, 2j * truth.shapes[:, i]) for i in (0, 1)]
     noise = mode(truth.frequencies[2], truth.shapes[:, 2], verdict="noise")
-    found = demo.compare_with_truth(truth, ModalModel(modes=(*close, noise), dt=demo.DT, indicator_caution=0.1))
+    found = demo.compare_with_truth(truth, ModalModel(modes=(*close, noise), dt=demo.TOWER.dt, indicator_caution=0.1))
     assert [row.verdict for row in found] == ["system", "system", None, None, None, None]
     assert found[1].found_frequency == pytest.approx(truth.frequencies[1] * 1.001)
     assert found[0].assurance == pytest.approx(1.0)
@@ -261,7 +261,7 @@ def test_the_floors_of_the_demo_stand_where_its_truth_says_and_move_as_their_sen
     shape = truth.shapes[:, 3]
     moved = geometry.deflection(shape, truth.output_names)
     for floor, component in enumerate(np.append(0.0, shape[:5])):
-        corners = np.flatnonzero(np.isclose(geometry.positions[:, 2], floor * demo.STOREY_HEIGHT))
+        corners = np.flatnonzero(np.isclose(geometry.positions[:, 2], floor * demo.TOWER.height))
         assert len(corners) == 4
         np.testing.assert_allclose(moved[corners], [[component, 0, 0]] * 4, atol=1e-12)
 
