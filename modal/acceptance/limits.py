@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from modal.wording.names import shorten, visible
+from modal.geometry.sensors import quoted
 from okid.errors import InvalidDataError
 
-__all__ = ["KEYS", "Limit", "Range", "TomlTable", "limits_of", "quoted"]
+__all__ = ["KEYS", "Limit", "Range", "TomlTable", "limits_of"]
 
 Range = tuple[float, float]
 """Lowest and highest value, both allowed."""
@@ -30,9 +30,6 @@ KEYS = {
     "trust": ("at_least",),
 }
 """What each kind of limit may say beside its name."""
-
-LONGEST_WORD = 60
-"""Shorten a word from the file to so many letters in a sentence."""
 
 LONGEST_NAME = 200
 """Refuse the name of a limit, a channel or a sensor with more letters: it stands in a table."""
@@ -74,11 +71,6 @@ class Limit:
     frequency_at_most: float | None = None
     damping_at_most: float | None = None
     trust: Literal["carried", "with care"] = "carried"
-
-
-def quoted(value: object) -> str:
-    """A value from a file as it may stand in a sentence: on one line, short, in quotation marks."""
-    return repr(shorten(visible(str(value)), LONGEST_WORD))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

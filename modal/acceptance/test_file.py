@@ -34,8 +34,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modal.acceptance.limits import LONGEST_NAME, Limit, TomlTable, limits_of, quoted
-from modal.geometry.file import geometry_of_table, read_geometry
+from modal.acceptance.limits import LONGEST_NAME, Limit, TomlTable, limits_of
+from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
+from modal.geometry.sensors import quoted
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -43,9 +44,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
 
 __all__ = ["SensorNote", "Specification", "read_specification"]
-
-_MOST_TEXT = 1 << 22
-"""Refuse a test file of more bytes: 4 MiB, a geometry of some ten thousand nodes."""
 
 _KEYS = ("article", "operator", "place", "date", "notes", "geometry", "sensors", "limits")
 _SENSOR_KEYS = ("channel", "kind", "maker", "model", "serial", "sensitivity", "calibrated", "dof", "note")
@@ -146,9 +144,9 @@ def _text(path: Path, name: str) -> str:
     try:
         if not path.is_file():
             raise UnreadableFileError(f"there is no file {name}; give the path of a test file (TOML).")
-        if (size := path.stat().st_size) > _MOST_TEXT:
+        if (size := path.stat().st_size) > MOST_TEXT:
             raise UnreadableFileError(
-                f"{name} has {size} bytes, and a test file at most {_MOST_TEXT}; is it the measured file?"
+                f"{name} has {size} bytes, and a test file at most {MOST_TEXT}; is it the measured file?"
             )
         return path.read_text(encoding="utf-8")
     except OSError as error:

@@ -27,9 +27,6 @@ __all__ = ["EXAMPLES", "carry_out_check", "check", "quality_json", "show_quality
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
 _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
-WHAT_WIDTH = 17
-"""Begin all sentences behind so many letters: those of the longest key of a finding."""
-
 LONGEST_NAME = 28
 """Shorten the name of a channel to so many letters in the table."""
 
@@ -38,9 +35,6 @@ WIDE = 100
 
 MOST_CHANNELS = 40
 """Show so many channels; of more, those without a finding are left out first."""
-
-READ = 0.3
-"""Share of the work that is behind, about, when the records are read."""
 
 
 def show_quality(
@@ -64,7 +58,7 @@ def show_quality(
     if hidden:
         console.print(plain(f"and {hidden} more channel{'s' * (hidden > 1)} without a fault", "bright_black"))
     for level in LEVELS:
-        _findings(console, level, [finding for finding in quality.findings if finding.level == level])
+        _findings(console, level, quality.findings)
     listing(console, "Units", remarks, "")
 
 
@@ -123,12 +117,15 @@ def _what(channel: ChannelQuality) -> Text:
 
 
 def _findings(console: Console, level: str, findings: Sequence[Finding]) -> None:
+    """Those of one level; all sentences begin in one column, whatever their level."""
+    width = max((len(finding.what) for finding in findings), default=0)
+    findings = [finding for finding in findings if finding.level == level]
     if not findings:
         return
     console.print()
     console.print(plain(_HEADINGS[level], f"bold {_COLOURS[level]}"))
     rows = Table.grid(padding=(0, 2, 0, 0), expand=True)
-    rows.add_column(no_wrap=True, width=WHAT_WIDTH)
+    rows.add_column(no_wrap=True, width=width)
     rows.add_column(ratio=1)
     for finding in findings:
         rows.add_row(plain(finding.what, _COLOURS[level]), plain(finding.sentence))
@@ -155,7 +152,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
     with progress_bar() as tell, own_warnings() as heard:
         tell("reading", 0.0)
         records, remarks = source.read()
-        tell("looking at the data", READ)
+        tell("looking at the data", 0.5)
         quality = check_quality(records)
         if json is not None:
             _write(json, quality_json(quality, records))

@@ -16,8 +16,6 @@ References:
     Welch, Biometrika 34, 1947, doi 10.1093/biomet/34.1-2.28.
     Szekely, Bakirov, "Extremal probabilities for Gaussian quadratic forms", Probability Theory and Related Fields 126,
     2003, doi 10.1007/s00440-003-0262-6 (the bound on Q).
-
-What two results were made from and how: channels, units, sampling, settings, fit.
 """
 
 import math
@@ -26,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from modal.comparison.shifts import (
+    LEVEL,
     Shift,
     damping_shift,
     frequency_shift,
@@ -41,9 +40,6 @@ from modal.wording.numbers import fit_text
 from okid.errors import InvalidDataError
 
 __all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results", "differences_of"]
-
-SAME_STEP = 1e-9
-"""Relative difference of two time steps that are the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +65,7 @@ def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Differe
         *_channels("input", before.inputs, after.inputs),
         *_channels("output", before.outputs, after.outputs),
     ]
-    if abs(before.dt - after.dt) > SAME_STEP * before.dt:
+    if not math.isclose(before.dt, after.dt):
         found.append(_difference("sampling", "time step", f"{before.dt:.6g} s", f"{after.dt:.6g} s"))
     lengths = [", ".join(map(str, one.n_samples)) for one in (before, after)]
     if lengths[0] != lengths[1]:
@@ -104,10 +100,6 @@ def _difference(
     kind: Literal["channel", "unit", "sampling", "setting", "fit"], what: str, before: str, after: str
 ) -> Difference:
     return Difference(kind=kind, what=what, before=before, after=after)
-
-
-LEVEL = 0.05
-"""Chance that a comparison of a thing with itself calls anything beyond chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -196,7 +188,7 @@ class Comparison:
 
 
 NEAR = 0.05
-"""Relative distance of frequencies within which a pole is named as what may be left of a lost mode."""
+"""Name a pole within this relative distance of frequencies as what may be left of a lost mode."""
 
 
 def compare_results(before: Identification | ResultSummary, after: Identification | ResultSummary) -> Comparison:

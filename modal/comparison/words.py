@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 LONGEST_NAME = 40
+"""Shorten the name of a result to so many letters in a sentence."""
 
 
 def comparison_headline(comparison: Comparison) -> str:

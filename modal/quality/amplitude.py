@@ -24,6 +24,7 @@ from modal.quality.findings import (
     MOST_ROWS,
     MOST_SPANS,
     MOSTLY,
+    NEARLY_ALL,
     NOTABLE,
     ROUNDING,
     SERIOUS,
@@ -55,9 +56,6 @@ OUTERMOST = 16
 MORE_OFTEN = 5
 """Call a channel clipped whose outermost value occurs so many times as often: twice what the crest of a sine does."""
 
-FEWEST_LEVELS = 32
-"""Take a channel of fewer values for a switch or a coarse converter, not for a clipped one."""
-
 FEWEST_VISITS = 3
 """Call a channel clipped that comes to its limit so often; one that settles there comes once."""
 
@@ -75,9 +73,6 @@ NEIGHBOURHOOD = 8
 
 SUDDEN = 0.3
 """Take a run for rest that begins and ends with a step of less than this share of the median step nearby."""
-
-REPEATED = 0.9
-"""Call a channel held where this share of its runs has one length."""
 
 
 def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
@@ -124,7 +119,7 @@ def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:
     values, counts = _outermost(channel, sign)
     if values.size < OUTERMOST or counts[0] < MORE_OFTEN * counts[1:].max() or counts[0] > MOSTLY * channel.n_samples:
         return None
-    if _n_levels(channel) < FEWEST_LEVELS:
+    if _n_levels(channel) < 2 * OUTERMOST:  # a switch or a coarse converter
         return None
     visits = 0
     spans: list[Span] = []
@@ -255,7 +250,7 @@ def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
         return []
     times = int(np.median(lengths))
     share = float((lengths == times).mean())
-    if times < 2 or share < REPEATED:
+    if times < 2 or share < NEARLY_ALL:
         return []
     return [
         Finding(

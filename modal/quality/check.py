@@ -20,8 +20,18 @@ from modal.quality.amplitude import (
     resolution_of,
     stuck_findings,
 )
-from modal.quality.coherence import FAIR, FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.findings import LEVELS, Channel, ChannelQuality, ChannelStatistics, DataQuality, Finding, channels_of
+from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.findings import (
+    BLOCK,
+    LEVELS,
+    NEARLY_ALL,
+    Channel,
+    ChannelQuality,
+    ChannelStatistics,
+    DataQuality,
+    Finding,
+    channels_of,
+)
 from modal.quality.inputs import (
     copy_findings,
     excitation_findings,
@@ -31,7 +41,6 @@ from modal.quality.inputs import (
 from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
 from modal.quality.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality.spectrum import (
-    SHORTEST_SEGMENT,
     HumLines,
     alias_findings,
     hum_findings,
@@ -223,17 +232,17 @@ def _spectra(records: Sequence[Record]) -> _Spectra:
         frf, explained = None, unknown
         if first.n_inputs and averaged.n_averages >= max(FEWEST_AVERAGES, 4 * first.n_inputs):
             frf = measured_frf_of(averaged)
-        if frf is not None and length >= SHORTEST_SEGMENT:
+        if frf is not None and length >= BLOCK:
             explained = explained_share(frf, averaged.power[:, first.n_inputs :])
         found = _Spectra(averaged=averaged, frf=frf, shares=Shares(spectra=explained, modelled=unknown))
-        too_coarse = best is not None and len(best.frequencies) <= SHORTEST_SEGMENT // 2
+        too_coarse = best is not None and len(best.frequencies) <= BLOCK // 2
         if best is None or too_coarse or np.nansum(explained) > np.nansum(best.shares.spectra):
             best = found
-        if length >= SHORTEST_SEGMENT and (first.n_inputs == 0 or (explained >= FAIR).all()):
+        if length >= BLOCK and (first.n_inputs == 0 or (explained >= NEARLY_ALL).all()):
             break
     if best is None:
         return _Spectra(averaged=None, frf=None, shares=Shares(spectra=unknown, modelled=unknown))
-    if first.n_inputs and not (best.shares.spectra >= FAIR).all():
+    if first.n_inputs and not (best.shares.spectra >= NEARLY_ALL).all():
         shares = Shares(spectra=best.shares.spectra, modelled=modelled_share(records))
         return replace(best, shares=shares)
     return best

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
-from modal.quality.findings import FITTED_ROWS, HARDLY, MOSTLY, NOTABLE, Finding, Level, named, spoken
+from modal.quality.findings import FITTED_ROWS, HARDLY, MOSTLY, NEARLY_ALL, NOTABLE, Finding, Level, named, spoken
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
@@ -30,7 +30,6 @@ from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
 __all__ = [
-    "FAIR",
     "FEWEST_AVERAGES",
     "Shares",
     "best_pulse",
@@ -51,9 +50,6 @@ ROWS_PER_UNKNOWN = 6
 
 LARGEST_PULSE = 1e6
 """Refuse a pulse response that is larger, in standard deviations of the output for one of the input: it diverges."""
-
-FAIR = 0.9
-"""Say nothing of an output of which the inputs explain more."""
 
 FEWEST_AVERAGES = 8
 """Tell no coherence of fewer segments: chance alone would give 12 % an input."""
@@ -247,7 +243,7 @@ def coherence_findings(
     unexplained: dict[Level, list[int]] = {"bad": [], "doubtful": [], "note": []}
     leaking: list[int] = []
     for i in which:
-        if not shares.spectra[i] < FAIR:
+        if not shares.spectra[i] < NEARLY_ALL:
             continue
         if 1.0 - shares.modelled[i] < MOSTLY * (1.0 - shares.spectra[i]):
             leaking.append(i)

@@ -13,6 +13,7 @@ from okid.record import Record
 from okid.scaling import ChannelScaling
 
 __all__ = [
+    "BLOCK",
     "FALSE_ALARM",
     "FEWEST_ROWS",
     "FITTED_ROWS",
@@ -21,6 +22,7 @@ __all__ = [
     "MOSTLY",
     "MOST_ROWS",
     "MOST_SPANS",
+    "NEARLY_ALL",
     "NOTABLE",
     "ROUNDING",
     "SERIOUS",
@@ -53,7 +55,7 @@ SERIOUS = 0.05
 """Doubt a channel of which a larger share is missing, undriven or rounding noise."""
 
 HARDLY = 0.1
-"""Call what is explained, or usable, hardly anything up to this share."""
+"""Call what is explained, usable, or high in standard deviations, hardly anything up to this share."""
 
 MOSTLY = 0.5
 """Call a larger share of the power, the samples or the lines most of it."""
@@ -69,6 +71,12 @@ FITTED_ROWS = 6000
 
 FEWEST_ROWS = 1000
 """Look for drift and changes of level over so many rows, or means of neighbouring rows, and in no shorter record."""
+
+BLOCK = 64
+"""Make a spectrum, or learn what is usual, of so many samples at least."""
+
+NEARLY_ALL = 0.9
+"""Call a larger share of the power, the runs or the band nearly all of it."""
 
 MOST_SPANS = 200
 """List so many places in a finding; its sentence counts all of them."""

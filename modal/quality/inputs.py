@@ -60,9 +60,6 @@ FEWEST_TIMED = 400
 AHEAD = 2
 """Say that an output runs ahead by so many samples: an input behind a filter or held by a converter explains one."""
 
-SAME_FACTOR = 1e-4
-"""Call a multiple of a channel a plain copy where its factor is so close to one."""
-
 
 def excitation_findings(records: Sequence[Record]) -> list[Finding]:
     """What `check_excitation` says, each with its level; constant inputs are named elsewhere."""
@@ -215,7 +212,7 @@ def copy_findings(records: Sequence[Record]) -> list[Finding]:
 
 
 def _finding(role: str, first: str, second: str, factor: float) -> Finding:
-    equal = abs(abs(factor) - 1.0) < SAME_FACTOR
+    equal = spoken(abs(factor)) == "1"
     sign = "the negative of" if factor < 0 and equal else "" if equal else f"{spoken(factor)} times"
     what = f"is {sign} {role} {named(first)}".replace("  ", " ") if sign else f"is the same as {role} {named(first)}"
     return Finding(

@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from modal.quality.findings import (
+    BLOCK,
     FALSE_ALARM,
     HARDLY,
     MOST_SPANS,
@@ -35,20 +36,11 @@ from okid.rows import runs_of, usable_rows
 
 __all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings"]
 
-LEAST_SIZE = 0.1
-"""Overlook a spike of a smaller share of the channel's standard deviation: it moves nothing."""
-
 LEFT_OVER = 0.2
 """Ask that the neighbours of a spike lie within this share of it, or a third of the limit, once it is taken out."""
 
-BLOCK = 64
-"""Learn what is usual from blocks of so many samples."""
-
 CROWDED = 0.75
 """Take this quantile of a block for what is usual where steps or hits may fill a third of it and are no spikes."""
-
-SPARSE = 0.5
-"""Take this quantile where they are what is looked for."""
 
 PAST = 2
 """Count so many samples of the past for one mode."""
@@ -116,7 +108,7 @@ def sharp_samples(channel: Channel, resolution: float) -> tuple[BoolArray, ...]:
     masks = []
     for part in channel.parts:
         off = np.abs(_off_curve(part))
-        limit = _limit(off, channel, resolution, SPARSE)
+        limit = _limit(off, channel, resolution, MOSTLY)  # the median, for steps and hits are looked for
         masks.append(np.asarray(off > limit, dtype=np.bool_))
     return tuple(masks)
 
@@ -141,7 +133,7 @@ def _limit(off: FloatArray, channel: Channel, resolution: float, quantile: float
         limit[known] = _limit(off[known], channel, resolution, quantile)
         return limit
     n_blocks = off.size // BLOCK
-    floor = max(LEAST_SIZE * channel.std, 4.0 * resolution if np.isfinite(resolution) else 0.0)
+    floor = max(HARDLY * channel.std, 4.0 * resolution if np.isfinite(resolution) else 0.0)
     if n_blocks == 0:
         return np.full(off.size, np.inf)
     normal = float(scipy.special.ndtri(0.5 * (1.0 + quantile)))  # the quantile of the modulus of a normal variable
@@ -189,7 +181,7 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
     """Whether an input moves around the sample most of the time: a single pulse out of rest is a hit, not a spike."""
     nearby = np.concatenate([part[max(0, k - BLOCK) : max(0, k - 1)], part[k + 2 : k + BLOCK]])
     low, high = np.nanquantile(nearby, [0.25, 0.75])
-    return bool(high - low > LEAST_SIZE * channel.std)
+    return bool(high - low > HARDLY * channel.std)
 
 
 def missing_findings(channel: Channel, n_records: int) -> list[Finding]:

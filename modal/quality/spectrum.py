@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal.quality.findings import (
+    BLOCK,
     FALSE_ALARM,
     HARDLY,
     MOST_ROWS,
     MOSTLY,
+    NEARLY_ALL,
     NOTABLE,
     Channel,
     Finding,
@@ -29,7 +31,6 @@ from okid.record import Record
 from okid.residuals import centred, whiteness
 
 __all__ = [
-    "SHORTEST_SEGMENT",
     "HumLines",
     "alias_findings",
     "hum_findings",
@@ -41,9 +42,6 @@ __all__ = [
 
 SMOOTHED = 16
 """Average the floor of a spectrum over so many lines."""
-
-SHORTEST_SEGMENT = 64
-"""Judge no spectrum of fewer samples."""
 
 FEW_PERIODS = 10
 """Doubt a record that holds fewer periods of its strongest motion."""
@@ -101,7 +99,7 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
     """
     if record.input_hold == "zero_order" and record.n_inputs:
         return []
-    top = frequencies > 0.9 * frequencies[-1]
+    top = frequencies > NEARLY_ALL * frequencies[-1]
     very_top = (frequencies > 0.95 * frequencies[-1]) & (frequencies < frequencies[-1])
     middle = (frequencies > 0.6 * frequencies[-1]) & (frequencies < 0.8 * frequencies[-1])
     if not very_top.any() or not middle.any():
@@ -120,9 +118,9 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
             what="no roll-off",
             where=named(names),
             sentence=f"output{'s' * (len(names) > 1)} {named(names)} hold{'s' * (len(names) == 1)} up to "
-            f"{percent(share)} of "
-            f"the power above {spoken(0.9 * frequencies[-1])} Hz and no roll-off below half the sampling frequency: "
-            "without an anti-alias filter, motion above it is folded into the band; if there was none, sample faster.",
+            f"{percent(share)} of the power above {spoken(NEARLY_ALL * frequencies[-1])} Hz and no roll-off below half "
+            "the sampling frequency: without an anti-alias filter, motion above it is folded into the band; if there "
+            "was none, sample faster.",
             channels=names,
             share=share,
         )
@@ -136,7 +134,7 @@ def period_findings(records: Sequence[Record]) -> list[Finding]:
         records: without inputs; of others nothing is said, whose slow motion may be the inputs' doing.
     """
     longest = max(records, key=lambda record: record.n_samples)
-    if longest.n_inputs or longest.n_samples < SHORTEST_SEGMENT:
+    if longest.n_inputs or longest.n_samples < BLOCK:
         return []
     summed = np.zeros(longest.n_samples // 2 + 1)
     for i in range(longest.n_outputs):

@@ -169,13 +169,13 @@ def test_a_strangers_text_is_shown_short_and_plain(tmp_path):
 def test_files_that_are_none(tmp_path):
     (tmp_path / "data.bin").write_bytes(b"\xff\xfe\x00data")
     with (tmp_path / "large.toml").open("wb") as file:
-        file.truncate(5 << 20)
+        file.truncate(20 << 20)
     for name, words in (
         ("no.toml", "^there is no file '.*no.toml'; give"),
         (".", "^there is no file"),
         ("x" * 5000, "cannot be read \\(File name too long\\).$"),
         ("data.bin", "no text in UTF-8"),
-        ("large.toml", "^'[^']*large.toml' has 5242880 bytes, .* measured file\\?$"),
+        ("large.toml", "^'[^']*large.toml' has 20971520 bytes, .* measured file\\?$"),
     ):
         with pytest.raises(UnreadableFileError, match=words):
             read_specification(tmp_path / name)

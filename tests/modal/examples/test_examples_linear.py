@@ -91,7 +91,7 @@ def test_sensors_of_the_frame_read_the_motion_that_its_geometry_draws():
         if len(name) == 1:  # a foot
             expected = [0, 0, 0]
         np.testing.assert_allclose(motion, expected, atol=1e-12)
-    assert geometry.positions[:, 2].max() == pytest.approx(3 * three_storey_frame.STOREY_HEIGHT)
+    assert geometry.positions[:, 2].max() == pytest.approx(3 * three_storey_frame.PARTS.height)
 
 
 def test_the_frame_is_found_as_it_is(frame_run):
