@@ -1,27 +1,7 @@
 """Where a structure is measured: nodes, the lines between them, and which way each sensor looks.
 
 A geometry knows nothing of a record; names tie the two together. A channel belongs to the sensor of its name, or, where
-there is none, to the node and axis that its name states (`modal.geometry.sensors`: `12X+`).
-
-Motion is drawn where it was seen and nowhere else. At a node, the sensors' directions d_i and readings y_i give the
-motion of least size that repeats them, v = D^+ y; across their span it is not known and stays zero. Only what the
-geometry itself declares is carried further: nodes of one rigid body (`modal.geometry.sensors`).
-
-From what sensors saw to how nodes move: least squares at each node, and over each rigid body.
-
-A node with sensors of directions d_i and readings y_i moves by v with d_i' v = y_i: the least-squares solution of least
-size, so nothing is made up across the span of the directions. Directions within about 6 degrees of one another count as
-one: their difference would be mostly noise.
-
-A rigid body moves by t + r x (p - c). Readings at its nodes p_i give
-
-    d_i' t + ((p_i - c) x d_i)' r = y_i    and, for a rotation about d_i,    d_i' r = y_i .
-
-Translation comes first: of all solutions that fit equally well, the one with the least rotation r (so one sensor in X
-and one in Y, wherever they are, move the body without turning it), and of these the one with the least t.
-With A t + B r = y and the projection P = 1 - A A^+:  r = (P B)^+ P y,  t = A^+ (y - B r).
-
-Names of degrees of freedom as test engineers write them: a node, an axis, a sign.
+there is none, to the node and axis that its name states, as test engineers write them: a node, an axis, a sign.
 
     12X+  12+X  12X  12x-  plate:3:+Z  plate:3Z  tip Z  tip_z+  tip.Z-  3RX+ (a rotation)  12X+ Acceleration
 
@@ -30,6 +10,18 @@ axis or right after it, never both; without one it is plus. A minus before the a
 negative X. After a node that ends in a letter, one of `: . _` or a space or a sign parts it from the axis, so that
 `max` and `flux` name no direction; after a digit none is needed. Words after a space, as the universal file reader adds
 them to tell channels apart, are passed over where the name before them has a sign.
+
+Motion is drawn where it was seen and nowhere else. A node with sensors of directions d_i and readings y_i moves by v
+with d_i' v = y_i: the least-squares solution of least size, v = D^+ y, so nothing is made up across the span of the
+directions. Directions within about 6 degrees of one another count as one: their difference would be mostly noise. Only
+what the geometry itself declares is carried further: a rigid body moves by t + r x (p - c), and readings at its nodes
+p_i give
+
+    d_i' t + ((p_i - c) x d_i)' r = y_i    and, for a rotation about d_i,    d_i' r = y_i .
+
+Translation comes first: of all solutions that fit equally well, the one with the least rotation r (so one sensor in X
+and one in Y, wherever they are, move the body without turning it), and of these the one with the least t.
+With A t + B r = y and the projection P = 1 - A A^+:  r = (P B)^+ P y,  t = A^+ (y - B r).
 """
 
 import re

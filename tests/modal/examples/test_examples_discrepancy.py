@@ -93,13 +93,6 @@ def test_the_frame_is_integrated_right():
     np.testing.assert_allclose(record.outputs, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
-@pytest.mark.slow
-def test_the_frame_story_finds_storey_play_and_stiffness():
-    frame = Frame()
-    diagnosis = loose_joint.study(frame, np.random.default_rng(77))
-    check_loose_joint(frame, diagnosis)
-
-
 def test_a_short_frame_story_finds_storey_play_and_stiffness(tmp_path, monkeypatch, capsys):
     """Two seconds a record, through the command, with the files."""
     frame, whole = Frame(), loose_joint.study

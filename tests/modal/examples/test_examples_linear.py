@@ -10,7 +10,7 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import read_specification
 from modal.examples import many_records, three_storey_frame
 from modal.examples.demo import compare_with_truth
-from modal.examples.linear_structure import LinearStructure, random_forces
+from modal.examples.linear_structure import random_forces
 from okid.readers import read_record
 
 STRUCTURES = {"frame": three_storey_frame.frame(), "modules": many_records.modules(loss=0.3)}
@@ -64,11 +64,6 @@ def test_modes_solve_the_eigenvalue_problem_and_are_scaled():
         positions = np.linalg.lstsq(structure.sensor_map, shapes, rcond=None)[0]
         left = structure.stiffness @ positions - structure.mass @ positions * (2 * np.pi * frequencies) ** 2
         assert np.abs(left).max() < 1e-9 * np.abs(structure.stiffness @ positions).max()
-
-
-def test_a_mass_on_a_spring_has_its_textbook_frequency():
-    one = LinearStructure(mass=[[2.0]], stiffness=[[50.0]], damping_ratio=0.1, force_map=[[1.0]], sensor_map=[[1.0]])
-    assert one.modes()[0][0] == pytest.approx(5 / (2 * np.pi))
 
 
 def test_random_forces_have_the_levels_that_were_asked_for():
