@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.acceptance.limits import Limit, Range
+from modal.acceptance.limits import AcceptanceLimit, Range
 from modal.acceptance.test_file import Specification
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
@@ -185,7 +185,7 @@ def _named(several: Sequence[_Candidate], none: str, *, with_damping: bool = Fal
     return "; ".join(words) + more
 
 
-def _expected(limit: Limit, result: Identification) -> LimitOutcome:
+def _expected(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """A mode of the system in the band, with its damping in the range."""
     band, damping = limit.frequency or ANY, limit.damping or ANY
     several = _candidates(result, band, damping)
@@ -208,7 +208,7 @@ def _expected(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _forbidden(limit: Limit, result: Identification) -> LimitOutcome:
+def _forbidden(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """No mode of the system in the band; where nothing could be seen, that cannot be told."""
     band = limit.frequency or ANY
     near = [one for one in _candidates(result, band) if one.present != NO]
@@ -222,7 +222,7 @@ def _forbidden(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _count(limit: Limit, result: Identification) -> LimitOutcome:
+def _count(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """Number of vibration modes of the system; each doubtful pole may be one more."""
     several = _candidates(result)
     n_sure = sum(one.exists == YES for one in several)
@@ -238,7 +238,7 @@ def _count(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _damping(limit: Limit, result: Identification) -> LimitOutcome:
+def _damping(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """The damping ratio of every mode in the band."""
     limits = limit.at_least, limit.at_most
     several = [one for one in _candidates(result, limit.frequency, limits) if one.present != NO]
@@ -256,7 +256,7 @@ def _damping(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _fit(limit: Limit, result: Identification) -> LimitOutcome:
+def _fit(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """Cross-validated fit; its interval is that of the mean over folds (Student's t)."""
     value, half_width = result.fit.mean, _fold_interval(result)
     answer = inside(value, half_width, (limit.at_least, math.inf))
@@ -269,7 +269,7 @@ def _fit(limit: Limit, result: Identification) -> LimitOutcome:
     return _outcome(limit, required=f"at least {limit.at_least:g}", found=found, answer=answer, reason=reason)
 
 
-def _uncertainty(limit: Limit, result: Identification) -> LimitOutcome:
+def _uncertainty(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """Half the 95 % interval of every mode of the system in the band, as a share of the value."""
     factor = interval_factor(result)
     parts = ((limit.frequency_at_most, "frequency"), (limit.damping_at_most, "damping"))
@@ -303,7 +303,7 @@ def _uncertainty(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _settled(limit: Limit, result: Identification) -> LimitOutcome:
+def _settled(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """No doubtful pole in the band."""
     several = _candidates(result, limit.frequency)
     doubtful = [one for one in several if one.exists == MAYBE and one.in_band != NO]
@@ -317,7 +317,7 @@ def _settled(limit: Limit, result: Identification) -> LimitOutcome:
     )
 
 
-def _trust(limit: Limit, result: Identification) -> LimitOutcome:
+def _trust(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
     """How far the data carry the result as a whole."""
     found = trust_of(result).trust
     met = found in ("carried", limit.trust)
@@ -325,7 +325,7 @@ def _trust(limit: Limit, result: Identification) -> LimitOutcome:
     return _outcome(limit, required=wanted, found=f'"{found}"', answer=YES if met else NO)
 
 
-_RULES: dict[str, tuple[str, Callable[[Limit, Identification], LimitOutcome]]] = {
+_RULES: dict[str, tuple[str, Callable[[AcceptanceLimit, Identification], LimitOutcome]]] = {
     "mode": ("mode expected", _expected),
     "no_mode": ("no mode allowed", _forbidden),
     "n_modes": ("number of modes", _count),
@@ -338,7 +338,7 @@ _RULES: dict[str, tuple[str, Callable[[Limit, Identification], LimitOutcome]]] =
 """What each kind of limit is about, where it has no name, and how it is weighed."""
 
 
-def _outcome(limit: Limit, *, required: str, found: str, answer: Answer, reason: str = "") -> LimitOutcome:
+def _outcome(limit: AcceptanceLimit, *, required: str, found: str, answer: Answer, reason: str = "") -> LimitOutcome:
     state, what = _STATES[answer], limit.name or _RULES[limit.kind][0]
     because = f", because {reason}" if reason else ""
     return LimitOutcome(
@@ -351,7 +351,7 @@ def _outcome(limit: Limit, *, required: str, found: str, answer: Answer, reason:
     )
 
 
-def _count_text(limit: Limit) -> str:
+def _count_text(limit: AcceptanceLimit) -> str:
     least, most = f"{limit.at_least:g}", f"{limit.at_most:g}"
     if math.isinf(limit.at_most):
         return f"at least {least}"

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from modal.geometry.sensors import quoted
 from okid.errors import InvalidDataError
 
-__all__ = ["KEYS", "Limit", "Range", "TomlTable", "limits_of"]
+__all__ = ["KEYS", "AcceptanceLimit", "Range", "TomlTable", "limits_of"]
 
 Range = tuple[float, float]
 """Lowest and highest value, both allowed."""
@@ -44,7 +44,7 @@ _RATIO = "a damping ratio is a share: write 2 % as 0.02"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Limit:
+class AcceptanceLimit:
     """One condition that a result must meet to be accepted; which of the values it has is told by its kind.
 
     Attributes:
@@ -212,7 +212,7 @@ class TomlTable:
         return InvalidDataError(f"{key} in {self.where} must be {wanted}, but is {quoted(self.values[key])}.")
 
 
-def limits_of(table: TomlTable) -> tuple[Limit, ...]:
+def limits_of(table: TomlTable) -> tuple[AcceptanceLimit, ...]:
     """The limits of a test file, in its order.
 
     Args:
@@ -231,13 +231,13 @@ def limits_of(table: TomlTable) -> tuple[Limit, ...]:
     return tuple(map(_limit, tables))
 
 
-def _limit(table: TomlTable) -> Limit:
+def _limit(table: TomlTable) -> AcceptanceLimit:
     kind = table.word("kind", tuple(KEYS))
     table.refuse_others(("kind", "name", *KEYS[kind]))
     name = table.text("name", longest=LONGEST_NAME)
     if kind == "trust":
         word = table.word("at_least", ("carried", "with care"))
-        return Limit(kind=kind, name=name, trust="carried" if word == "carried" else "with care")
+        return AcceptanceLimit(kind=kind, name=name, trust="carried" if word == "carried" else "with care")
     bounds = [key for key in KEYS[kind] if key.endswith(("at_least", "at_most"))]
     if bounds and not any(table.has(key) for key in bounds) and kind != "fit":
         raise InvalidDataError(f"{table.where} needs {' or '.join(bounds)}; add one of them.")
@@ -246,7 +246,7 @@ def _limit(table: TomlTable) -> Limit:
     least, most = values.get("at_least", -math.inf), values.get("at_most", math.inf)
     if least > most:
         raise InvalidDataError(f"at_least {least:g} is above at_most {most:g} in {table.where}; swap the two.")
-    return Limit(kind=kind, name=name, **values)
+    return AcceptanceLimit(kind=kind, name=name, **values)
 
 
 def _value(table: TomlTable, kind: str, key: str) -> Any:

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modal.acceptance.limits import LONGEST_NAME, Limit, TomlTable, limits_of
+from modal.acceptance.limits import LONGEST_NAME, AcceptanceLimit, TomlTable, limits_of
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
 from modal.geometry.sensors import quoted
 from modal.wording.names import shorten, visible
@@ -102,7 +102,7 @@ class Specification:
     notes: str = ""
     sensors: tuple[SensorNote, ...] = ()
     geometry: "Geometry | None" = None
-    limits: tuple[Limit, ...] = ()
+    limits: tuple[AcceptanceLimit, ...] = ()
 
 
 def read_specification(path: str | Path) -> Specification:

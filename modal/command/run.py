@@ -60,9 +60,9 @@ __all__ = [
     "carry_out",
     "exit_status",
     "own_warnings",
-    "prepare",
     "progress_bar",
     "read_demo",
+    "read_setup",
     "refuse_other_report",
     "refuse_pdf",
     "refuse_sources",
@@ -71,7 +71,7 @@ __all__ = [
 ]
 
 
-def prepare(job: "Job") -> tuple[Specification | None, Geometry | None]:
+def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     """What the test file says and the geometry, once all is refused that can be before the work begins.
 
     Args:
@@ -279,7 +279,7 @@ def carry_out(
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    specification, named = prepare(job)
+    specification, named = read_setup(job)
     geometry = geometry if named is None else named
     refuse_other_report(job.folder, "findings.csv")
     refuse_sources(

@@ -33,7 +33,7 @@ from modal.comparison.shifts import (
     shared_shapes,
     with_verdicts,
 )
-from modal.comparison.source import Channel, ResultSummary, summary_of
+from modal.comparison.source import ChannelName, ResultSummary, summary_of
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.wording.numbers import fit_text
@@ -83,7 +83,7 @@ def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Differe
     return tuple(found)
 
 
-def _channels(role: str, before: Sequence[Channel], after: Sequence[Channel]) -> list[Difference]:
+def _channels(role: str, before: Sequence[ChannelName], after: Sequence[ChannelName]) -> list[Difference]:
     units = [{channel.name: channel.unit for channel in one} for one in (before, after)]
     found = []
     for name in dict.fromkeys((*units[0], *units[1])):

@@ -16,7 +16,7 @@ from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from okid.errors import UnreadableFileError
 
-__all__ = ["PART", "Channel", "ResultSummary", "read_result", "summary_of"]
+__all__ = ["PART", "ChannelName", "ResultSummary", "read_result", "summary_of"]
 
 PART = "summary"
 """Name of a summary in the file of a result."""
@@ -29,7 +29,7 @@ LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Channel:
+class ChannelName:
     """A channel of the records.
 
     Attributes:
@@ -62,8 +62,8 @@ class ResultSummary:
 
     name: str
     modes: tuple[Mode, ...]
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
+    inputs: tuple[ChannelName, ...]
+    outputs: tuple[ChannelName, ...]
     dt: float
     n_samples: tuple[int, ...]
     choices: tuple[Choice, ...]
@@ -145,8 +145,8 @@ def _shown(text: object) -> str:
     return shorten(visible(str(text)), LONGEST_NAME)
 
 
-def _channels(names: Sequence[str], units: Sequence[str]) -> tuple[Channel, ...]:
-    return tuple(Channel(name=name, unit=unit) for name, unit in zip(names, units, strict=True))
+def _channels(names: Sequence[str], units: Sequence[str]) -> tuple[ChannelName, ...]:
+    return tuple(ChannelName(name=name, unit=unit) for name, unit in zip(names, units, strict=True))
 
 
 def _digest(*arrays: Any) -> str:

@@ -30,7 +30,7 @@ __all__ = [
     "demo_geometry",
     "demo_record",
     "demo_truth",
-    "equations_of_motion",
+    "tower_matrices",
 ]
 
 INPUT_NAMES = ("shaker_floor_2", "actuator_roof")
@@ -117,7 +117,7 @@ class ModeComparison:
     verdict: Verdict | None
 
 
-def equations_of_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def tower_matrices() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Mass, damping and stiffness matrix and the force map of the tower with its tuned mass.
 
     Returns:
@@ -234,7 +234,7 @@ def compare_with_truth(truth: DemoTruth, modes: ModalModel) -> tuple[ModeCompari
 
 def _first_order_form() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """State (positions, velocities): A, B, and the sensors C, D."""
-    mass, damping, stiffness, force_map = equations_of_motion()
+    mass, damping, stiffness, force_map = tower_matrices()
     n = len(mass)
     inverse = np.linalg.inv(mass)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])

@@ -43,11 +43,11 @@ from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["ACROSS", "ROW", "Row", "Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
+__all__ = ["ACROSS", "ROW", "ModuleRow", "Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class ModuleRow:
     """Four modules between two walls, and how they are tested.
 
     Attributes:
@@ -69,7 +69,7 @@ class Row:
     dt: float = 1 / 128
 
 
-ROW = Row()
+ROW = ModuleRow()
 ACROSS = np.eye(ROW.n_modules + 1, ROW.n_modules) - np.eye(ROW.n_modules + 1, ROW.n_modules, k=-1)
 """Row e: how far joint e is stretched, from the positions of the modules."""
 

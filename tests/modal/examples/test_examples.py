@@ -165,7 +165,7 @@ def test_struck_mass_runs_and_writes_its_pictures(tmp_path, capsys):
 def test_demo_is_integrated_right():
     """Against an adaptive Runge-Kutta of order 8 on M x'' + C x' + K x = F, interval by interval."""
     record = demo.demo_record(np.random.default_rng(3), n_samples=60, noise=0.0)
-    mass, damping, stiffness, force_map = demo.equations_of_motion()
+    mass, damping, stiffness, force_map = demo.tower_matrices()
     clean = demo.demo_record(np.random.default_rng(3), n_samples=60, noise=0.0)
     np.testing.assert_array_equal(clean.outputs, record.outputs)  # the same generator, the same record
     state = np.random.default_rng(8).standard_normal(12) * 1e-3
@@ -192,7 +192,7 @@ def test_demo_is_integrated_right():
 
 def test_demo_truth_solves_the_quadratic_eigenvalue_problem():
     truth = demo.demo_truth()
-    mass, damping, stiffness, _ = demo.equations_of_motion()
+    mass, damping, stiffness, _ = demo.tower_matrices()
     natural = 2 * np.pi * truth.frequencies
     poles = natural * (-truth.damping_ratios + 1j * np.sqrt(1 - truth.damping_ratios**2))
     for pole, shape in zip(poles, truth.shapes.T, strict=True):
@@ -262,7 +262,7 @@ def test_the_demo_is_reported_on_its_tower(monkeypatch, tmp_path, identification
     monkeypatch.setattr("modal.command.run.identify", lambda _records, **_options: identification)
     monkeypatch.setattr("modal.command.run.write_report", write_report)
     for named in (None, other):
-        monkeypatch.setattr(job, "prepare", lambda _job, named=named: (None, named))
+        monkeypatch.setattr(job, "read_setup", lambda _job, named=named: (None, named))
         result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path)])
         assert "no report is wanted" in result.stderr
     assert seen[0].node_names == demo_geometry().node_names
