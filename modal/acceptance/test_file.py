@@ -34,8 +34,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modal.acceptance.limits import Limit, Table, limits_of, quoted
-from modal.geometry.file import geometry_of_table, read_geometry
+from modal.acceptance.limits import LONGEST_NAME, AcceptanceLimit, TomlTable, limits_of
+from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
+from modal.geometry.sensors import quoted
 from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -43,12 +44,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
 
 __all__ = ["SensorNote", "Specification", "read_specification"]
-
-_MOST_TEXT = 1 << 22
-"""Bytes of a test file that are read at most: 4 MiB, a geometry of some ten thousand nodes."""
-
-_LONGEST_NAME = 200
-"""Letters of a name, a serial number or the like."""
 
 _KEYS = ("article", "operator", "place", "date", "notes", "geometry", "sensors", "limits")
 _SENSOR_KEYS = ("channel", "kind", "maker", "model", "serial", "sensitivity", "calibrated", "dof", "note")
@@ -107,7 +102,7 @@ class Specification:
     notes: str = ""
     sensors: tuple[SensorNote, ...] = ()
     geometry: "Geometry | None" = None
-    limits: tuple[Limit, ...] = ()
+    limits: tuple[AcceptanceLimit, ...] = ()
 
 
 def read_specification(path: str | Path) -> Specification:
@@ -121,7 +116,7 @@ def read_specification(path: str | Path) -> Specification:
         InvalidDataError: an unknown key, a value that is none, two notes on one channel.
     """
     path = Path(path)
-    table = Table(values=_parsed(path), where=quoted(path.name)[1:-1])
+    table = TomlTable(values=_parsed(path), where=quoted(path.name)[1:-1])
     table.refuse_others(_KEYS)
     return Specification(
         article=table.text("article"),
@@ -141,7 +136,7 @@ def _parsed(path: Path) -> dict[str, object]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        words = shorten(visible(str(error).rstrip(".")), _LONGEST_NAME)
+        words = shorten(visible(str(error).rstrip(".")), LONGEST_NAME)
         raise UnreadableFileError(f"{name} is no TOML ({words}); mend that line.") from error
 
 
@@ -149,9 +144,9 @@ def _text(path: Path, name: str) -> str:
     try:
         if not path.is_file():
             raise UnreadableFileError(f"there is no file {name}; give the path of a test file (TOML).")
-        if (size := path.stat().st_size) > _MOST_TEXT:
+        if (size := path.stat().st_size) > MOST_TEXT:
             raise UnreadableFileError(
-                f"{name} has {size} bytes, and a test file at most {_MOST_TEXT}; is it the measured file?"
+                f"{name} has {size} bytes, and a test file at most {MOST_TEXT}; is it the measured file?"
             )
         return path.read_text(encoding="utf-8")
     except OSError as error:
@@ -162,11 +157,11 @@ def _text(path: Path, name: str) -> str:
         ) from error
 
 
-def _sensors(table: Table) -> tuple[SensorNote, ...]:
+def _sensors(table: TomlTable) -> tuple[SensorNote, ...]:
     notes = []
     for one in table.tables("sensors", "sensor"):
         one.refuse_others(_SENSOR_KEYS)
-        texts = {key: one.text(key, longest=_LONGEST_NAME) for key in _SENSOR_KEYS if key != "calibrated"}
+        texts = {key: one.text(key, longest=LONGEST_NAME) for key in _SENSOR_KEYS if key != "calibrated"}
         if not texts["channel"]:
             raise InvalidDataError(f"{one.where} needs channel, the name of its column in the measured file; add it.")
         notes.append(SensorNote(**texts, calibrated=one.day("calibrated")))
@@ -177,7 +172,7 @@ def _sensors(table: Table) -> tuple[SensorNote, ...]:
     return tuple(notes)
 
 
-def _geometry(table: Table, path: Path) -> "Geometry | None":
+def _geometry(table: TomlTable, path: Path) -> "Geometry | None":
     if not table.has("geometry"):
         return None
 

@@ -1,17 +1,12 @@
-"""`modal-report check`: the quality of the data, without an identification.
-
-One run of `modal-report check`: read, look at the data, write the numbers if asked, then print what was found.
-
-What `modal-report check` prints: one row a channel, then the findings, the worst first.
-"""
+"""`modal-report check`: the quality of the data, without an identification; the worst findings come first."""
 
 import contextlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -28,20 +23,18 @@ from modal.wording.numbers import whole_percent
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-if TYPE_CHECKING:
-    from okid.record import Record
-
-__all__ = ["EXAMPLES", "CheckJob", "carry_out_check", "check", "check_status", "quality_json", "show_quality"]
+__all__ = ["EXAMPLES", "carry_out_check", "check", "quality_json", "show_quality"]
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
 _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
-_WHAT_WIDTH = 17
-"""Letters of the longest key of a finding, so that all sentences begin in one column."""
 LONGEST_NAME = 28
+"""Shorten the name of a channel to so many letters in the table."""
+
 WIDE = 100
-"""Letters a line from which the table has room for the extremes of each channel."""
+"""Show the extremes of each channel where a line has so many letters."""
+
 MOST_CHANNELS = 40
-"""Rows of the table; of more channels the ones without a finding are left out first."""
+"""Show so many channels; of more, those without a finding are left out first."""
 
 
 def show_quality(
@@ -65,7 +58,7 @@ def show_quality(
     if hidden:
         console.print(plain(f"and {hidden} more channel{'s' * (hidden > 1)} without a fault", "bright_black"))
     for level in LEVELS:
-        _findings(console, level, [finding for finding in quality.findings if finding.level == level])
+        _findings(console, level, quality.findings)
     listing(console, "Units", remarks, "")
 
 
@@ -124,12 +117,15 @@ def _what(channel: ChannelQuality) -> Text:
 
 
 def _findings(console: Console, level: str, findings: Sequence[Finding]) -> None:
+    """Those of one level; all sentences begin in one column, whatever their level."""
+    width = max((len(finding.what) for finding in findings), default=0)
+    findings = [finding for finding in findings if finding.level == level]
     if not findings:
         return
     console.print()
     console.print(plain(_HEADINGS[level], f"bold {_COLOURS[level]}"))
     rows = Table.grid(padding=(0, 2, 0, 0), expand=True)
-    rows.add_column(no_wrap=True, width=_WHAT_WIDTH)
+    rows.add_column(no_wrap=True, width=width)
     rows.add_column(ratio=1)
     for finding in findings:
         rows.add_row(plain(finding.what, _COLOURS[level]), plain(finding.sentence))
@@ -140,46 +136,31 @@ def _number(value: float, form: str = "{:.3g}") -> str:
     return form.format(value) if math.isfinite(value) else "–"
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class CheckJob:
-    """What to look at.
+def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
+    """Read, check, write, print what was found; the file is complete before a word is printed.
 
-    Attributes:
+    Args:
         source: files, channels, time step.
         json: file for the numbers and findings; None writes none. One that is there is replaced.
-    """
-
-    source: FileSource
-    json: Path | None = None
-
-
-def carry_out_check(job: CheckJob) -> tuple[DataQuality, Console]:
-    """Read, check, write, print what was found; the file is complete before a word is printed.
 
     Raises:
         InvalidDataError: files that cannot be read or do not belong together, or numbers that could not be written, or
             not without losing a measured file.
     """
-    if job.json is not None:
-        refuse_sources([job.json], job.source.files)
+    if json is not None:
+        refuse_sources([json], source.files)
     with progress_bar() as tell, own_warnings() as heard:
         tell("reading", 0.0)
-        records, remarks = job.source.read()
-        tell("looking at the data", 0.3)
+        records, remarks = source.read()
+        tell("looking at the data", 0.5)
         quality = check_quality(records)
-        if job.json is not None:
-            _write(job.json, quality_json(quality, records))
-    console = Console(highlight=False)
-    show_quality(console, quality, records, remarks=(*remarks, *heard))
-    return quality, console
+        if json is not None:
+            _write(json, quality_json(quality, records))
+    show_quality(Console(highlight=False), quality, records, remarks=(*remarks, *heard))
+    return quality
 
 
-def check_status(quality: DataQuality) -> int:
-    """Exit status: 1 where something bad was found, else 0."""
-    return 1 if quality.level == "bad" else 0
-
-
-def quality_json(quality: DataQuality, records: "Sequence[Record]") -> str:
+def quality_json(quality: DataQuality, records: Sequence[Record]) -> str:
     """Everything that was found as JSON; what is not known is null. The same records give the same bytes.
 
     Args:
@@ -264,5 +245,5 @@ def check(
         source = FileSource(
             files=files, inputs=name_list(inputs, "inputs"), outputs=name_list(outputs, "outputs"), dt=dt, hold=hold
         )
-        quality, _console = carry_out_check(CheckJob(source=source, json=numbers))
-        raise typer.Exit(check_status(quality))
+        quality = carry_out_check(source, numbers)
+        raise typer.Exit(1 if quality.level == "bad" else 0)

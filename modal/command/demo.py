@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from modal.command.options import Overwrite, Traceback, examples, faults
-from modal.command.run import Job, Live, Pdf, carry_out, exit_status, extras_of, read_demo
+from modal.command.run import Job, Live, Pdf, carry_out, exit_status, read_demo
 from modal.command.terminal import show_comparison, show_files
 from modal.examples.demo import compare_with_truth, demo_geometry, demo_truth
 from modal.sections.provenance import Provenance
@@ -32,7 +32,7 @@ def demo(
     the data do not carry the result; 2 wrong use.
     """
     with faults(show=traceback):
-        job = Job(folder=folder, existing="replace" if overwrite else "refuse", extras=extras_of(live=live, pdf=pdf))
+        job = Job(folder=folder, existing="replace" if overwrite else "refuse", live=live, printed=pdf)
         provenance = Provenance(command="modal-report demo")
         finished = carry_out(job, read_demo, provenance=provenance, geometry=demo_geometry())
         show_comparison(finished.console, compare_with_truth(demo_truth(), finished.result.modes))

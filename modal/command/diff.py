@@ -1,12 +1,6 @@
-"""`modal-report diff`: what changed between two results.
-
-One run of `modal-report diff`: read two results, compare them, write what was asked for, then print it.
-
-What the command prints of a comparison: the headline, one row a mode, what is lost or new, what else differs.
-"""
+"""`modal-report diff`: what changed between two results; one row a mode, what is lost or new, what else differs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,15 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from modal.command.options import Overwrite, Traceback, examples, faults
-from modal.command.terminal import listing, plain
+from modal.command.terminal import listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift
 from modal.comparison.source import read_result
-from modal.report.comparison import ComparisonFiles, refuse_existing_comparison, write_comparison
+from modal.report.comparison import refuse_existing_comparison, write_comparison
 from modal.wording.numbers import hertz
 
-__all__ = ["EXAMPLES", "DiffJob", "carry_out_diff", "diff", "show_comparison_files", "show_difference"]
+__all__ = ["EXAMPLES", "diff", "show_difference"]
 
 _ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
 _COLOURS = {
@@ -51,14 +45,6 @@ def show_difference(console: Console, comparison: Comparison) -> None:
     listing(console, "Read with care", words.caution_sentences(comparison), "yellow")
     console.print()
     console.print(plain(words.how_sentence(comparison), "bright_black"))
-
-
-def show_comparison_files(console: Console, files: ComparisonFiles) -> None:
-    """Where the pages are, one line a file."""
-    console.print()
-    meanings = ((files.html, "to read"), (files.markdown, "the same as Markdown"), (files.json, "every number"))
-    for path, meaning in meanings:
-        console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
 
 
 def _table(pairs: Sequence[ModePair]) -> Table:
@@ -93,48 +79,13 @@ def _difference(one: Difference) -> str:
     return f"{one.what}: {one.before or 'not there'} → {one.after or 'not there'}"
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DiffJob:
-    """What to compare.
-
-    Attributes:
-        before: folder or file of the first result.
-        after: of the second.
-        folder: for the pages; None: print only.
-        existing: "refuse" to touch pages that are there, or "replace" them.
-    """
-
-    before: Path
-    after: Path
-    folder: Path | None
-    existing: Literal["refuse", "replace"]
-
-
-def carry_out_diff(job: DiffJob) -> Comparison:
-    """Read, compare, write, print.
-
-    Raises:
-        UnreadableFileError: one of the two is no result.
-        InvalidDataError: the folder cannot be written.
-    """
-    if job.folder is not None:
-        refuse_existing_comparison(job.folder, job.existing)
-    comparison = compare_results(read_result(job.before), read_result(job.after))
-    files = None if job.folder is None else write_comparison(comparison, job.folder, existing=job.existing)
-    console = Console(highlight=False)
-    show_difference(console, comparison)
-    if files is not None:
-        show_comparison_files(console, files)
-    return comparison
-
-
 EXAMPLES = examples(
     "two results: diff before after",
     "with a page to keep: diff before after -o change",
-    "saved results or JSON: diff monday.npz tuesday/report.json",
+    "saved results: diff monday.npz tuesday.npz",
 )
 
-_RESULT = "Folder that run wrote, its report.json, or a saved result (.npz)."
+_RESULT = "Folder that run wrote, or a saved result (.npz)."
 
 
 def diff(
@@ -155,8 +106,16 @@ def diff(
     unreadable input.
     """
     with faults(show=traceback):
-        job = DiffJob(before=before, after=after, folder=folder, existing="replace" if overwrite else "refuse")
-        comparison = carry_out_diff(job)
+        existing: Literal["refuse", "replace"] = "replace" if overwrite else "refuse"
+        if folder is not None:
+            refuse_existing_comparison(folder, existing)
+        comparison = compare_results(read_result(before), read_result(after))
+        files = None if folder is None else write_comparison(comparison, folder, existing=existing)
+        console = Console(highlight=False)
+        show_difference(console, comparison)
+        if files is not None:
+            pages = ((files.html, "to read"), (files.markdown, "the same as Markdown"), (files.json, "every number"))
+            show_paths(console, *pages)
         sides = (comparison.before, comparison.after)
         carried = all(
             side.trust != "not carried" and any(mode.verdict == "system" for mode in side.modes) for side in sides

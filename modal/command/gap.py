@@ -1,16 +1,11 @@
-"""`modal-report gap`: what a simulation is missing.
-
-One run of `modal-report gap`: read model and records, diagnose, write everything, then print what was found.
-
-What the command prints of a diagnosis: the verdict, what is missing, before and after, and what to do next.
-"""
+"""`modal-report gap`: what a simulation is missing, where, and what to do next."""
 
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -21,17 +16,17 @@ from modal.command.run import (
     FileSource,
     Pdf,
     Reading,
-    extras_of,
     own_warnings,
     progress_bar,
     refuse_other_report,
     refuse_pdf,
     refuse_sources,
 )
-from modal.command.terminal import listing, plain
+from modal.command.terminal import listing, plain, show_paths
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.results import Diagnosis, Finding
 from modal.effects.catalogue import CATALOGUE
+from modal.effects.effect import Effect
 from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
 from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
@@ -42,16 +37,15 @@ from modal.structure.model_file import read_model
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 
-if TYPE_CHECKING:
-    from modal.discrepancy.results import Diagnosis
-    from modal.effects.effect import Effect
-
 __all__ = ["EXAMPLES", "GapJob", "carry_out_gap", "gap", "show_diagnosis", "show_diagnosis_files"]
 
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
 _STAGES = {"before": "red", "linear": "yellow", "after": "green"}
 MOST_PARTS = 12
-"""Rows of the before/after table; the report has all."""
+"""Show so many rows of the table before and after; the report has all."""
+
+READ, DIAGNOSED, WRITTEN = 0.03, 0.92, 0.97
+"""Share of the work that is behind, about, when a step has ended."""
 
 
 def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[str] = ()) -> None:
@@ -78,20 +72,18 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
     listing(console, "Data", (*words.floor_summary(diagnosis), *remarks), "")
 
 
-def show_diagnosis_files(console: Console, files: DiagnosisFiles) -> None:
-    """Where the report is, one line a file, so that it can be opened by a click or a copy."""
-    console.print()
-    meanings = (
+def show_diagnosis_files(console: Console, files: DiagnosisFiles, *, pdf: Path | None = None) -> None:
+    """Where the report is, one line a file."""
+    show_paths(
+        console,
         (files.html, "report to read"),
         (files.markdown, "the same as Markdown"),
         (files.json, "every number"),
         (files.csv, "one row a parameter found"),
         (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
         (files.model, "the updated model, to go on with"),
+        (pdf, "the report on paper"),
     )
-    for path, meaning in meanings:
-        if path is not None:
-            console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
 
 
 def _findings(findings: Sequence[Finding]) -> Table:
@@ -151,7 +143,7 @@ class GapJob:
         catalogue: keys of the effects to try; all unless given.
         folder: for the report.
         existing: "refuse" to touch a report that is there, or "replace" it.
-        extras: "pdf" prints the report into a file too.
+        printed: print the report into a file too.
     """
 
     model: Path
@@ -164,12 +156,12 @@ class GapJob:
     catalogue: list[str] | None
     folder: Path
     existing: Literal["refuse", "replace"]
-    extras: frozenset[Literal["live", "pdf"]] = frozenset()
+    printed: bool = False
 
     @property
     def pdf(self) -> Path | None:
         """Where the printed report goes."""
-        return self.folder / "report.pdf" if "pdf" in self.extras else None
+        return self.folder / "report.pdf" if self.printed else None
 
     def provenance(self) -> Provenance:
         """How to do the same again; without the folder, so that it does not change the report."""
@@ -183,7 +175,7 @@ class GapJob:
         return Provenance(command=shlex.join(words), sources=tuple(map(str, sources)), dt=self.dt)
 
 
-def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
+def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
     """Read, diagnose, write, print what was found; the report is complete before a word of it is printed.
 
     Raises:
@@ -203,7 +195,7 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
     with progress_bar() as tell, own_warnings() as heard:
         tell("reading the model", 0.0)
         model = read_model(job.model)
-        tell("reading the records", 0.01)
+        tell("reading the records", READ / 2)
         fit, held_out, remarks = read_sides(job, model)
         files_read = fingerprints((job.model, *job.fit, *job.held_out))
         found = diagnose(
@@ -211,9 +203,9 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
             fit,
             held_out,
             catalogue=catalogue,
-            progress=lambda what, share: tell(what, 0.03 + 0.89 * share),
+            progress=lambda what, share: tell(what, READ + (DIAGNOSED - READ) * share),
         )
-        tell("writing the report and the recording", 0.92)
+        tell("writing the report and the recording", DIAGNOSED)
         remarks = (*remarks, *(text for text in heard if text not in found.warnings))
         provenance = replace(job.provenance(), remarks=remarks, files=files_read)
         files = write_diagnosis(found, job.folder, existing=job.existing, provenance=provenance)
@@ -222,14 +214,14 @@ def carry_out_gap(job: GapJob) -> "tuple[Diagnosis, DiagnosisFiles, Console]":
             if files.model is None:
                 (job.folder / "model.json").unlink(missing_ok=True)
         if job.pdf is not None:
-            tell("printing the report", 0.97)
+            tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
     console = Console(highlight=False)
     show_diagnosis(console, found, remarks=remarks)
     return found, files, console
 
 
-def chosen_effects(keys: list[str] | None) -> "Mapping[str, Effect]":
+def chosen_effects(keys: list[str] | None) -> Mapping[str, Effect]:
     """The part of the catalogue with these keys, all of it unless they are given.
 
     Raises:
@@ -351,10 +343,8 @@ def gap(
             catalogue=name_list(catalogue, "effects"),
             folder=folder or Path(f"modal-report-gap-{plain_name(model.stem)}"),
             existing="replace" if overwrite else "refuse",
-            extras=extras_of(live=False, pdf=pdf),
+            printed=pdf,
         )
         found, written, console = carry_out_gap(job)
-        show_diagnosis_files(console, written)
-        if job.pdf is not None:
-            console.print(plain(str(job.pdf)) + plain("  the report on paper", "bright_black"), soft_wrap=True)
+        show_diagnosis_files(console, written, pdf=job.pdf)
         raise typer.Exit(1 if found.status == "unresolved" else 0)

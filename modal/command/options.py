@@ -1,7 +1,4 @@
-"""What all commands share: options that mean the same everywhere, and errors as one sentence and an exit status.
-
-What a user types on the command line, turned into what the library takes; one sentence where that cannot be.
-"""
+"""What all commands share: options that mean the same, what is typed as the library takes it, one sentence a fault."""
 
 import contextlib
 import re

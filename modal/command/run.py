@@ -1,8 +1,6 @@
 """`modal-report run`: from measured files to modes, a report and a recording.
 
-One run of the command: read, identify, write everything, then print what was found.
-
-What a run of the command needs besides the records, and what would stop it: looked at before the work begins.
+What would stop the work is looked at before it begins: a report that is there, a file that cannot be read, no browser.
 """
 
 import contextlib
@@ -11,13 +9,13 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 
-from modal.acceptance.check import all_met, check_limits
-from modal.acceptance.test_file import read_specification
+from modal.acceptance.check import LimitOutcome, all_met, check_limits
+from modal.acceptance.test_file import Specification, read_specification
 from modal.command.options import (
     Dt,
     Hold,
@@ -36,9 +34,12 @@ from modal.command.options import (
 from modal.command.terminal import Progress, live_view, progress_bar, show_files, show_result
 from modal.examples.demo import demo_record
 from modal.geometry.file import read_geometry
+from modal.geometry.sensors import Geometry
 from modal.identification.pipeline import identify
+from modal.identification.result import Identification
 from modal.identification.words import trust_of
 from modal.quality.check import check_quality
+from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
 from modal.report.folder import refuse_names
 from modal.report.pdf import NoBrowserError, find_browser, write_pdf
@@ -49,15 +50,6 @@ from okid.errors import IdentificationWarning, InvalidDataError
 from okid.readers import read_described
 from okid.record import InputHold, Record
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from modal.acceptance.check import LimitOutcome
-    from modal.acceptance.test_file import Specification
-    from modal.geometry.sensors import Geometry
-    from modal.identification.result import Identification
-    from modal.report import ReportFiles
-
 __all__ = [
     "EXAMPLES",
     "FileSource",
@@ -66,13 +58,11 @@ __all__ = [
     "Progress",
     "Reading",
     "carry_out",
-    "clear_stale",
     "exit_status",
-    "extras_of",
     "own_warnings",
-    "prepare",
     "progress_bar",
     "read_demo",
+    "read_setup",
     "refuse_other_report",
     "refuse_pdf",
     "refuse_sources",
@@ -81,7 +71,7 @@ __all__ = [
 ]
 
 
-def prepare(job: "Job") -> "tuple[Specification | None, Geometry | None]":
+def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     """What the test file says and the geometry, once all is refused that can be before the work begins.
 
     Args:
@@ -94,9 +84,7 @@ def prepare(job: "Job") -> "tuple[Specification | None, Geometry | None]":
     refuse_existing(job.folder, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
-    specification = None
-    if job.test is not None:
-        specification = read_specification(job.test)
+    specification = None if job.test is None else read_specification(job.test)
     if job.geometry is not None:
         return specification, read_geometry(job.geometry)
     return specification, None if specification is None else specification.geometry
@@ -159,22 +147,7 @@ def refuse_other_report(folder: Path, mark: str) -> None:
         )
 
 
-def clear_stale(job: "Job", files: "ReportFiles") -> None:
-    """Take away what an earlier, replaced report left and this one does not have: it would pass for part of this one.
-
-    A printed report goes in any case: stopped while it prints the new one, the old one must not stand beside the rest.
-
-    Args:
-        job: with the folder, and whether its files may be replaced.
-        files: that were written.
-    """
-    if job.existing == "replace":
-        (job.folder / "report.pdf").unlink(missing_ok=True)
-        if files.result is None:
-            (job.folder / "result.npz").unlink(missing_ok=True)
-
-
-def unknown_sensors(specification: "Specification | None", records: Sequence[Record]) -> tuple[str, ...]:
+def unknown_sensors(specification: Specification | None, records: Sequence[Record]) -> tuple[str, ...]:
     """A sentence on sensors whose channel no record has: a misspelt name would otherwise be lost in silence."""
     if specification is None:
         return ()
@@ -191,8 +164,8 @@ Reading = tuple[tuple[Record, ...], tuple[str, ...]]
 """Records, and remarks on what was done to their units."""
 
 DEMO_SEED = 2
-WRITING_FROM = 0.75
-"""Share of the work that reading and identification are, about: with a record of a minute, writing is half of it."""
+READ, IDENTIFIED, WRITTEN = 0.03, 0.75, 0.95
+"""Share of the work that is behind, about, when a step has ended: with a record of a minute, writing is half of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -207,7 +180,8 @@ class Job:
         order: of the model.
         test: file of what no measured file knows; None where there is none.
         geometry: file of nodes, lines and sensors; None: that of the test file, if it has one.
-        extras: "live" shows the work in a viewer while it goes on, "pdf" prints the report into a file too.
+        live: show the work in a viewer while it goes on.
+        printed: print the report into a file too.
     """
 
     folder: Path
@@ -217,12 +191,13 @@ class Job:
     order: int | Auto = "auto"
     test: Path | None = None
     geometry: Path | None = None
-    extras: frozenset[Literal["live", "pdf"]] = frozenset()
+    live: bool = False
+    printed: bool = False
 
     @property
     def pdf(self) -> Path | None:
         """Where the printed report goes."""
-        return self.folder / "report.pdf" if "pdf" in self.extras else None
+        return self.folder / "report.pdf" if self.printed else None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -275,10 +250,10 @@ class Finished:
         console: to go on printing to.
     """
 
-    result: "Identification"
-    files: "ReportFiles"
+    result: Identification
+    files: ReportFiles
     pdf: Path | None
-    limits: "tuple[LimitOutcome, ...]"
+    limits: tuple[LimitOutcome, ...]
     console: Console
 
 
@@ -290,7 +265,7 @@ def read_demo() -> Reading:
 
 
 def carry_out(
-    job: Job, read: Callable[[], Reading], *, provenance: Provenance, geometry: "Geometry | None" = None
+    job: Job, read: Callable[[], Reading], *, provenance: Provenance, geometry: Geometry | None = None
 ) -> Finished:
     """Read, identify, write, print what was found; the report is complete before a word of it is printed.
 
@@ -304,7 +279,7 @@ def carry_out(
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    specification, named = prepare(job)
+    specification, named = read_setup(job)
     geometry = geometry if named is None else named
     refuse_other_report(job.folder, "findings.csv")
     refuse_sources(
@@ -315,23 +290,31 @@ def carry_out(
     with (
         progress_bar() as tell,
         own_warnings() as heard,
-        live_view(wanted="live" in job.extras, tell=unseen.append) as viewer,
+        live_view(wanted=job.live, tell=unseen.append) as viewer,
     ):
         tell("reading", 0.0)
         records, remarks = read()
         files_read = fingerprints((*provenance.sources, *provenance.besides))
-        viewer.show_records(records)
+        if viewer is not None:
+            log_records(records, viewer)
+
+        def progress(what: str, share: float) -> None:
+            tell(what, READ + (IDENTIFIED - READ) * share)
+            if viewer is not None:
+                log_progress(viewer, what, share)
+
         result = identify(
             records,
             observer_order=job.observer_order,
             ridge=job.ridge,
             order=job.order,
-            progress=_both(viewer.show_progress, lambda what, share: tell(what, 0.03 + (WRITING_FROM - 0.03) * share)),
+            progress=progress,
         )
-        tell("looking at the quality of the data", WRITING_FROM)
+        tell("looking at the quality of the data", IDENTIFIED)
         quality = check_quality(records)
-        viewer.show_result(result, geometry)
-        tell("writing the report and the recording", WRITING_FROM)
+        if viewer is not None:
+            log_result(result, viewer, geometry=geometry)
+        tell("writing the report and the recording", IDENTIFIED)
         remarks = (*remarks, *heard, *unknown_sensors(specification, records))
         provenance = replace(provenance, remarks=remarks, files=files_read)
         files = write_report(
@@ -343,9 +326,10 @@ def carry_out(
             specification=specification,
             quality=quality,
         )
-        clear_stale(job, files)
+        if job.existing == "replace":  # stopped while it prints the new one, the old one must not stand beside the rest
+            (job.folder / "report.pdf").unlink(missing_ok=True)
         if job.pdf is not None:
-            tell("printing the report", 0.95)
+            tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
         limits = () if specification is None else check_limits(result, specification)
     console = Console(highlight=False)
@@ -362,14 +346,6 @@ def own_warnings() -> Iterator[list[str]]:
         warnings.simplefilter("always", IdentificationWarning)
         warnings.showwarning = lambda message, *_args, **_options: texts.append(str(message))
         yield texts
-
-
-def _both(first: Progress, second: Progress) -> Progress:
-    def tell(what: str, share: float) -> None:
-        first(what, share)
-        second(what, share)
-
-    return tell
 
 
 EXAMPLES = examples(
@@ -428,7 +404,8 @@ def run(
             order=whole_or_auto(order, "model order"),
             test=test,
             geometry=geometry,
-            extras=extras_of(live=live, pdf=pdf),
+            live=live,
+            printed=pdf,
         )
         source = FileSource(
             files=files, inputs=name_list(inputs, "inputs"), outputs=name_list(outputs, "outputs"), dt=dt, hold=hold
@@ -436,18 +413,6 @@ def run(
         finished = carry_out(job, source.read, provenance=source.provenance(job))
         show_files(finished.console, finished.files, pdf=finished.pdf)
         raise typer.Exit(exit_status(finished))
-
-
-def extras_of(*, live: bool, pdf: bool) -> frozenset[Literal["live", "pdf"]]:
-    """What was asked for beside the report."""
-
-    def wanted() -> "Iterator[Literal['live', 'pdf']]":
-        if live:
-            yield "live"
-        if pdf:
-            yield "pdf"
-
-    return frozenset(wanted())
 
 
 def exit_status(finished: Finished) -> int:

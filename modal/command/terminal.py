@@ -1,10 +1,6 @@
-"""What the command prints: the mode table, what it means, and where the files are.
+"""What the commands print: the mode table, what it means, where the files are, and how long the work will still take.
 
 Names come from files: every cell is a `Text`, never markup, and shows control characters instead of obeying them.
-
-The work shown in a running viewer while it goes on; without one asked for, or to be had, nothing happens.
-
-A progress bar that says how long the work will still take, as far as that can be known.
 """
 
 import contextlib
@@ -12,11 +8,12 @@ import math
 import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
+from rich.progress import BarColumn, ProgressColumn, Task, TaskProgressColumn, TextColumn
+from rich.progress import Progress as Bar
 from rich.table import Table
 from rich.text import Text
 
@@ -25,21 +22,13 @@ from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode, numbered
-from modal.recording.live import live_recording, log_progress, log_records, log_result
+from modal.recording.live import live_recording
 from modal.report.writing import LARGEST_KEPT, ReportFiles
 from modal.sections.words import data_sentences, modes_headline
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
-from okid.record import Record
-
-if TYPE_CHECKING:
-    from rich.progress import ProgressColumn
-
-    from modal.geometry.sensors import Geometry
-    from modal.identification.result import Identification
 
 __all__ = [
-    "LiveView",
     "Progress",
     "listing",
     "live_view",
@@ -48,15 +37,16 @@ __all__ = [
     "show_comparison",
     "show_files",
     "show_limits",
+    "show_paths",
     "show_result",
     "time_left_text",
 ]
 
 LONGEST_NAME = 80
-"""Letters of the name of a limit, which is a stranger's text."""
+"""Shorten the name of a limit, which is a stranger's text, to so many letters."""
 
 MOST_NOISE = 5
-"""Noise poles shown in the terminal; the report has all."""
+"""Show so many noise poles; the report has all."""
 
 _COLOURS = {"system": "green", "doubtful": "yellow", "noise": "bright_black"}
 _STATES = {"met": "green", "not met": "bold red", "cannot be told": "yellow"}
@@ -129,23 +119,25 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
 
 def show_files(console: Console, files: ReportFiles, *, pdf: Path | None = None) -> None:
     """Where the report is, one line a file, so that it can be opened by a click or a copy."""
-    console.print()
-    meanings = (
+    show_paths(
+        console,
         (files.html, "report to read"),
         (pdf, "the same on paper"),
         (files.markdown, "the same as Markdown"),
         (files.json, "every number"),
         (files.csv, "one row a pole"),
         (files.uff55, "the modes for other programs"),
-        (files.result, "the result itself, for modal.load, diff and view"),
+        (files.result, f"the result itself, its summary above {LARGEST_KEPT >> 20} MiB, for modal.load and diff"),
         (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
     )
+
+
+def show_paths(console: Console, *meanings: tuple[Path | None, str]) -> None:
+    """A line for each file that there is, with what it is for."""
+    console.print()
     for path, meaning in meanings:
         if path is not None:
             console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
-    if files.result is None:
-        sentence = f"The result itself is above {LARGEST_KEPT >> 20} MiB and was not kept; diff reads report.json."
-        console.print(plain(sentence, "bright_black"))
 
 
 def _mode_table(modes: Sequence[Mode]) -> Table:
@@ -192,68 +184,33 @@ def _number(value: float, form: str) -> str:
     return form.format(value) if math.isfinite(value) else "–"
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LiveView:
-    """A viewer that is told of the work.
-
-    Attributes:
-        recording: stream to the viewer, None where there is none.
-    """
-
-    recording: Any = None
-
-    def show_records(self, records: Sequence[Record]) -> None:
-        """The page of the records, as soon as they are read."""
-        if self.recording is not None:
-            log_records(records, self.recording)
-
-    def show_progress(self, what: str, share: float) -> None:
-        """What is being done, and the share that is behind."""
-        if self.recording is not None:
-            log_progress(self.recording, what, share)
-
-    def show_result(self, result: "Identification", geometry: "Geometry | None") -> None:
-        """All pages of the result."""
-        if self.recording is not None:
-            log_result(result, self.recording, geometry=geometry)
-
-
 @contextlib.contextmanager
-def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[LiveView]:
-    """A viewer for the time of the work.
+def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[Any]:
+    """The stream to a viewer for the time of the work; None where none was asked for, or can be had.
 
     Args:
         wanted: whether one was asked for.
         tell: gets one sentence where no viewer can be had.
-
-    Example:
-        >>> with live_view(wanted=False, tell=print) as view:
-        ...     view.show_progress("reading", 0.0)
     """
-    if not wanted:
-        yield LiveView()
-        return
-    with live_recording(tell=tell) as recording:
-        yield LiveView(recording=recording)
+    with live_recording(tell=tell) if wanted else contextlib.nullcontext() as recording:
+        yield recording
 
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of all work that is behind."""
 
 LEAST_SHARE = 0.05
+"""Say nothing of the time left before this share of the work: the start says little about the rest."""
+
 LEAST_SECONDS = 1.5
-"""Before this share and this time nothing is said: the start says little about the rest."""
+"""Say nothing of it before this time either."""
 
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
     """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn
-    from rich.progress import Progress as Bar
-
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), _time_left_column())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), _TimeLeft())
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, share: bar.update(task, description=what, completed=share)
@@ -273,22 +230,16 @@ def time_left_text(share: float, elapsed: float) -> str:
     if not (LEAST_SHARE <= share < 1.0 and elapsed >= LEAST_SECONDS):
         return ""
     left = elapsed * (1.0 - share) / share
-    if left < 90.0:
-        step = 1 if left < 10.0 else 5
+    if left < 90:
+        step = 1 if left < 10 else 5
         return f"about {max(1, step * math.ceil(left / step))} s left"
-    if left < 5400.0:
-        return f"about {round(left / 60.0)} min left"
-    return f"about {left / 3600.0:.1f} h left"
+    if left < 5400:
+        return f"about {round(left / 60)} min left"
+    return f"about {left / 3600:.1f} h left"
 
 
-def _time_left_column() -> "ProgressColumn":
-    from rich.progress import ProgressColumn, Task
-    from rich.text import Text
+class _TimeLeft(ProgressColumn):
+    """What `time_left_text` says of a task."""
 
-    class TimeLeft(ProgressColumn):
-        """What `time_left_text` says of a task."""
-
-        def render(self, task: Task) -> Text:
-            return Text(time_left_text(task.completed / (task.total or 1.0), task.elapsed or 0.0), style="bright_black")
-
-    return TimeLeft()
+    def render(self, task: Task) -> Text:
+        return Text(time_left_text(task.completed / (task.total or 1.0), task.elapsed or 0.0), style="bright_black")

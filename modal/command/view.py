@@ -1,7 +1,4 @@
-"""`modal-report view`: the recording of a result in the Rerun viewer.
-
-A recording opened in the Rerun viewer, or the exact command that opens it where that cannot be done here.
-"""
+"""`modal-report view`: a recording in the Rerun viewer, or the exact command that opens it elsewhere."""
 
 import os
 import shlex
@@ -20,7 +17,9 @@ from okid.errors import InvalidDataError, UnreadableFileError
 __all__ = ["EXAMPLES", "find_viewer", "open_recording", "recording_of", "view"]
 
 RECORDING = "recording.rrd"
-_LONGEST = 200
+LONGEST = 200
+"""Shorten a path to so many letters in a sentence."""
+
 _MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 """First bytes of a recording."""
 
@@ -35,7 +34,7 @@ def recording_of(result: str | Path) -> Path:
         UnreadableFileError: there is no such file, no recording in the folder, or it holds something else.
     """
     path = Path(result)
-    shown = repr(shorten(visible(str(path)), _LONGEST))
+    shown = repr(shorten(visible(str(path)), LONGEST))
     try:
         if path.is_dir():
             path = _in_folder(path, shown)

@@ -16,8 +16,6 @@ References:
     Welch, Biometrika 34, 1947, doi 10.1093/biomet/34.1-2.28.
     Szekely, Bakirov, "Extremal probabilities for Gaussian quadratic forms", Probability Theory and Related Fields 126,
     2003, doi 10.1007/s00440-003-0262-6 (the bound on Q).
-
-What two results were made from and how: channels, units, sampling, settings, fit.
 """
 
 import math
@@ -26,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from modal.comparison.shifts import (
+    LEVEL,
     Shift,
     damping_shift,
     frequency_shift,
@@ -34,16 +33,13 @@ from modal.comparison.shifts import (
     shared_shapes,
     with_verdicts,
 )
-from modal.comparison.source import Channel, ResultSummary, summary_of
+from modal.comparison.source import ChannelName, ResultSummary, summary_of
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.wording.numbers import fit_text
 from okid.errors import InvalidDataError
 
 __all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results", "differences_of"]
-
-SAME_STEP = 1e-9
-"""Relative difference of two time steps that are the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +65,7 @@ def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Differe
         *_channels("input", before.inputs, after.inputs),
         *_channels("output", before.outputs, after.outputs),
     ]
-    if abs(before.dt - after.dt) > SAME_STEP * before.dt:
+    if not math.isclose(before.dt, after.dt):
         found.append(_difference("sampling", "time step", f"{before.dt:.6g} s", f"{after.dt:.6g} s"))
     lengths = [", ".join(map(str, one.n_samples)) for one in (before, after)]
     if lengths[0] != lengths[1]:
@@ -87,7 +83,7 @@ def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Differe
     return tuple(found)
 
 
-def _channels(role: str, before: Sequence[Channel], after: Sequence[Channel]) -> list[Difference]:
+def _channels(role: str, before: Sequence[ChannelName], after: Sequence[ChannelName]) -> list[Difference]:
     units = [{channel.name: channel.unit for channel in one} for one in (before, after)]
     found = []
     for name in dict.fromkeys((*units[0], *units[1])):
@@ -104,10 +100,6 @@ def _difference(
     kind: Literal["channel", "unit", "sampling", "setting", "fit"], what: str, before: str, after: str
 ) -> Difference:
     return Difference(kind=kind, what=what, before=before, after=after)
-
-
-LEVEL = 0.05
-"""Chance that a comparison of a thing with itself calls anything beyond chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -196,7 +188,7 @@ class Comparison:
 
 
 NEAR = 0.05
-"""Relative distance of frequencies within which a pole is named as what may be left of a lost mode."""
+"""Name a pole within this relative distance of frequencies as what may be left of a lost mode."""
 
 
 def compare_results(before: Identification | ResultSummary, after: Identification | ResultSummary) -> Comparison:
@@ -212,7 +204,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     Example:
         >>> from modal.modes.choice import Choice
         >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
-        ...                       trust="not carried", degrees_of_freedom=float("inf"), data=frozenset())
+        ...                       trust="not carried", degrees_of_freedom=float("inf"), data=())
         >>> compare_results(empty, empty).changed
         False
     """
@@ -252,10 +244,10 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     )
 
 
-def _same_data(first: frozenset[str], second: frozenset[str]) -> bool | None:
+def _same_data(first: Sequence[str], second: Sequence[str]) -> bool | None:
     """Whether hashes are shared; None where there are none of one kind (of files, of samples) in both."""
     kinds = [{text.partition(" ")[0] for text in one} for one in (first, second)]
-    return bool(first & second) if kinds[0] & kinds[1] else None
+    return bool(set(first) & set(second)) if kinds[0] & kinds[1] else None
 
 
 def _summary(result: Identification | ResultSummary) -> ResultSummary:

@@ -1,8 +1,7 @@
-"""Shifts of one mode between two results, with their standard deviations, tests and verdicts.
+"""Which mode of one result is which of another, and how far each shifted: standard deviations, tests and verdicts.
 
-Which mode of one result is which mode of another: the assignment of least cost over all modes at once.
-
-The cost of a pair is how far its poles and its shapes lie apart, in units of what a change of the structure may do:
+The modes are matched by the assignment of least cost over all of them at once. The cost of a pair is how far its poles
+and its shapes lie apart, in units of what a change of the structure may do:
 
     cost = |s_a - s_b| / (d |s|) + (1 - assurance) / m + doubts,    |s| = sqrt(|s_a| |s_b|),  d = 0.3,  m = 0.5
 
@@ -31,6 +30,7 @@ from modal.modes.shape_comparison import assurance
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = [
+    "LEVEL",
     "Matching",
     "Shift",
     "ShiftVerdict",
@@ -46,13 +46,13 @@ __all__ = [
 ]
 
 POLE_SCALE = 0.3
-"""Relative distance of poles that alone makes two modes different ones."""
+"""Call two modes different ones from this relative distance of their poles alone."""
 
 SHAPE_SCALE = 0.5
-"""Loss of assurance that alone does."""
+"""Call them so from this loss of assurance alone."""
 
 DOUBT = 0.2
-"""Cost of a pole of the pair that is doubtful."""
+"""Add this cost for each pole of a pair that is doubtful."""
 
 TOO_FAR = 1.0
 
@@ -81,8 +81,6 @@ def match_modes(before: ResultSummary, after: ResultSummary) -> Matching:
         before: the one result.
         after: the other.
     """
-    import scipy
-
     similarity = _assurance(before, after)
     costs = pair_costs(before.modes, after.modes, similarity)
     rows = [index for index, mode in enumerate(before.modes) if mode.verdict != "noise"]
@@ -146,10 +144,13 @@ def _shapes(modes: Sequence[Mode], outputs: Sequence[int]) -> ComplexArray:
 
 ShiftVerdict = Literal["beyond chance", "perhaps chance", "within its interval", "not known"]
 
-INTERVAL = 0.95
+LEVEL = 0.05
+"""Call anything beyond chance with this chance at most in a comparison of a thing with itself."""
+
+INTERVAL = 1.0 - LEVEL
 
 SURE_FROM = 1.5364
-"""Ratio q / T from which P(Q > q) <= P(chi^2_1 > q / T) for every correlation (Szekely, Bakirov 2003)."""
+"""Use P(chi^2_1 > q / T) from this ratio q / T: there it bounds P(Q > q) for every correlation (Szekely, Bakirov)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

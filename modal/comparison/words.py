@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 LONGEST_NAME = 40
+"""Shorten the name of a result to so many letters in a sentence."""
 
 
 def comparison_headline(comparison: Comparison) -> str:
@@ -163,7 +164,7 @@ def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
         sentences.append(
             "Both results come from the same measured data: their errors are not independent, and a shift is the work "
             "of the settings, not of the structure."
-            if comparison.before.data == comparison.after.data
+            if set(comparison.before.data) == set(comparison.after.data)
             else "Both results come in part from the same measured data: their errors are not independent, so the test "
             "is not exact."
         )

@@ -8,8 +8,6 @@ The equations of motion are integrated interval by interval by Taylor's series o
 force; nothing of the identification (neither `era.simulate` nor a matrix exponential) takes part, so agreement between
 what is found and what is true is evidence.
 
-Where the sensors of the embedded tower sit: its floors, its columns and the ground, for pictures of its shapes.
-
 The position sensor of the tuned mass reads motion relative to the roof, up to a dozen times that of the roof. No node
 moves by it, so it has no place here; the report says so, and the mode table and the assurance matrix hold it as ever.
 """
@@ -24,29 +22,54 @@ from okid.arrays import ComplexArray, FloatArray, frozen, frozen_complex
 from okid.record import Record
 
 __all__ = [
+    "TOWER",
     "DemoTruth",
     "ModeComparison",
+    "Tower",
     "compare_with_truth",
     "demo_geometry",
     "demo_record",
     "demo_truth",
-    "equations_of_motion",
+    "tower_matrices",
 ]
 
-DT = 0.02
-"""Time step [s]."""
-N_STOREYS = 5
-FLOOR_MASS, STOREY_STIFFNESS, STOREY_HEIGHT = 80.0, 120e3, 0.6
-"""[kg], [N/m], [m]: a laboratory tower of three metres."""
-TOWER_DAMPING_RATIO = 0.01
-"""The same for every mode of the bare tower, as welded steel has it."""
-TUNED_MASS, TUNED_STIFFNESS, TUNED_DAMPING = 1.5, 180.0, 0.5
-"""[kg], [N/m], [N s/m]: 0.4 percent of the tower, tuned to its first mode."""
-ACTUATOR_FLOORS = (1, 4)
-"""Floors that are pushed, counted from 0 at the first floor above the ground."""
 INPUT_NAMES = ("shaker_floor_2", "actuator_roof")
 OUTPUT_NAMES = ("floor_1", "floor_2", "floor_3", "floor_4", "roof", "tuned_mass")
-OUTPUT_UNITS = ("m/s^2",) * N_STOREYS + ("m",)
+OUTPUT_UNITS = ("m/s^2",) * 5 + ("m",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tower:
+    """A laboratory tower of three metres, with a tuned mass of 0.4 percent of it.
+
+    Attributes:
+        dt: time step of the record [s].
+        n_storeys: number of storeys.
+        height: of a storey [m].
+        half_width: of a floor [m].
+        mass: of a floor [kg].
+        stiffness: of a storey [N/m].
+        damping_ratio: of every mode of the bare tower, as welded steel has it.
+        tuned_mass: [kg].
+        tuned_stiffness: [N/m], tuned to the first mode.
+        tuned_damping: [N s/m].
+        pushed: floors that are pushed, counted from 0 at the first floor above the ground.
+    """
+
+    dt: float = 0.02
+    n_storeys: int = 5
+    height: float = 0.6
+    half_width: float = 0.4
+    mass: float = 80
+    stiffness: float = 120_000
+    damping_ratio: float = 0.01
+    tuned_mass: float = 1.5
+    tuned_stiffness: float = 180
+    tuned_damping: float = 0.5
+    pushed: tuple[int, ...] = (1, 4)
+
+
+TOWER = Tower()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -94,24 +117,26 @@ class ModeComparison:
     verdict: Verdict | None
 
 
-def equations_of_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def tower_matrices() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Mass, damping and stiffness matrix and the force map of the tower with its tuned mass.
 
     Returns:
         (6, 6) mass [kg], (6, 6) damping [N s/m], (6, 6) stiffness [N/m], (6, 2) force map; the last coordinate is the
         tuned mass, all positions are absolute.
     """
-    stiffness = STOREY_STIFFNESS * (2 * np.eye(N_STOREYS) - np.eye(N_STOREYS, k=1) - np.eye(N_STOREYS, k=-1))
-    stiffness[-1, -1] = STOREY_STIFFNESS
-    squares, vectors = np.linalg.eigh(stiffness / FLOOR_MASS)
-    damping = FLOOR_MASS * (vectors * (2 * TOWER_DAMPING_RATIO * np.sqrt(squares))) @ vectors.T
-    link = np.zeros(N_STOREYS + 1)
+    stiffness = TOWER.stiffness * (
+        2 * np.eye(TOWER.n_storeys) - np.eye(TOWER.n_storeys, k=1) - np.eye(TOWER.n_storeys, k=-1)
+    )
+    stiffness[-1, -1] = TOWER.stiffness
+    squares, vectors = np.linalg.eigh(stiffness / TOWER.mass)
+    damping = TOWER.mass * (vectors * (2 * TOWER.damping_ratio * np.sqrt(squares))) @ vectors.T
+    link = np.zeros(TOWER.n_storeys + 1)
     link[-2:] = -1.0, 1.0
-    mass = np.diag([*[FLOOR_MASS] * N_STOREYS, TUNED_MASS])
-    damping = np.pad(damping, (0, 1)) + TUNED_DAMPING * np.outer(link, link)
-    stiffness = np.pad(stiffness, (0, 1)) + TUNED_STIFFNESS * np.outer(link, link)
-    force_map = np.zeros((N_STOREYS + 1, len(ACTUATOR_FLOORS)))
-    force_map[ACTUATOR_FLOORS, range(len(ACTUATOR_FLOORS))] = 1.0
+    mass = np.diag([*[TOWER.mass] * TOWER.n_storeys, TOWER.tuned_mass])
+    damping = np.pad(damping, (0, 1)) + TOWER.tuned_damping * np.outer(link, link)
+    stiffness = np.pad(stiffness, (0, 1)) + TOWER.tuned_stiffness * np.outer(link, link)
+    force_map = np.zeros((TOWER.n_storeys + 1, len(TOWER.pushed)))
+    force_map[TOWER.pushed, range(len(TOWER.pushed))] = 1.0
     return mass, damping, stiffness, force_map
 
 
@@ -131,7 +156,7 @@ def demo_truth() -> DemoTruth:
         damping_ratios=-poles[order].real / np.abs(poles[order]),
         shapes=shapes / shapes[np.abs(shapes).argmax(axis=0), range(len(order))],
         output_names=OUTPUT_NAMES,
-        heights=STOREY_HEIGHT * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 5.0]),
+        heights=TOWER.height * np.array([1, 2, 3, 4, 5, 5]),
     )
 
 
@@ -152,7 +177,9 @@ def demo_record(rng: np.random.Generator, *, n_samples: int = 9000, noise: float
         (500, ('N', 'N'), 'm')
     """
     forces = _coloured_forces(rng, n_samples)
-    swinging = np.concatenate([0.002 * rng.standard_normal(N_STOREYS + 1), 0.02 * rng.standard_normal(N_STOREYS + 1)])
+    swinging = np.concatenate(
+        [0.002 * rng.standard_normal(TOWER.n_storeys + 1), 0.02 * rng.standard_normal(TOWER.n_storeys + 1)]
+    )
     outputs = _integrate(forces, swinging)
     size = outputs.std(axis=0)
     outputs += size * (noise * rng.standard_normal(outputs.shape) + 0.5 * rng.uniform(-1, 1, outputs.shape[1]))
@@ -162,7 +189,7 @@ def demo_record(rng: np.random.Generator, *, n_samples: int = 9000, noise: float
     return Record(
         forces,
         outputs,
-        DT,
+        TOWER.dt,
         input_names=INPUT_NAMES,
         output_names=OUTPUT_NAMES,
         input_units=("N", "N"),
@@ -207,14 +234,14 @@ def compare_with_truth(truth: DemoTruth, modes: ModalModel) -> tuple[ModeCompari
 
 def _first_order_form() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """State (positions, velocities): A, B, and the sensors C, D."""
-    mass, damping, stiffness, force_map = equations_of_motion()
+    mass, damping, stiffness, force_map = tower_matrices()
     n = len(mass)
     inverse = np.linalg.inv(mass)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
     B = np.vstack([np.zeros_like(force_map), inverse @ force_map])
     C, D = np.zeros((n, 2 * n)), np.zeros((n, B.shape[1]))
-    C[:N_STOREYS], D[:N_STOREYS] = A[n : n + N_STOREYS], B[n : n + N_STOREYS]
-    C[-1, N_STOREYS - 1 : n] = -1.0, 1.0
+    C[: TOWER.n_storeys], D[: TOWER.n_storeys] = A[n : n + TOWER.n_storeys], B[n : n + TOWER.n_storeys]
+    C[-1, TOWER.n_storeys - 1 : n] = -1.0, 1.0
     return A, B, C, D
 
 
@@ -222,7 +249,7 @@ def _integrate(forces: FloatArray, state: FloatArray, *, n_parts: int = 4, n_ter
     """Outputs at the start of each interval; within it the force is constant and so x'' = A x', x''' = A x'' ..."""
     A, B, C, D = _first_order_form()
     outputs = np.empty((len(forces), len(C)))
-    step = DT / n_parts
+    step = TOWER.dt / n_parts
     factors = step / np.arange(1, n_terms + 1)
     for k, force in enumerate(forces):
         outputs[k] = C @ state + D @ force
@@ -244,16 +271,12 @@ def _coloured_forces(rng: np.random.Generator, n_samples: int) -> FloatArray:
     for k, value in enumerate(white):
         level = memory * level + value
         forces[k] = level
-    size: FloatArray = np.array([40.0, 25.0]) * np.sqrt(1 - memory**2)
+    size: FloatArray = np.array([40, 25]) * np.sqrt(1 - memory**2)
     return forces * size
 
 
 def _assurance(first: ComplexArray, second: ComplexArray) -> float:
     return float(abs(np.vdot(first, second)) ** 2 / (np.vdot(first, first).real * np.vdot(second, second).real))
-
-
-HALF_WIDTH = 0.4
-"""Of a floor [m]."""
 
 
 def demo_geometry() -> Geometry:
@@ -264,16 +287,16 @@ def demo_geometry() -> Geometry:
         >>> geometry.n_nodes, [sensor.name for sensor in geometry.sensors]
         (24, ['floor_1', 'floor_2', 'floor_3', 'floor_4', 'roof'])
     """
-    corners = HALF_WIDTH * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    levels = [tuple(range(4 * level, 4 * level + 4)) for level in range(N_STOREYS + 1)]
+    corners = TOWER.half_width * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    levels = [tuple(range(4 * level, 4 * level + 4)) for level in range(TOWER.n_storeys + 1)]
     return Geometry(
-        node_names=tuple(f"{level}{corner}" for level in range(N_STOREYS + 1) for corner in range(1, 5)),
-        positions=np.array([[x, y, level * STOREY_HEIGHT] for level in range(N_STOREYS + 1) for x, y in corners]),
+        node_names=tuple(f"{level}{corner}" for level in range(TOWER.n_storeys + 1) for corner in range(1, 5)),
+        positions=np.array([[x, y, level * TOWER.height] for level in range(TOWER.n_storeys + 1) for x, y in corners]),
         lines=(*(tuple(column) for column in zip(*levels, strict=True)), *((*floor, floor[0]) for floor in levels[1:])),
         surfaces=tuple(levels[1:]),
         sensors=tuple(
             Sensor(name=name, node=floor[0], direction=np.array([1.0, 0.0, 0.0]))
-            for name, floor in zip(OUTPUT_NAMES[:N_STOREYS], levels[1:], strict=True)
+            for name, floor in zip(OUTPUT_NAMES[: TOWER.n_storeys], levels[1:], strict=True)
         ),
         fixed=levels[0],
         rigid=tuple(levels[1:]),

@@ -30,7 +30,7 @@ import numpy as np
 
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.results import Diagnosis
-from modal.examples.story import options, parameter, shrinking, write_when_asked
+from modal.examples.story import parameter, shrinking, tell
 from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
@@ -38,12 +38,6 @@ from okid.record import Record
 
 __all__ = ["Frame", "linear_model", "main", "measured_record", "study", "summary"]
 
-DT = 1 / 256
-"""Time between samples [s]."""
-BAND, N_LINES = (0.5, 25.0), 120
-"""Of the shaker [Hz], and the number of sines that make its random force."""
-ACCELEROMETER_NOISE = 0.02
-"""Standard deviation [m/s^2]."""
 STOREYS = ("storey_1", "storey_2", "storey_3")
 FLOORS = ("floor_1", "floor_2", "floor_3")
 TOP = 2
@@ -62,14 +56,22 @@ class Frame:
         loose: number of the storey with the loose joint, from 0.
         brace: stiffness of its brace [N/m].
         play: of the joint, either way [m].
+        band: of the shaker [Hz].
+        n_lines: number of the sines that make its random force.
+        noise: standard deviation of the accelerometers [m/s^2].
+        dt: time between samples [s].
     """
 
-    masses: tuple[float, ...] = (25.0, 25.0, 20.0)
-    stiffnesses: tuple[float, ...] = (60e3, 60e3, 60e3)
-    dampings: tuple[float, ...] = (25.0, 22.0, 20.0)
+    masses: tuple[float, ...] = (25, 25, 20)
+    stiffnesses: tuple[float, ...] = (60_000, 60_000, 60_000)
+    dampings: tuple[float, ...] = (25, 22, 20)
     loose: int = 1
-    brace: float = 30e3
+    brace: float = 30_000
     play: float = 1e-3
+    band: tuple[float, float] = (0.5, 25)
+    n_lines: int = 120
+    noise: float = 0.02
+    dt: float = 1 / 256
 
     def acceleration(self, displacement: FloatArray, velocity: FloatArray, force: float) -> FloatArray:
         """(3,) accelerations of the floors [m/s^2] under a force on the top floor."""
@@ -125,7 +127,7 @@ def measured_record(
     """
     from scipy.integrate import solve_ivp
 
-    shaker, time = _shaker(rng, level), DT * np.arange(n_samples)
+    shaker, time = _shaker(frame, rng, level), frame.dt * np.arange(n_samples)
     start = level * np.concatenate([1e-5 * rng.standard_normal(3), 5e-4 * rng.standard_normal(3)])
     run = solve_ivp(
         lambda t, s: np.concatenate([s[3:], frame.acceleration(s[:3], s[3:], shaker(t))]),
@@ -133,7 +135,7 @@ def measured_record(
         start,
         method="DOP853",
         t_eval=time,
-        max_step=DT,
+        max_step=frame.dt,
         rtol=1e-8,
         atol=1e-11,
     )
@@ -141,8 +143,8 @@ def measured_record(
     outputs = np.array([frame.acceleration(s[:3], s[3:], f) for s, f in zip(run.y.T, forces, strict=True)])
     return Record(
         forces,
-        outputs + ACCELEROMETER_NOISE * rng.standard_normal(outputs.shape),
-        DT,
+        outputs + frame.noise * rng.standard_normal(outputs.shape),
+        frame.dt,
         input_names=("shaker",),
         output_names=FLOORS,
         input_units=("N",),
@@ -152,11 +154,11 @@ def measured_record(
     )
 
 
-def _shaker(rng: np.random.Generator, level: float) -> Callable[[float], float]:
+def _shaker(frame: Frame, rng: np.random.Generator, level: float) -> Callable[[float], float]:
     """A random force of the level that is known between the samples too: sines of random frequency and phase."""
-    pulses = 2 * np.pi * rng.uniform(*BAND, N_LINES)
-    phases = rng.uniform(0.0, 2 * np.pi, N_LINES)
-    size = level * np.sqrt(2 / N_LINES)
+    pulses = 2 * np.pi * rng.uniform(*frame.band, frame.n_lines)
+    phases = rng.uniform(0.0, 2 * np.pi, frame.n_lines)
+    size = level * np.sqrt(2 / frame.n_lines)
     return lambda t: float(size * np.sin(pulses * t + phases).sum())
 
 
@@ -168,7 +170,7 @@ def study(frame: Frame, rng: np.random.Generator, *, n_samples: int = 2048) -> D
         rng: where the records come from.
         n_samples: of each record.
     """
-    levels = (("quiet", 8.0), ("medium", 25.0), ("loud", 70.0), ("held out", 45.0))
+    levels = (("quiet", 8), ("medium", 25), ("loud", 70), ("held out", 45))
     *fit, held_out = (
         measured_record(frame, rng, level=level, name=name, n_samples=n_samples) for name, level in levels
     )
@@ -191,36 +193,28 @@ def summary(frame: Frame, diagnosis: Diagnosis) -> str:
         storey = next(one for one in diagnosis.calibrated if one.name == f"stiffness of {found[0].where}")
         tight = frame.stiffnesses[frame.loose]
         rows = (
-            ("play either way [mm]", 1e3 * play, 1e3 * play_std, 1e3 * frame.play),
-            ("stiffness of the brace [kN/m]", (outer - inner) / 1e3, inner_std / 1e3, frame.brace / 1e3),
-            ("storey within play [kN/m]", (storey.value + inner) / 1e3, np.nan, (tight - frame.brace) / 1e3),
-            ("storey beyond play [kN/m]", (storey.value + outer) / 1e3, storey.std / 1e3, tight / 1e3),
+            ("play either way [mm]", 1000, (play, play_std, frame.play)),
+            ("stiffness of the brace [kN/m]", 1 / 1000, (outer - inner, inner_std, frame.brace)),
+            ("storey within play [kN/m]", 1 / 1000, (storey.value + inner, np.nan, tight - frame.brace)),
+            ("storey beyond play [kN/m]", 1 / 1000, (storey.value + outer, storey.std, tight)),
         )
         lines.append(f"loose joint in {found[0].where}, hidden in {STOREYS[frame.loose]}")
-        lines += [
-            f"  {name:<30} found {value:.4f}{'' if np.isnan(std) else f' +- {std:.4f}'}, hidden {truth:.4f}"
-            for name, value, std, truth in rows
-        ]
+        for name, scale, values in rows:
+            value, std, truth = (scale * number for number in values)
+            within = "" if np.isnan(std) else f" +- {std:.4f}"
+            lines.append(f"  {name:<30} found {value:.4f}{within}, hidden {truth:.4f}")
     return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Tell the story; write the report and the recording where that is asked for.
-
-    Args:
-        arguments: of the command line, its own unless given.
-
-    Returns:
-        0 when an effect was named, 1 otherwise.
-    """
-    parser = options("modal.examples.loose_joint", "A frame's loose joint, found from floor accelerations.")
-    given = parser.parse_args(arguments)
+    """Tell the story; arguments and exit status as in `modal.examples.story.tell`."""
     frame = Frame()
-    diagnosis = study(frame, np.random.default_rng(given.seed))
-    print(summary(frame, diagnosis))
-    for line in write_when_asked(diagnosis, given.output):
-        print(line)
-    return 0 if diagnosis.status == "named" else 1
+    return tell(
+        "A frame's loose joint, found from floor accelerations.",
+        arguments,
+        study=lambda rng: study(frame, rng),
+        summary=lambda diagnosis: summary(frame, diagnosis),
+    )
 
 
 if __name__ == "__main__":

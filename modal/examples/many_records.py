@@ -27,6 +27,7 @@ References:
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,26 +36,42 @@ from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.source import summary_of
 from modal.comparison.words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
+from modal.examples.story import print_written
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
-from okid.errors import IdentificationError
 from okid.record import Record
 
-__all__ = ["Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
+__all__ = ["ACROSS", "ROW", "ModuleRow", "Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
 
-DT = 1 / 128
-"""Time between samples [s]."""
-N_MODULES = 4
-MASS, JOINT_STIFFNESS = 50.0, 500e3
-"""[kg], [N/m]."""
-LOOSENED, LOSS = 2, 0.01
-"""The joint whose bolt was loosened, counted from 0 at the left wall, and the share of stiffness that it lost."""
-ACROSS = np.eye(N_MODULES + 1, N_MODULES) - np.eye(N_MODULES + 1, N_MODULES, k=-1)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModuleRow:
+    """Four modules between two walls, and how they are tested.
+
+    Attributes:
+        n_modules: number of modules; there is one joint more.
+        mass: of a module [kg].
+        stiffness: of a joint [N/m].
+        loosened: the joint whose bolt was loosened, counted from 0 at the left wall.
+        loss: share of stiffness that it lost.
+        levels: of the shaker on the three days [N].
+        dt: time between samples [s].
+    """
+
+    n_modules: int = 4
+    mass: float = 50
+    stiffness: float = 500e3
+    loosened: int = 2
+    loss: float = 0.01
+    levels: tuple[float, ...] = (60, 15, 150)
+    dt: float = 1 / 128
+
+
+ROW = ModuleRow()
+ACROSS = np.eye(ROW.n_modules + 1, ROW.n_modules) - np.eye(ROW.n_modules + 1, ROW.n_modules, k=-1)
 """Row e: how far joint e is stretched, from the positions of the modules."""
-LEVELS = (60.0, 15.0, 150.0)
-"""Of the shaker on the three days [N]."""
 
 
 def modules(*, loss: float = 0.0) -> LinearStructure:
@@ -67,14 +84,14 @@ def modules(*, loss: float = 0.0) -> LinearStructure:
         >>> modules().modes()[0].round(2).tolist(), modules(loss=0.01).modes()[0].round(2).tolist()
         ([9.84, 18.71, 25.75, 30.27], [9.84, 18.67, 25.75, 30.21])
     """
-    joints = np.full(N_MODULES + 1, JOINT_STIFFNESS)
-    joints[LOOSENED] *= 1 - loss
+    joints = np.full(ROW.n_modules + 1, ROW.stiffness)
+    joints[ROW.loosened] *= 1 - loss
     return LinearStructure(
-        mass=MASS * np.eye(N_MODULES),
+        mass=ROW.mass * np.eye(ROW.n_modules),
         stiffness=ACROSS.T @ np.diag(joints) @ ACROSS,
         damping_ratio=0.008,
-        force_map=np.eye(N_MODULES)[:, :1],
-        sensor_map=np.eye(N_MODULES),
+        force_map=np.eye(ROW.n_modules)[:, :1],
+        sensor_map=np.eye(ROW.n_modules),
     )
 
 
@@ -91,23 +108,23 @@ def records_of(structure: LinearStructure, rng: np.random.Generator, *, n_sample
         ['day 1', 'day 2', 'day 3']
     """
     records = []
-    for day, level in enumerate(LEVELS, start=1):
+    for day, level in enumerate(ROW.levels, start=1):
         forces = random_forces(rng, n_samples, np.array([level]))
         start = level * np.concatenate([1e-6 * rng.standard_normal(4), 1e-4 * rng.standard_normal(4)])
-        outputs = structure.accelerations(forces, DT, start)
+        outputs = structure.accelerations(forces, ROW.dt, start)
         outputs += outputs.std(axis=0) * (0.1 * rng.standard_normal(outputs.shape) + 0.3 * rng.uniform(-1, 1, 4))
-        for channel in rng.integers(N_MODULES, size=2):  # a loose plug
+        for channel in rng.integers(ROW.n_modules, size=2):  # a loose plug
             lost = rng.integers(n_samples // 8, 7 * n_samples // 8)
             outputs[lost : lost + rng.integers(2, 12), channel] = np.nan
         records.append(
             Record(
                 forces,
                 outputs,
-                DT,
+                ROW.dt,
                 input_names=("shaker",),
-                output_names=tuple(f"module_{i + 1}" for i in range(N_MODULES)),
+                output_names=tuple(f"module_{i + 1}" for i in range(ROW.n_modules)),
                 input_units=("N",),
-                output_units=("m/s^2",) * N_MODULES,
+                output_units=("m/s^2",) * ROW.n_modules,
                 input_hold="zero_order",
                 name=f"day {day}",
             )
@@ -171,7 +188,7 @@ def summary(comparison: Comparison) -> str:
     lines = [comparison_headline(comparison), *(f"  {pair_sentence(pair)}" for pair in comparison.pairs)]
     lines.append(
         f"joint {best.joint + 1} lost {100 * best.loss:.2f} ± {196 * best.loss_std:.2f} % of its stiffness; hidden: "
-        f"joint {LOOSENED + 1}, {100 * LOSS:.2f} %"
+        f"joint {ROW.loosened + 1}, {100 * ROW.loss:.2f} %"
     )
     lines.append(
         f"  what it leaves of the shifts is {best.misfit:.1f} of their standard deviations; the next best, joint "
@@ -191,24 +208,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = sys.argv[1:] if arguments is None else list(arguments)
     rng = np.random.default_rng(1)
-    states = [records_of(modules(loss=loss), rng) for loss in (0.0, LOSS)]
+    states = [records_of(modules(loss=loss), rng) for loss in (0.0, ROW.loss)]
     before, after = (identify(records) for records in states)
     comparison = compared(before, after)
     print(summary(comparison))
     for folder in map(Path, given[:1]):
-        for line in _written(folder, before, after, comparison):
-            print(line)
+        print_written(partial(_written, folder, before, after, comparison))
     return 0 if comparison.changed else 1
 
 
-def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> Sequence[str]:
-    """The comparison as pages and both results, a sentence a file, or why there are none."""
-    try:
-        paths = [write_comparison(comparison, folder).html]
-        paths += [result.save(folder / f"{name}.npz") for name, result in (("before", before), ("after", after))]
-    except IdentificationError as error:
-        return [f"not written: {error}"]
-    return [f"written: {path}" for path in paths]
+def _written(folder: Path, before: Identification, after: Identification, comparison: Comparison) -> list[Path]:
+    """The comparison as pages, and both results."""
+    page = write_comparison(comparison, folder).html
+    return [page, before.save(folder / "before.npz"), after.save(folder / "after.npz")]
 
 
 if __name__ == "__main__":

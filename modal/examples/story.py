@@ -1,8 +1,10 @@
-"""What the two stories of a missing effect share: the options of their commands and how they tell what was found."""
+"""What the stories share: the command of a missing effect, how it is told, and a line for each file written."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.report.writing import write_report
@@ -10,20 +12,47 @@ from modal.sections.discrepancy_values import step_text
 from modal.wording.numbers import times_floor_text
 from okid.errors import IdentificationError, InvalidDataError
 
-__all__ = ["options", "parameter", "shrinking", "write_when_asked"]
+__all__ = ["parameter", "print_written", "shrinking", "tell"]
 
 
-def options(module: str, what: str) -> argparse.ArgumentParser:
-    """The option that both stories have: a folder for the report.
+def tell(
+    what: str,
+    arguments: Sequence[str] | None,
+    *,
+    study: Callable[[np.random.Generator], Diagnosis],
+    summary: Callable[[Diagnosis], str],
+) -> int:
+    """Diagnose, print what was found beside what was hidden, and write the report where that is asked for.
 
     Args:
-        module: as after `python -m`.
         what: the story, one sentence.
+        arguments: of the command line, its own unless given.
+        study: makes the records and diagnoses them.
+        summary: of the diagnosis in words.
+
+    Returns:
+        0 when an effect was named, 1 otherwise.
     """
-    parser = argparse.ArgumentParser(prog=f"python -m {module}", description=what)
+    parser = argparse.ArgumentParser(description=what)
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write the report and the recording into DIR")
     parser.add_argument("--seed", type=int, default=1, help="of the noise, the excitation and the starts (default 1)")
-    return parser
+    given = parser.parse_args(arguments)
+    diagnosis = study(np.random.default_rng(given.seed))
+    print(summary(diagnosis))
+    if given.output is not None:
+        print_written(lambda: write_report(diagnosis, given.output))
+    return 0 if diagnosis.status == "named" else 1
+
+
+def print_written(write: Callable[[], Iterable[Path]]) -> None:
+    """A line for each file that was written, or why there is none."""
+    try:
+        paths = list(write())
+    except IdentificationError as error:
+        print(f"not written: {error}")
+    else:
+        for path in paths:
+            print(f"written: {path}")
 
 
 def parameter(diagnosis: Diagnosis, effect: str, name: str) -> tuple[float, float]:
@@ -51,13 +80,3 @@ def shrinking(diagnosis: Diagnosis) -> str:
     width = max(map(len, names))
     lines = (f"  {name:<{width}}  {size:>8}" for name, size in zip(names, sizes, strict=True))
     return "\n".join(["gap on held-out data, times the noise floor:", *lines])
-
-
-def write_when_asked(diagnosis: Diagnosis, folder: Path | None) -> Sequence[str]:
-    """Report, recording and model in the folder, if there is one; a sentence a file, or why there are none."""
-    if folder is None:
-        return ()
-    try:
-        return [f"written: {path}" for path in write_report(diagnosis, folder)]
-    except IdentificationError as error:
-        return [f"not written: {error}"]

@@ -77,6 +77,10 @@ __all__ = [
 ]
 
 
+WIDE = (10, 3.6)
+"""Draw two charts side by side at this width and height [inch]."""
+
+
 def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
     """Why a perfect fit proves nothing: the full-order model on its own samples, and just beyond them.
 
@@ -85,7 +89,7 @@ def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
         n_beyond: how many samples to go beyond those that were fitted.
     """
     n_fitted = len(short.samples)
-    figure = grid_of(1, 2, size=(10, 3.6))
+    figure = grid_of(1, 2, size=WIDE)
     inside, beyond = figure.panels
     tick = short.truth.dt * np.arange(n_fitted + n_beyond)
     clean = pulse_response(short.truth.model(), len(tick))
@@ -113,7 +117,7 @@ def draw_pareto(result: "Study") -> Chart:
     """
     shares = result.shares
     number = np.arange(1.0, len(shares.singular_values) + 1.0)
-    figure = grid_of(1, 2, size=(10, 3.6))
+    figure = grid_of(1, 2, size=WIDE)
     left, right = figure.panels
     left.polygons(
         _bars(number, shares.singular_values / shares.singular_values[0]), "noise", opacity=1, label="singular value"
@@ -169,7 +173,7 @@ def draw_responses(result: "Study") -> Chart:
     """
     n_samples = len(result.samples)
     tick = result.truth.dt * np.arange(n_samples)
-    figure = grid_of(1, 2, size=(10, 3.6))
+    figure = grid_of(1, 2, size=WIDE)
     pulse, step = figure.panels
     for panel, answer, measured in (
         (pulse, pulse_response, result.samples),

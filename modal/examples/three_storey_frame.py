@@ -19,6 +19,8 @@ the report with its recording.
 import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,29 +29,50 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
 from modal.examples.linear_structure import LinearStructure, random_forces
+from modal.examples.story import print_written
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
 from okid.arrays import FloatArray
-from okid.errors import IdentificationError
 from okid.record import Record
 
-__all__ = ["TEST_FILE", "frame", "main", "measured_record", "study", "summary", "truth"]
+__all__ = ["PARTS", "TEST_FILE", "Parts", "frame", "main", "measured_record", "study", "summary", "truth"]
 
-DT = 0.005
-"""Time between samples [s]."""
-N_FLOORS = 3
-WIDTH, DEPTH, STOREY_HEIGHT = 0.4, 0.3, 0.35
-"""[m] along X, Y and Z."""
-FLOOR_MASS, FAN_MASS = 8.0, 0.8
-"""[kg]; the fan stands over node 33."""
-STIFFNESS_X, STIFFNESS_Y = 40e3, 56e3
-"""Of the four columns of a storey together [N/m]."""
 SENSORS = ("11X+", "11Y+", "13Y-", "21X+", "21Y+", "23Y-", "31X+", "31Y+", "33Y-")
 SHAKERS = ("32X+", "23Y+")
 CORNERS = {1: (-1, -1), 2: (1, -1), 3: (1, 1), 4: (-1, 1)}
 """Which way each corner lies from the middle of its floor; the last figure of a node's name."""
 TEST_FILE = Path(__file__).with_suffix(".toml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """What the frame is made of.
+
+    Attributes:
+        n_floors: number of floors.
+        width: along X [m].
+        depth: along Y [m].
+        height: of a storey [m].
+        mass: of a floor [kg].
+        fan: mass of the fan, which stands over node 33 [kg].
+        stiffness_x: of the four columns of a storey together [N/m].
+        stiffness_y: the same along Y [N/m].
+        dt: time between samples [s].
+    """
+
+    n_floors: int = 3
+    width: float = 0.4
+    depth: float = 0.3
+    height: float = 0.35
+    mass: float = 8
+    fan: float = 0.8
+    stiffness_x: float = 40_000
+    stiffness_y: float = 56_000
+    dt: float = 0.005
+
+
+PARTS = Parts()
 
 
 def frame() -> LinearStructure:
@@ -60,15 +83,17 @@ def frame() -> LinearStructure:
         [4.87, 5.76, 9.05, 13.82, 16.36, 20.18, 23.87, 26.22, 38.95]
     """
     # columns in the corners: what they do against twist follows from where they stand
-    twist = STIFFNESS_X * (DEPTH / 2) ** 2 + STIFFNESS_Y * (WIDTH / 2) ** 2
-    storeys = 2 * np.eye(N_FLOORS) - np.eye(N_FLOORS, k=1) - np.eye(N_FLOORS, k=-1)
+    twist = PARTS.stiffness_x * (PARTS.depth / 2) ** 2 + PARTS.stiffness_y * (PARTS.width / 2) ** 2
+    storeys = 2 * np.eye(PARTS.n_floors) - np.eye(PARTS.n_floors, k=1) - np.eye(PARTS.n_floors, k=-1)
     storeys[-1, -1] = 1.0
-    floor = np.diag([FLOOR_MASS, FLOOR_MASS, FLOOR_MASS * (WIDTH**2 + DEPTH**2) / 12])
-    mass = np.kron(np.eye(N_FLOORS), floor)
+    floor = np.diag([PARTS.mass, PARTS.mass, PARTS.mass * (PARTS.width**2 + PARTS.depth**2) / 12])
+    mass = np.kron(np.eye(PARTS.n_floors), floor)
     fan = np.array([_reading("33X+"), _reading("33Y+")])
     return LinearStructure(
-        mass=mass + FAN_MASS * fan.T @ fan,
-        stiffness=np.asarray(np.kron(storeys, np.diag([STIFFNESS_X, STIFFNESS_Y, twist])), dtype=np.float64),
+        mass=mass + PARTS.fan * fan.T @ fan,
+        stiffness=np.asarray(
+            np.kron(storeys, np.diag([PARTS.stiffness_x, PARTS.stiffness_y, twist])), dtype=np.float64
+        ),
         damping_ratio=0.008,
         force_map=np.stack([_reading(name) for name in SHAKERS], axis=1),
         sensor_map=np.stack([_reading(name) for name in SENSORS]),
@@ -83,7 +108,7 @@ def truth() -> DemoTruth:
         damping_ratios=np.full(len(frequencies), frame().damping_ratio),
         shapes=shapes.astype(np.complex128),
         output_names=SENSORS,
-        heights=STOREY_HEIGHT * np.array([float(name[0]) for name in SENSORS]),
+        heights=PARTS.height * np.array([float(name[0]) for name in SENSORS]),
     )
 
 
@@ -101,11 +126,11 @@ def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: f
     """
     forces = random_forces(rng, n_samples, np.array([20.0, 15.0]))
     start = np.concatenate([1e-4 * rng.standard_normal(9), 5e-3 * rng.standard_normal(9)])
-    outputs = frame().accelerations(forces, DT, start)
+    outputs = frame().accelerations(forces, PARTS.dt, start)
     return Record(
         forces,
         outputs + noise * outputs.std(axis=0) * rng.standard_normal(outputs.shape),
-        DT,
+        PARTS.dt,
         input_names=tuple(f"force {name}" for name in SHAKERS),
         output_names=SENSORS,
         input_units=("N",) * len(SHAKERS),
@@ -118,8 +143,8 @@ def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: f
 def _reading(name: str) -> FloatArray:
     """(9,) motion at a node and along an axis such as 33Y-, from sway and twist of its floor (small angles)."""
     side_x, side_y = CORNERS[int(name[1])]
-    along = {"X": (1.0, 0.0, -side_y * DEPTH / 2), "Y": (0.0, 1.0, side_x * WIDTH / 2)}[name[2]]
-    reading = np.zeros(3 * N_FLOORS)
+    along = {"X": (1.0, 0.0, -side_y * PARTS.depth / 2), "Y": (0.0, 1.0, side_x * PARTS.width / 2)}[name[2]]
+    reading = np.zeros(3 * PARTS.n_floors)
     first = 3 * (int(name[0]) - 1)
     reading[first : first + 3] = along
     return -reading if name[3] == "-" else reading
@@ -170,24 +195,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result, specification, outcomes = study(record)
     print(summary(compare_with_truth(truth(), result.modes), outcomes))
     for folder in map(Path, given[:1]):
-        for line in _written(folder, record, result, specification):
-            print(line)
+        print_written(partial(_written, folder, record, result, specification))
     return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
-def _written(folder: Path, record: Record, result: Identification, specification: Specification) -> Sequence[str]:
-    """Report, measured file and test file, a sentence a file, or why there are none."""
-    try:
-        paths = [*write_report(result, folder, specification=specification)]
-    except IdentificationError as error:
-        return [f"not written: {error}"]
+def _written(folder: Path, record: Record, result: Identification, specification: Specification) -> list[Path]:
+    """Report, measured file and test file."""
+    paths = [*write_report(result, folder, specification=specification), folder / "frame.csv", folder / TEST_FILE.name]
     units = record.input_units + record.output_units
     header = [f"{name} [{unit}]" for name, unit in zip(record.input_names + record.output_names, units, strict=True)]
     table = np.hstack([record.time[:, None], record.inputs, record.outputs])
-    paths += [folder / "frame.csv", folder / TEST_FILE.name]
     np.savetxt(paths[-2], table, fmt="%.6g", delimiter=",", header=",".join(["time [s]", *header]), comments="")
     shutil.copyfile(TEST_FILE, paths[-1])
-    return [f"written: {path}" for path in paths]
+    return paths
 
 
 if __name__ == "__main__":

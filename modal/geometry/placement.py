@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 SPACING: Final = 0.7
-"""Between the lines of two units; a line is 2 long."""
+"""Draw the lines of two units so far apart; a line is 2 long."""
 
 _UP: Final = (0.0, 0.0, 1.0)
 
@@ -128,7 +128,7 @@ ROTATION: Final = {"rad": 0, "rad/s": 1, "rad/s^2": 2}
 """Number of times that each unit of motion is derived by time."""
 
 LISTED: Final = 8
-"""Names that a sentence lists; the others it counts."""
+"""List so many names in a sentence and count the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

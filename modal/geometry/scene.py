@@ -1,8 +1,4 @@
-"""What is drawn of a structure, in lengths of the picture: nodes around the middle, lines as segments, reach of motion.
-
-A picture must stay light whatever comes: of many segments, those that can move are kept first.
-
-From where to look at a structure so that its extent and its motion are both seen.
+"""A structure as it is drawn: nodes around the middle, lines as segments, reach of motion, and from where to look.
 
 Seen along the unit vector d, the plane of two axes i and j shows the share |d_k| of its area (k the third axis). With
 weights w_k of the planes, the product of all shares to the power of their weights is largest at
@@ -13,15 +9,10 @@ weights w_k of the planes, the product of all shares to the power of their weigh
 from the front, a plate from above, a tower that moves in X and Y over its corner, a building like a box; a little less
 from the right than that, since along a diagonal corners hide one another.
 
-How far a shape is from real: its components in the complex plane, and what their phases say in words.
-
 The components of a real mode lie on one line through 0: all sensors reach their extremes together. Phase collinearity
-(1 on a line) and mean phase deviation (degrees from it) measure that; with few sensors both say little.
-
-Shapes whose components are of one kind, so that an assurance does not hang on what was measured in which unit.
-
-For a mode with pole s, velocity is s and acceleration s^2 times displacement. Where the outputs are displacements,
-velocities and accelerations together, dividing by that power makes displacements of all of them, whatever the units.
+(1 on a line) and mean phase deviation (degrees from it) measure that; with few sensors both say little. For a mode with
+pole s, velocity is s and acceleration s^2 times displacement: where the outputs are of several of these kinds, dividing
+by that power makes displacements of all of them, so that an assurance does not hang on what was measured in which unit.
 """
 
 from collections.abc import Sequence
@@ -49,18 +40,33 @@ __all__ = [
     "scene_of",
 ]
 
-MOTION: Final = 0.45
-"""Weight of the motion along an axis, as a share of that of the largest extent."""
 
-LEAST: Final = 0.07
-"""Weight of an axis without extent or motion: enough for a picture to look like one of space."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """How a structure is looked at, and how far it is drawn to move.
 
-ASIDE: Final = 0.72
-"""Share of the way to the right that is gone: along a diagonal, corners and columns would hide one another."""
+    Attributes:
+        motion: weight of the motion along an axis, as a share of that of the largest extent.
+        least: weight of an axis without extent or motion: enough for a picture to look like one of space.
+        aside: share of the way to the right that is gone: along a diagonal, corners and columns would hide one another.
+        lowest: sine of the least height of the eye above the ground.
+        highest: the same of the greatest height.
+        reach: largest motion, in half the largest extent of the structure.
+        slender_reach: the same for a structure that is a line, whose picture is low otherwise.
+        slender: second largest extent over the largest, up to which a structure is a line.
+    """
 
-LOWEST: Final = 0.16
-HIGHEST: Final = 0.62
-"""Sine of the least and greatest height of the eye above the ground."""
+    motion: float = 0.45
+    least: float = 0.07
+    aside: float = 0.72
+    lowest: float = 0.16
+    highest: float = 0.62
+    reach: float = 0.34
+    slender_reach: float = 0.5
+    slender: float = 0.25
+
+
+VIEW: Final = View()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -101,14 +107,14 @@ def chosen_eye(placement: Placement) -> Eye:
     for block in placement.motions.blocks:
         # how far each axis moves when every sensor of the block reads 1
         seen = np.maximum(seen, np.linalg.norm(block.matrix, axis=2).max(axis=0))
-    of_motion = MOTION * np.minimum(seen, 1.0)
-    size = np.maximum(np.hypot(of_extent, of_motion), LEAST)
+    of_motion = VIEW.motion * np.minimum(seen, 1.0)
+    size = np.maximum(np.hypot(of_extent, of_motion), VIEW.least)
     planes = np.array([size[1] * size[2], size[2] * size[0], size[0] * size[1]])
-    return _eye(np.sqrt(planes / planes.sum()) * [ASIDE, -1.0, 1.0])
+    return _eye(np.sqrt(planes / planes.sum()) * [VIEW.aside, -1.0, 1.0])
 
 
 def _eye(towards: FloatArray) -> Eye:
-    height = float(np.clip(towards[2], LOWEST, HIGHEST))
+    height = float(np.clip(towards[2], VIEW.lowest, VIEW.highest))
     level = towards[:2] / np.linalg.norm(towards[:2])
     towards = np.array([*(level * np.sqrt(1.0 - height**2)), height])
     right = np.array([-level[1], level[0], 0.0])
@@ -116,15 +122,6 @@ def _eye(towards: FloatArray) -> Eye:
 
 
 IndexArray = npt.NDArray[np.intp]
-
-REACH: Final = 0.34
-"""Largest motion, in half the largest extent of the structure."""
-
-SLENDER_REACH: Final = 0.5
-"""The same for a structure that is a line, whose picture is low otherwise."""
-
-SLENDER: Final = 0.25
-"""Second largest extent over the largest, up to which a structure is a line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -177,7 +174,7 @@ def scene_of(placement: Placement) -> Scene:
         segments=_segments(geometry.lines),
         triangles=_triangles(geometry.surfaces),
         moving=moving,
-        reach=SLENDER_REACH if extent[1] <= SLENDER * extent[2] else REACH,
+        reach=VIEW.slender_reach if extent[1] <= VIEW.slender * extent[2] else VIEW.reach,
         eye=chosen_eye(placement),
     )
 
@@ -225,11 +222,13 @@ def _evenly(indices: IndexArray, most: int) -> IndexArray:
 
 
 REAL_COLLINEARITY: Final = 0.95
+"""Call a shape nearly real from this phase collinearity."""
+
 REAL_DEVIATION: Final = 10.0
-"""From this phase collinearity and up to this mean phase deviation [deg] a shape is called nearly real."""
+"""Call a shape nearly real up to this mean phase deviation [deg]."""
 
 MIXED_COLLINEARITY: Final = 0.5
-"""Below this, no phase is common: a random shape of three sensors reaches it on average."""
+"""Say that no phase is common below this one: a random shape of three sensors reaches it on average."""
 
 
 def phasors(mode: Mode, output_units: Sequence[str]) -> ComplexArray:

@@ -1,27 +1,7 @@
 """Where a structure is measured: nodes, the lines between them, and which way each sensor looks.
 
 A geometry knows nothing of a record; names tie the two together. A channel belongs to the sensor of its name, or, where
-there is none, to the node and axis that its name states (`modal.geometry.sensors`: `12X+`).
-
-Motion is drawn where it was seen and nowhere else. At a node, the sensors' directions d_i and readings y_i give the
-motion of least size that repeats them, v = D^+ y; across their span it is not known and stays zero. Only what the
-geometry itself declares is carried further: nodes of one rigid body (`modal.geometry.sensors`).
-
-From what sensors saw to how nodes move: least squares at each node, and over each rigid body.
-
-A node with sensors of directions d_i and readings y_i moves by v with d_i' v = y_i: the least-squares solution of least
-size, so nothing is made up across the span of the directions. Directions within about 6 degrees of one another count as
-one: their difference would be mostly noise.
-
-A rigid body moves by t + r x (p - c). Readings at its nodes p_i give
-
-    d_i' t + ((p_i - c) x d_i)' r = y_i    and, for a rotation about d_i,    d_i' r = y_i .
-
-Translation comes first: of all solutions that fit equally well, the one with the least rotation r (so one sensor in X
-and one in Y, wherever they are, move the body without turning it), and of these the one with the least t.
-With A t + B r = y and the projection P = 1 - A A^+:  r = (P B)^+ P y,  t = A^+ (y - B r).
-
-Names of degrees of freedom as test engineers write them: a node, an axis, a sign.
+there is none, to the node and axis that its name states, as test engineers write them: a node, an axis, a sign.
 
     12X+  12+X  12X  12x-  plate:3:+Z  plate:3Z  tip Z  tip_z+  tip.Z-  3RX+ (a rotation)  12X+ Acceleration
 
@@ -30,6 +10,18 @@ axis or right after it, never both; without one it is plus. A minus before the a
 negative X. After a node that ends in a letter, one of `: . _` or a space or a sign parts it from the axis, so that
 `max` and `flux` name no direction; after a digit none is needed. Words after a space, as the universal file reader adds
 them to tell channels apart, are passed over where the name before them has a sign.
+
+Motion is drawn where it was seen and nowhere else. A node with sensors of directions d_i and readings y_i moves by v
+with d_i' v = y_i: the least-squares solution of least size, v = D^+ y, so nothing is made up across the span of the
+directions. Directions within about 6 degrees of one another count as one: their difference would be mostly noise. Only
+what the geometry itself declares is carried further: a rigid body moves by t + r x (p - c), and readings at its nodes
+p_i give
+
+    d_i' t + ((p_i - c) x d_i)' r = y_i    and, for a rotation about d_i,    d_i' r = y_i .
+
+Translation comes first: of all solutions that fit equally well, the one with the least rotation r (so one sensor in X
+and one in Y, wherever they are, move the body without turning it), and of these the one with the least t.
+With A t + B r = y and the projection P = 1 - A A^+:  r = (P B)^+ P y,  t = A^+ (y - B r).
 """
 
 import re
@@ -55,13 +47,14 @@ __all__ = [
     "dof_of",
     "motion_of",
     "node_numbers",
+    "quoted",
 ]
 
 Motion = Literal["along", "about"]
 """What a sensor sees: translation along its direction, or rotation about it."""
 
 LONGEST: Final = 200
-"""Letters of a name that is read at all; longer ones name no degree of freedom."""
+"""Take a name of more letters for one that names no degree of freedom."""
 
 _AXES: Final = "XYZ"
 _NAME: Final = re.compile(
@@ -121,7 +114,7 @@ def dof_of(name: str) -> Dof | None:
 
 
 RESOLVED: Final = 0.05
-"""Singular values below this share of the largest are not used: two directions less than 5.7 degrees apart are one."""
+"""Leave out singular values below this share of the largest: two directions less than 5.7 degrees apart are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -248,11 +241,16 @@ def _inverse_above(matrix: FloatArray, least: float) -> FloatArray:
 
 
 MOST_NODES: Final = 50_000
+"""Refuse a geometry of more nodes: no viewer turns it smoothly."""
+
 MOST_PLACES: Final = 400_000
-"""Places in all lines, surfaces and bodies together."""
+"""Refuse more places in all lines, surfaces and bodies together."""
+
 MOST_SENSORS: Final = 8192
+"""Refuse more sensors."""
+
 FURTHEST: Final = 1e9
-"""Largest coordinate [m]: beyond it, numbers are no positions of one structure."""
+"""Refuse a larger coordinate [m]: beyond it, numbers are no positions of one structure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -275,11 +273,11 @@ class Sensor:
     motion: Motion = "along"
 
     def __post_init__(self) -> None:
-        direction = frozen(self.direction, name=f"the direction of sensor {_quoted(self.name)}", shape=(3,))
+        direction = frozen(self.direction, name=f"the direction of sensor {quoted(self.name)}", shape=(3,))
         largest = float(np.abs(direction).max())
         if not largest > 0:
             raise InvalidDataError(
-                f"sensor {_quoted(self.name)} has the direction (0, 0, 0); give the way it looks, such as [1, 0, 0]."
+                f"sensor {quoted(self.name)} has the direction (0, 0, 0); give the way it looks, such as [1, 0, 0]."
             )
         if self.motion not in ("along", "about"):
             raise InvalidDataError(f"a sensor sees motion 'along' or 'about' its direction, but not {self.motion!r}.")
@@ -390,7 +388,8 @@ def _plain_number(text: str) -> str:
     return text.lstrip("0") or "0" if text.isascii() and text.isdigit() else text
 
 
-def _quoted(name: object) -> str:
+def quoted(name: object) -> str:
+    """What a file says as it may stand in a sentence: on one line, short, in quotation marks."""
     return repr(shorten(visible(str(name)), 60))
 
 
@@ -407,7 +406,7 @@ def _check_names(names: tuple[str, ...]) -> None:
         raise InvalidDataError("every node needs a name of at least one visible letter; number them if they have none.")
     if len(set(names)) < len(names):
         twice = next(name for index, name in enumerate(names) if name in names[:index])
-        raise InvalidDataError(f"node {_quoted(twice)} is given twice; name each node once.")
+        raise InvalidDataError(f"node {quoted(twice)} is given twice; name each node once.")
 
 
 def _positions(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
@@ -423,7 +422,7 @@ def _positions(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
     if wrong.size:
         shown = ", ".join(f"{value:.6g}" for value in positions[wrong[0]])
         raise InvalidDataError(
-            f"coordinates must be finite and at most {FURTHEST:g} m, but node {_quoted(names[wrong[0]])} stands at "
+            f"coordinates must be finite and at most {FURTHEST:g} m, but node {quoted(names[wrong[0]])} stands at "
             f"({shown}); correct it."
         )
     return frozen(positions, name="positions")
@@ -450,7 +449,7 @@ def _check_parts(geometry: Geometry) -> None:
     if len(set(held)) < len(held):
         twice = max(set(held), key=held.count)
         raise InvalidDataError(
-            f"node {_quoted(geometry.node_names[twice])} belongs to more than one rigid body, or to one and to fixed; "
+            f"node {quoted(geometry.node_names[twice])} belongs to more than one rigid body, or to one and to fixed; "
             "put it into one of them."
         )
 
@@ -468,9 +467,9 @@ def _check_sensors(geometry: Geometry) -> None:
         raise InvalidDataError(f"a geometry may have {MOST_SENSORS} sensors, but has {len(geometry.sensors)}.")
     names: set[str] = set()
     for sensor in geometry.sensors:
-        _check_indices([sensor.node], geometry.n_nodes, f"sensor {_quoted(sensor.name)}")
+        _check_indices([sensor.node], geometry.n_nodes, f"sensor {quoted(sensor.name)}")
         if sensor.name in names:
             raise InvalidDataError(
-                f"channel {_quoted(sensor.name)} has two sensors; a channel stands in one place, so remove one of them."
+                f"channel {quoted(sensor.name)} has two sensors; a channel stands in one place, so remove one of them."
             )
         names.add(sensor.name)

@@ -11,10 +11,6 @@ in degrees.
 References:
     Structural Dynamics Research Corporation, Universal file datasets; University of Cincinnati, SDRL, Universal File
     Formats for Modal Analysis Testing.
-
-Coordinate systems of a universal file: an origin, three axes, straight or around the third of them.
-
-Numbers on a line of a universal file: Fortran fields of a fixed width, or parted by spaces as many write them.
 """
 
 import math
@@ -39,11 +35,9 @@ __all__ = [
     "whole_numbers",
 ]
 
-WIDTH = 10
 
-
-def whole_numbers(line: str, at_least: int = 0) -> list[int]:
-    """The whole numbers on a line, in fields of ten characters or parted by spaces.
+def whole_numbers(line: str, at_least: int = 0, *, width: int = 10) -> list[int]:
+    """The whole numbers on a line, in fields of `width` characters or parted by spaces.
 
     Raises:
         ValueError: fewer than `at_least`, or a field that is no whole number.
@@ -53,8 +47,8 @@ def whole_numbers(line: str, at_least: int = 0) -> list[int]:
         ([1, 2], [1234567890, 1234567890])
     """
     fields = line.split()
-    if len(fields) < at_least or any(len(field) > WIDTH for field in fields):
-        fields = _cut(line, WIDTH)
+    if len(fields) < at_least or any(len(field) > width for field in fields):
+        fields = _cut(line, width)
     if len(fields) < at_least:
         raise ValueError(f"{len(fields)} whole numbers on a line that has {at_least}")
     try:
@@ -94,7 +88,7 @@ def _cut(line: str, width: int) -> list[str]:
 
 KINDS: Final[tuple[Literal["cartesian", "cylindrical"], ...]] = ("cartesian", "cylindrical")
 ROUND: Final = 1e-3
-"""How far three axes may be from right angles and unit length before they count as damaged."""
+"""Refuse three axes that are further from right angles and unit length: the file is damaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -194,14 +188,19 @@ def _system(label: int, kind: int, origin: FloatArray, axes: FloatArray) -> Coor
 
 
 WANTED: Final = (15, 2411, 781, 82, 2412, 18, 2420, 164)
+"""Read these data sets and pass over all others."""
+
 LONGEST_LINE: Final = 4096
+"""Read a line in pieces of so many bytes."""
+
 MOST_LINES: Final = 1_000_000
-"""Lines of the data sets that are read."""
+"""Refuse a file whose data sets of a geometry have more lines."""
 
 BEAMS: Final = (11, 21, 22, 23, 24)
-"""Elements of set 2412 that have a line on their orientation before that of their nodes."""
+"""Pass over a line for these elements of set 2412: it tells their orientation, before that of their nodes."""
 
 SHELLS: Final = range(40, 100)
+"""Take these elements of set 2412 for surfaces."""
 
 Set = tuple[int, list[str]]
 Node = tuple[FloatArray, int, int]

@@ -14,6 +14,7 @@ import math
 import os
 import types
 import zipfile
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -39,7 +40,9 @@ __all__ = [
     "Identification",
     "OrderEvidence",
     "load",
+    "read_part",
     "save",
+    "write_parts",
 ]
 
 
@@ -170,6 +173,11 @@ def save(identification: Identification, path: str | Path, *, existing: Existing
     Raises:
         InvalidDataError: the file exists and may not be replaced, its folder does not exist, or it cannot be written.
     """
+    return write_parts({"result": identification}, path, existing=existing)
+
+
+def write_parts(parts: Mapping[str, object], path: str | Path, *, existing: Existing = "refuse") -> Path:
+    """Write several frozen types into one file, each under its name; errors and the rest as in `save`."""
     path = Path(path)
     if existing not in get_args(Existing):
         raise InvalidDataError(f"existing must be one of {', '.join(get_args(Existing))}, but is {existing!r}.")
@@ -178,7 +186,8 @@ def save(identification: Identification, path: str | Path, *, existing: Existing
     if not path.parent.is_dir():
         raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
     arrays: dict[int, tuple[str, npt.NDArray[Any]]] = {}
-    text = json.dumps({"schema": SCHEMA_VERSION, "result": _encode(identification, arrays)}, allow_nan=False)
+    encoded = {name: _encode(part, arrays) for name, part in parts.items()}
+    text = json.dumps({"schema": SCHEMA_VERSION, **encoded}, allow_nan=False)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
@@ -200,15 +209,26 @@ def load(path: str | Path) -> Identification:
     Raises:
         UnreadableFileError: no such file, damaged, not written by `save`, or written by a newer version.
     """
+    result = read_part(path, "result", Identification)
+    if result is None:
+        raise UnreadableFileError(
+            f"{path} is damaged, or holds a summary alone because the whole result is too large; identify again."
+        )
+    return cast("Identification", result)
+
+
+def read_part(path: str | Path, name: str, kind: type[Any]) -> Any:
+    """One part of what `write_parts` wrote, None where the file has no such part; errors as in `load`."""
     path = Path(path)
     if not path.is_file():
         raise UnreadableFileError(f"there is no file {path}; give the path of a saved identification.")
+    part = None
     try:
         with zipfile.ZipFile(path) as archive:
             document = json.loads(_member(archive, _TEXT, most=_MOST_TEXT))
             version = document["schema"]
-            if version == SCHEMA_VERSION:
-                result = _decode(document["result"], Identification, archive, {})
+            if version == SCHEMA_VERSION and name in document:
+                part = _decode(document[name], kind, archive, {})
     except _DAMAGE as error:
         words = " ".join(str(error).split()).rstrip(".")
         raise UnreadableFileError(
@@ -219,7 +239,7 @@ def load(path: str | Path) -> Identification:
             f"{path} has schema version {version}, this program reads {SCHEMA_VERSION}; identify again or use the "
             "version that wrote it."
         )
-    return cast("Identification", result)
+    return part
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

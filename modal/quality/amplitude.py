@@ -1,22 +1,18 @@
-"""A channel that was cut off at a level: too many samples stand at its greatest or least value.
+"""The values that a channel takes: cut off at a level, too few of them, none but one, or the same one for too long.
 
-Among the sixteen outermost values that occur, the outermost itself occurs five times as often as any of the others, and
-the channel comes back to it several times from below all sixteen. The crest of a sine on a converter's grid occurs 2.4
-times as often as the next level; a channel that settles comes once; one that rests there does so most of the time.
+**Clipped.** Among the sixteen outermost values that occur, the outermost itself occurs five times as often as any of
+the others, and the channel comes back to it several times from below all sixteen. The crest of a sine on a converter's
+grid occurs 2.4 times as often as the next level; a channel that settles comes once; one that rests there does so most
+of the time.
 
-Few levels in use: the channel's own steps are as large as what it measures.
+**Coarse.** Rounding to levels a distance q apart adds noise of standard deviation q / sqrt(12) (Widrow's model, good
+from about q = one standard deviation of the signal downwards).
 
-Rounding to levels a distance q apart adds noise of standard deviation q / sqrt(12) (Widrow's model, good from about q =
-one standard deviation of the signal downwards).
+**Stuck.** A body comes to rest smoothly; a frozen channel stops within one sample and jumps when it comes back. It is
+told from a coarse converter on a slow motion by its length.
 
 References:
     Widrow, Kollar, Quantization Noise, 2008, chapter 5, doi 10.1017/CBO9780511754661.
-
-A channel that never moves, that freezes for a while, or that repeats every value.
-
-A frozen sample is told from a body at rest by how it begins and ends: a body comes to rest smoothly, a frozen channel
-stops within one sample and jumps when it comes back. It is told from a coarse converter on a slow motion by its length:
-ten times that of any other run of equal values nearby (the flat top of a sine is 4.8 times as long as its neighbours).
 """
 
 from collections.abc import Sequence
@@ -24,7 +20,22 @@ from typing import Literal
 
 import numpy as np
 
-from modal.quality.findings import MOST_SPANS, Channel, Finding, Span, named, spoken, where_found
+from modal.quality.findings import (
+    MOST_ROWS,
+    MOST_SPANS,
+    MOSTLY,
+    NEARLY_ALL,
+    NOTABLE,
+    ROUNDING,
+    SERIOUS,
+    SPOILED,
+    Channel,
+    Finding,
+    Span,
+    named,
+    spoken,
+    where_found,
+)
 from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -40,15 +51,28 @@ __all__ = [
 ]
 
 OUTERMOST = 16
+"""Compare the outermost value of a channel with so many that lie beside it."""
+
 MORE_OFTEN = 5
-FEWEST_LEVELS = 32
-"""A channel with fewer values than that is a switch or a coarse converter, not a clipped one."""
+"""Call a channel clipped whose outermost value occurs so many times as often: twice what the crest of a sine does."""
+
 FEWEST_VISITS = 3
-REST_SHARE = 0.5
-"""Share of the samples from which the level is where the channel rests."""
-BAD_SHARE = 1e-3
-_SAME = 1e-9
-"""Of the extent: values closer than this are one value, rounded differently."""
+"""Call a channel clipped that comes to its limit so often; one that settles there comes once."""
+
+BAD_NOISE = 0.3
+"""Call rounding noise bad from so many standard deviations of the channel: about one level a standard deviation."""
+
+OFF_GRID = 0.05
+"""Say that values lie on no grid where a distance is further from a multiple of the step, in steps."""
+
+LONGER = 10
+"""Call a run of equal values stuck so many times as long as any other nearby; the top of a sine is 4.8 times."""
+
+NEIGHBOURHOOD = 8
+"""Look so many lengths of a run before and after it."""
+
+SUDDEN = 0.3
+"""Take a run for rest that begins and ends with a step of less than this share of the median step nearby."""
 
 
 def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
@@ -79,7 +103,7 @@ def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
         )
     return [
         Finding(
-            level="note" if channel.role == "input" else "bad" if share >= BAD_SHARE else "doubtful",
+            level="note" if channel.role == "input" else "bad" if share >= SPOILED else "doubtful",
             what="clipped",
             where=where_found(channel.name, spans, n_records),
             sentence=head + rest,
@@ -93,19 +117,15 @@ def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
 def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:
     """Number of clipped samples and where, None where that end is not clipped."""
     values, counts = _outermost(channel, sign)
-    if (
-        values.size < OUTERMOST
-        or counts[0] < MORE_OFTEN * counts[1:].max()
-        or counts[0] > REST_SHARE * channel.n_samples
-    ):
+    if values.size < OUTERMOST or counts[0] < MORE_OFTEN * counts[1:].max() or counts[0] > MOSTLY * channel.n_samples:
         return None
-    if _n_levels(channel) < FEWEST_LEVELS:
+    if _n_levels(channel) < 2 * OUTERMOST:  # a switch or a coarse converter
         return None
     visits = 0
     spans: list[Span] = []
     for number, part in enumerate(channel.parts):
         height = sign * part
-        at_limit = height >= values[0] - _SAME * channel.extent
+        at_limit = height >= values[0] - ROUNDING * channel.extent
         visits += _visits(at_limit, height < values[-1])
         spans += [channel.span(number, start, stop) for start, stop in runs_of(at_limit)[:MOST_SPANS]]
     return (int(counts[0]), spans[:MOST_SPANS]) if visits >= FEWEST_VISITS else None
@@ -122,7 +142,7 @@ def _outermost(channel: Channel, sign: float) -> tuple[FloatArray, np.ndarray]:
                 height = height[height >= values[-1]]
             more, times = np.unique(height, return_counts=True)
             values, counts = _merged(
-                np.concatenate([values, more]), np.concatenate([counts, times]), _SAME * channel.extent
+                np.concatenate([values, more]), np.concatenate([counts, times]), ROUNDING * channel.extent
             )
     return values, counts
 
@@ -140,9 +160,9 @@ def _merged(values: FloatArray, counts: np.ndarray, same: float) -> tuple[FloatA
 
 
 def _n_levels(channel: Channel) -> int:
-    longest = max(channel.parts, key=len)[: 1 << 16]
+    longest = max(channel.parts, key=len)[:MOST_ROWS]
     levels = np.unique(longest[~np.isnan(longest)])
-    return 1 + int((np.diff(levels) > _SAME * channel.extent).sum())
+    return 1 + int((np.diff(levels) > ROUNDING * channel.extent).sum())
 
 
 def _visits(at_limit: np.ndarray, far: np.ndarray) -> int:
@@ -150,14 +170,6 @@ def _visits(at_limit: np.ndarray, far: np.ndarray) -> int:
     events = np.flatnonzero(at_limit | far)
     kinds = at_limit[events]
     return int((kinds[1:] & ~kinds[:-1]).sum()) + int(kinds.size > 0 and bool(kinds[0]))
-
-
-DOUBTFUL_NOISE = 0.05
-"""Rounding noise in standard deviations of the channel: 26 dB, four levels a standard deviation and a half."""
-BAD_NOISE = 0.3
-"""About one level a standard deviation."""
-_SAMPLES = 1 << 16
-_OFF_GRID = 0.05
 
 
 def resolution_of(channel: Channel) -> float:
@@ -173,18 +185,18 @@ def resolution_of(channel: Channel) -> float:
     """
     if channel.std == 0.0:
         return float("nan")
-    taken = [part[: max(2, _SAMPLES * part.size // channel.n_samples)] for part in channel.parts]
+    taken = [part[: max(2, MOST_ROWS * part.size // channel.n_samples)] for part in channel.parts]
     values = np.unique(np.concatenate(taken))
     values = values[~np.isnan(values)]
     gaps = np.diff(values)
-    gaps = gaps[gaps > _SAME * channel.extent]
+    gaps = gaps[gaps > ROUNDING * channel.extent]
     if gaps.size < 1:
         return float("nan")
     step = float(gaps.min())
     multiples = gaps / step
     step = float(gaps[multiples < 1.5].mean())
     multiples = gaps / step
-    on_grid = np.abs(multiples - np.round(multiples)) <= _OFF_GRID
+    on_grid = np.abs(multiples - np.round(multiples)) <= OFF_GRID
     # two values always lie on a grid: a channel with as many values as samples has none
     enough = 2 * values.size <= sum(part.size for part in taken)
     return step if on_grid.all() and (enough or multiples.max() < 1.5) else float("nan")
@@ -195,7 +207,7 @@ def resolution_findings(channel: Channel, resolution: float, n_records: int) -> 
     if channel.role == "input" or not np.isfinite(resolution):
         return []
     noise = resolution / (np.sqrt(12.0) * channel.std)
-    if noise < DOUBTFUL_NOISE:
+    if noise < SERIOUS:
         return []
     n_levels = round(channel.extent / resolution) + 1
     return [
@@ -210,17 +222,6 @@ def resolution_findings(channel: Channel, resolution: float, n_records: int) -> 
             share=float(noise),
         )
     ]
-
-
-LONGER = 10
-"""Times as long as any run of equal values in the neighbourhood."""
-NEIGHBOURHOOD = 8
-"""Lengths of the run that are looked at before and after it."""
-MOST_RUNS = 50
-SUDDEN = 0.3
-"""Of the median step nearby: a run that begins and ends with less is rest."""
-BAD_REST_SHARE = 0.01
-REPEATED = 0.9
 
 
 def constant_findings(channel: Channel, n_records: int) -> list[Finding]:
@@ -249,7 +250,7 @@ def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
         return []
     times = int(np.median(lengths))
     share = float((lengths == times).mean())
-    if times < 2 or share < REPEATED:
+    if times < 2 or share < NEARLY_ALL:
         return []
     return [
         Finding(
@@ -295,7 +296,7 @@ def stuck_findings(channel: Channel, records: Sequence[Record], resolution: floa
     many = f"{len(found)} times, first " if len(found) > 1 else ""
     return [
         Finding(
-            level="bad" if share >= BAD_REST_SHARE and channel.role == "output" else "doubtful",
+            level="bad" if share >= NOTABLE and channel.role == "output" else "doubtful",
             what="stuck",
             where=where_found(channel.name, spans, len(records)),
             sentence=f"{channel.role} {named(channel.name)} freezes {many}at {value} from {spans[0][1]:.6g} to "
@@ -324,7 +325,7 @@ def _long_runs(part: FloatArray) -> list[tuple[int, int]]:
     starts, lengths = _runs(part)
     if starts.size < 3:
         return []
-    longest = np.argsort(lengths, kind="stable")[::-1][:MOST_RUNS]
+    longest = np.argsort(lengths, kind="stable")[::-1][:MOST_SPANS]
     found = []
     for i in sorted(longest.tolist()):
         start, length = int(starts[i]), int(lengths[i])
@@ -349,7 +350,7 @@ def _all_rest(record: Record, channel: Channel, start: int, stop: int) -> bool:
     window = slice(start, min(stop, start + 10_000))
     outputs = np.delete(record.outputs[window], channel.index, axis=1)
     others = np.concatenate([record.inputs[window], outputs], axis=1)
-    return bool(others.shape[1] > 0 and (others[1:] == others[:-1]).all(axis=1).mean() > 0.5)
+    return bool(others.shape[1] > 0 and (others[1:] == others[:-1]).all(axis=1).mean() > MOSTLY)
 
 
 def _is_sudden(part: FloatArray, start: int, stop: int, resolution: float, *, rough: bool) -> bool:

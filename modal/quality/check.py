@@ -20,15 +20,21 @@ from modal.quality.amplitude import (
     resolution_of,
     stuck_findings,
 )
-from modal.quality.coherence import FAIR, Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.findings import LEVELS, Channel, ChannelQuality, ChannelStatistics, DataQuality, Finding, channels_of
+from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.findings import (
+    BLOCK,
+    LEVELS,
+    NEARLY_ALL,
+    Channel,
+    ChannelQuality,
+    ChannelStatistics,
+    DataQuality,
+    Finding,
+    channels_of,
+)
 from modal.quality.inputs import (
     copy_findings,
     excitation_findings,
-    hit_findings,
-    hits_of,
-    is_hammer,
-    ring_findings,
     timing_findings,
     together_findings,
 )
@@ -51,12 +57,10 @@ from okid.scaling import channel_scaling
 __all__ = ["check_quality", "spoiled_channels"]
 
 AVERAGES = 32
-"""Segments without overlap that the coherence is made of, about: chance then gives 2 % an input."""
+"""Make the coherence of so many segments without overlap, about: chance then gives 2 % an input."""
+
 LONGEST_SEGMENT = 8192
-SHORTEST_SEGMENT = 64
-"""Coherence of shorter ones, as gaps leave them, says nothing of the outputs."""
-FEWEST_AVERAGES = 8
-"""Of the longer segments, which smear less and are tried as well."""
+"""Make no segment longer: its lines are finer than any mode that a record holds often enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -90,7 +94,6 @@ class _Inputs:
     sharp: tuple[BoolArray, ...]
     lines: list[HumLines]
     steady: list[bool]
-    hammers: list[tuple[list[tuple[int, int]], ...]]
 
 
 def check_quality(records: Record | Sequence[Record]) -> DataQuality:
@@ -121,15 +124,13 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
     spectra = _spectra(several)
     densities = spectra.densities(first.n_inputs + first.n_outputs)
     n_samples = [record.n_samples for record in several]
-    known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [], [])
+    known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [])
     findings: list[Finding] = []
     statistics: list[ChannelStatistics] = []
     for number, channel in enumerate(channels_of(several, scaling)):
         resolution = resolution_of(channel)
         density = densities[:, number]
-        findings += _channel_findings(
-            channel, several, known, resolution=resolution, spectrum=(spectra.frequencies, density)
-        )
+        findings += _channel_findings(channel, several, known, resolution=resolution)
         explained = float(spectra.shares.explained[channel.index]) if channel.role == "output" else float("nan")
         statistics.append(_statistics(channel, resolution, spectra.frequencies, density, explained))
     findings += _findings_together(several, spectra, densities, findings)
@@ -169,7 +170,6 @@ def _channel_findings(
     known: _Inputs,
     *,
     resolution: float,
-    spectrum: tuple[FloatArray, FloatArray],
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
     n = len(records)
@@ -185,15 +185,12 @@ def _channel_findings(
     found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]
     found += spike_findings(channel, resolution, known.sharp, n)
     found += [*offset_findings(channel, n), *hum_findings(channel, lines, known.lines, n)]
-    found += [*level_findings(channel, known.steady, n), *ring_findings(channel, known.hammers, n)]
+    found += level_findings(channel, known.steady, n)
     if channel.role == "input":
         known.lines.append(lines)
         known.steady.append(is_steady(channel))
         sharp = sharp_samples(channel, resolution)
         known.sharp = tuple(mask | more for mask, more in zip(known.sharp, sharp, strict=True))
-        if is_hammer(channel):
-            known.hammers.append(hits_of(channel))
-            found += hit_findings(channel, *spectrum, n)
     return found
 
 
@@ -235,17 +232,17 @@ def _spectra(records: Sequence[Record]) -> _Spectra:
         frf, explained = None, unknown
         if first.n_inputs and averaged.n_averages >= max(FEWEST_AVERAGES, 4 * first.n_inputs):
             frf = measured_frf_of(averaged)
-        if frf is not None and length >= SHORTEST_SEGMENT:
+        if frf is not None and length >= BLOCK:
             explained = explained_share(frf, averaged.power[:, first.n_inputs :])
         found = _Spectra(averaged=averaged, frf=frf, shares=Shares(spectra=explained, modelled=unknown))
-        too_coarse = best is not None and len(best.frequencies) <= SHORTEST_SEGMENT // 2
+        too_coarse = best is not None and len(best.frequencies) <= BLOCK // 2
         if best is None or too_coarse or np.nansum(explained) > np.nansum(best.shares.spectra):
             best = found
-        if length >= SHORTEST_SEGMENT and (first.n_inputs == 0 or (explained >= FAIR).all()):
+        if length >= BLOCK and (first.n_inputs == 0 or (explained >= NEARLY_ALL).all()):
             break
     if best is None:
         return _Spectra(averaged=None, frf=None, shares=Shares(spectra=unknown, modelled=unknown))
-    if first.n_inputs and not (best.shares.spectra >= FAIR).all():
+    if first.n_inputs and not (best.shares.spectra >= NEARLY_ALL).all():
         shares = Shares(spectra=best.shares.spectra, modelled=modelled_share(records))
         return replace(best, shares=shares)
     return best

@@ -8,10 +8,8 @@ number of independent segments (Carter, Knapp, Nuttall, IEEE Transactions on Aud
 337-344, doi 10.1109/TAU.1973.1162496); half-overlapped Hann segments count as K / 1.056 (Welch 1967, doi
 10.1109/TAU.1967.1161901: variance 19/18 of that of as many independent ones).
 
-What the inputs do to the outputs, without a model order: the pulse response of one long observer.
-
-It costs hundredths of a second where a model costs seconds, outlasts no segment, and is good enough to tell what the
-inputs explain from what they do not. It is never an answer.
+That pulse response is the one of a long observer, without a model order: it costs hundredths of a second where a model
+costs seconds, and is good enough to tell what the inputs explain from what they do not. It is never an answer.
 """
 
 from collections.abc import Sequence
@@ -20,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
-from modal.quality.findings import Finding, Level, named, spoken
+from modal.quality.findings import FITTED_ROWS, HARDLY, MOSTLY, NEARLY_ALL, NOTABLE, Finding, Level, named, spoken
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
@@ -32,7 +30,7 @@ from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
 __all__ = [
-    "FAIR",
+    "FEWEST_AVERAGES",
     "Shares",
     "best_pulse",
     "coherence_findings",
@@ -44,12 +42,32 @@ __all__ = [
     "whole_rows",
 ]
 
-MOST_ROWS = 6000
 OBSERVERS = ((512, 1e-6), (128, 1e-6), (128, 1e-3), (32, 1e-6))
-"""Coefficients of an output's equation, and ridge: a single transient wants another one than an hour of noise."""
+"""Try observers of so many coefficients an output and such a ridge: a transient wants another one than noise."""
+
 ROWS_PER_UNKNOWN = 6
+"""Shorten an observer until so many rows stand for each of its coefficients."""
+
 LARGEST_PULSE = 1e6
-"""In standard deviations of the output for one of the input: beyond, the observer describes nothing that could be."""
+"""Refuse a pulse response that is larger, in standard deviations of the output for one of the input: it diverges."""
+
+FEWEST_AVERAGES = 8
+"""Tell no coherence of fewer segments: chance alone would give 12 % an input."""
+
+GROUP = 4
+"""Let so many outputs share one observer; of more it would be too short for a resonance."""
+
+MOST_BANDS = 3
+"""Name so many bands of low coherence, those with the most power first."""
+
+BRIDGED = 4
+"""Name two bands as one where fewer lines lie between them."""
+
+FEW_EVENTS = 4.0
+"""Blame no channel where the inputs have their energy in fewer blocks of the records: chance decides the coherence."""
+
+N_BLOCKS = 16
+"""Count the events of a record over so many blocks."""
 
 
 def whole_rows(records: Sequence[Record]) -> Record | None:
@@ -58,7 +76,7 @@ def whole_rows(records: Sequence[Record]) -> Record | None:
     start, stop = max(runs_of(longest.complete_rows()), key=lambda run: run[1] - run[0], default=(0, 0))
     if stop - start < 20 * (longest.n_inputs + longest.n_outputs):
         return None
-    return longest.samples(start, min(stop, start + MOST_ROWS)).detrended(0)
+    return longest.samples(start, min(stop, start + FITTED_ROWS)).detrended(0)
 
 
 def fitted_pulse_response(record: Record, *, n_unknowns: int, ridge: float) -> tuple[FloatArray, int] | None:
@@ -132,24 +150,6 @@ def predicted_outputs(pulse: FloatArray, inputs: FloatArray) -> FloatArray:
     size = 1 << (len(pulse) + n_samples).bit_length()
     spectrum = np.einsum("fqm,fm->fq", np.fft.rfft(pulse, size, axis=0), np.fft.rfft(inputs, size, axis=0))
     return np.asarray(np.fft.irfft(spectrum, size, axis=0)[:n_samples], dtype=np.float64)
-
-
-HARDLY = 0.1
-POOR = 0.5
-FAIR = 0.9
-LOW = 0.5
-"""Coherence below which the inputs explain less than half of a line."""
-STRONG = 0.01
-"""Of the output's largest density: only such lines matter."""
-LEAKAGE = 0.5
-"""What a pulse response leaves unexplained, over what the spectra leave: below it leakage is to blame."""
-GROUP = 4
-"""Outputs that share one observer."""
-MOST_BANDS = 3
-BRIDGED = 4
-"""Lines between two bands that are one band to a reader."""
-FEW_EVENTS = 4.0
-N_BLOCKS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -243,16 +243,16 @@ def coherence_findings(
     unexplained: dict[Level, list[int]] = {"bad": [], "doubtful": [], "note": []}
     leaking: list[int] = []
     for i in which:
-        if not shares.spectra[i] < FAIR:
+        if not shares.spectra[i] < NEARLY_ALL:
             continue
-        if 1.0 - shares.modelled[i] < LEAKAGE * (1.0 - shares.spectra[i]):
+        if 1.0 - shares.modelled[i] < MOSTLY * (1.0 - shares.spectra[i]):
             leaking.append(i)
             continue
         share = shares.explained[i]
         if few_events:  # one transient tells too little of the system to blame the channel
             unexplained["note"].append(i)
             continue
-        unexplained["bad" if share < HARDLY else "doubtful" if share < POOR else "note"].append(i)
+        unexplained["bad" if share < HARDLY else "doubtful" if share < MOSTLY else "note"].append(i)
     found = [
         _unexplained(record, level, outputs, shares.explained, _low_bands(frf, power, outputs, shares.explained))
         for level, outputs in unexplained.items()
@@ -335,7 +335,7 @@ def _low_bands(
     """The bands of the worst of some outputs with the most unexplained power among lines that matter."""
     worst = min(outputs, key=lambda i: float(explained[i]))
     coherence, power = frf.multiple_coherence[:, worst], powers[:, worst]
-    low: BoolArray = np.asarray((power > STRONG * power[1:].max()) & ~(coherence >= LOW), dtype=np.bool_)
+    low: BoolArray = np.asarray((power > NOTABLE * power[1:].max()) & ~(coherence >= MOSTLY), dtype=np.bool_)
     low[0] = False
     lost = np.where(low, power, 0.0)
     for start, stop in runs_of(~low)[1:-1]:

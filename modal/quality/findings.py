@@ -1,7 +1,4 @@
-"""What a look at the data finds: one sentence a finding, one row a channel.
-
-One channel of all records, in memory while it is looked at; and the words for when and how much.
-"""
+"""What a look at the data finds, the numbers that several looks share, and one channel while it is looked at."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,8 +13,20 @@ from okid.record import Record
 from okid.scaling import ChannelScaling
 
 __all__ = [
+    "BLOCK",
+    "FALSE_ALARM",
+    "FEWEST_ROWS",
+    "FITTED_ROWS",
+    "HARDLY",
     "LEVELS",
+    "MOSTLY",
+    "MOST_ROWS",
     "MOST_SPANS",
+    "NEARLY_ALL",
+    "NOTABLE",
+    "ROUNDING",
+    "SERIOUS",
+    "SPOILED",
     "Channel",
     "ChannelQuality",
     "ChannelStatistics",
@@ -32,6 +41,51 @@ __all__ = [
     "when",
     "where_found",
 ]
+
+FALSE_ALARM = 1e-9
+"""Name a sample or a line that chance alone would leave so far off with this probability: a record has up to 1e7."""
+
+SPOILED = 1e-3
+"""Call an output bad where a larger share of its samples is clipped or spiked."""
+
+NOTABLE = 0.01
+"""Speak of what holds a larger share of a channel's power, density or time; a fit at best tells a hundredth."""
+
+SERIOUS = 0.05
+"""Doubt a channel of which a larger share is missing, undriven or rounding noise."""
+
+HARDLY = 0.1
+"""Call what is explained, usable, or high in standard deviations, hardly anything up to this share."""
+
+MOSTLY = 0.5
+"""Call a larger share of the power, the samples or the lines most of it."""
+
+ROUNDING = 1e-9
+"""Take numbers that are closer, relative to their size, as one number that was rounded twice."""
+
+MOST_ROWS = 1 << 16
+"""Look at the first so many rows where more would say the same."""
+
+FITTED_ROWS = 6000
+"""Fit an observer to so many rows: hundredths of a second, and enough to tell what inputs explain."""
+
+FEWEST_ROWS = 1000
+"""Look for drift and changes of level over so many rows, or means of neighbouring rows, and in no shorter record."""
+
+BLOCK = 64
+"""Make a spectrum, or learn what is usual, of so many samples at least."""
+
+NEARLY_ALL = 0.9
+"""Call a larger share of the power, the runs or the band nearly all of it."""
+
+MOST_SPANS = 200
+"""List so many places in a finding; its sentence counts all of them."""
+
+LONGEST_NAME = 40
+"""Shorten the name of a channel to so many letters in a sentence."""
+
+_GROUP_VALUES = 4 * CHUNK_VALUES
+"""Copy so many values of neighbouring channels at a time: 64 MiB, or one channel where that is longer."""
 
 Level = Literal["bad", "doubtful", "note"]
 """bad: what is found spoils a result; doubtful: look at it before believing one; note: good to know."""
@@ -169,13 +223,6 @@ class DataQuality:
 
 def _number(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
-
-
-MOST_SPANS = 200
-"""Places that a finding lists; its sentence counts all of them."""
-LONGEST_NAME = 40
-_GROUP_VALUES = 4 * CHUNK_VALUES
-"""Values of neighbouring channels that are copied at a time: 64 MiB, or one channel where that is longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -1,54 +1,64 @@
-"""What the inputs allow: enough of them, different from one another, moving where the outputs do.
+"""The channels against each other: what the inputs allow, copies, and outputs that answer late or too early.
 
-Two channels that are one signal: recorded twice, wired in parallel, or made from one another.
-
-An output that answers late, or before the input: channels of two recorders, or columns shifted against each other.
-
-The pulse response of a long observer says when an input begins to act (`modal.preparation.delay`). Every output is
-first made late by sixteen samples, so that one that runs ahead shows as well.
-
-Hammer tests: double hits, where the force spectrum ends, and whether the response has died out at the end.
+The inputs must be enough, differ from one another, and move where the outputs do. Two channels that are one signal were
+recorded twice, wired in parallel, or made from one another. An output that answers late, or before the input, belongs
+to another recorder or to columns shifted against each other: the pulse response of a long observer says when an input
+begins to act (`modal.preparation.delay`), and every output is first made late, so that one that runs ahead shows too.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
 from modal.modes.response_synthesis import AveragedSpectra, MeasuredFrf
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay
-from modal.quality.findings import MOST_SPANS, Channel, Finding, Level, Span, named, spoken, where_found
+from modal.quality.coherence import FEWEST_AVERAGES
+from modal.quality.findings import (
+    FITTED_ROWS,
+    MOST_ROWS,
+    MOSTLY,
+    ROUNDING,
+    SERIOUS,
+    Finding,
+    Level,
+    named,
+    spoken,
+)
 from modal.wording.numbers import percent
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
 from okid.record import Record
-from okid.rows import complete_rows, runs_of
+from okid.rows import complete_rows
 
 __all__ = [
     "copy_findings",
     "excitation_findings",
-    "hit_findings",
-    "hits_of",
-    "is_hammer",
-    "ring_findings",
     "timing_findings",
     "together_findings",
 ]
 
 NEEDED_ORDER = 20
-"""Persistent excitation of ten sines: what an observer of few samples and a handful of modes need at least."""
-MOST_ROWS = 200_000
+"""Ask for persistent excitation of ten sines: what an observer of few samples and a handful of modes need at least."""
+
 ALIKE = 0.95
-"""Coherence between inputs from which the share of one in the response depends on noise."""
-ALIKE_SHARE = 0.5
-"""Of an input's power that lies in such lines."""
-ENOUGH_AVERAGES = 10
+"""Call two inputs alike in a line from this coherence: the share of one in the response depends on noise."""
+
 UNDRIVEN = 1e-6
-"""Power of an input relative to its largest line, below which it does not drive (60 dB)."""
-UNDRIVEN_SHARE = 0.05
-COHERENT = 0.5
+"""Say that an input does not drive a line with a smaller share of the power of its largest one (60 dB)."""
+
+HEAD_START = 16
+"""Make the outputs so many samples late, so that one that runs ahead of an input shows."""
+
+TIMED_TOGETHER = 8
+"""Time so many outputs together: the observer of more would be shorter than the head start."""
+
+FEWEST_TIMED = 400
+"""Time no shorter record."""
+
+AHEAD = 2
+"""Say that an output runs ahead by so many samples: an input behind a filter or held by a converter explains one."""
 
 
 def excitation_findings(records: Sequence[Record]) -> list[Finding]:
@@ -109,7 +119,7 @@ def together_findings(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf
 
 def _alike(record: Record, spectra: AveragedSpectra) -> list[Finding]:
     n = record.n_inputs
-    if n < 2 or spectra.n_averages < ENOUGH_AVERAGES:
+    if n < 2 or spectra.n_averages < FEWEST_AVERAGES:
         return []
     power = spectra.power[1:, :n]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -119,8 +129,8 @@ def _alike(record: Record, spectra: AveragedSpectra) -> list[Finding]:
         for j in range(i + 1, n):
             alike = np.nan_to_num(coherence[:, i, j]) > ALIKE
             share = min(float(power[alike, k].sum() / max(power[:, k].sum(), TINY)) for k in (i, j))
-            whole = 1.0 - share < 1e-9 and bool((np.nan_to_num(coherence[:, i, j], nan=1.0) > 1.0 - 1e-9).all())
-            if share > ALIKE_SHARE and not whole:
+            whole = 1.0 - share < ROUNDING and bool((np.nan_to_num(coherence[:, i, j], nan=1.0) > 1.0 - ROUNDING).all())
+            if share > MOSTLY and not whole:
                 pairs.append((share, i, j))
     if not pairs:
         return []
@@ -148,9 +158,9 @@ def _undriven(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf) -> lis
     still = (power[:, :n] < UNDRIVEN * largest).all(axis=1)
     total = np.maximum(power[:, n:].sum(axis=0), np.finfo(float).tiny)
     # the little that an input does there may drive a resonance all the same: then the two are coherent
-    foreign = still[:, np.newaxis] & ~(frf.multiple_coherence[1:] > COHERENT)
+    foreign = still[:, np.newaxis] & ~(frf.multiple_coherence[1:] > MOSTLY)
     shares = np.where(foreign, power[:, n:], 0.0).sum(axis=0) / total
-    which = np.flatnonzero(shares > UNDRIVEN_SHARE)
+    which = np.flatnonzero(shares > SERIOUS)
     if which.size == 0:
         return []
     names = tuple(record.output_names[i] for i in which)
@@ -169,12 +179,6 @@ def _undriven(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf) -> lis
             share=float(shares[worst]),
         )
     ]
-
-
-EXACT = 1e-9
-"""One minus the modulus of the correlation: residual of 4e-5 of the motion, as left by rounding to five digits."""
-MOST_ROWS_COMPARED = 100_000
-_SAME_FACTOR = 1e-4
 
 
 def copy_findings(records: Sequence[Record]) -> list[Finding]:
@@ -200,7 +204,7 @@ def copy_findings(records: Sequence[Record]) -> list[Finding]:
             if not (moving[i] and moving[j]) or j in taken:
                 continue
             correlation = gram[i, j] / (size[i] * size[j])
-            if abs(correlation) < 1.0 - EXACT:
+            if abs(correlation) < 1.0 - ROUNDING:
                 continue
             taken.add(j)
             found.append(_finding(roles[i], names[i], names[j], float(np.sign(correlation) * size[j] / size[i])))
@@ -208,7 +212,7 @@ def copy_findings(records: Sequence[Record]) -> list[Finding]:
 
 
 def _finding(role: str, first: str, second: str, factor: float) -> Finding:
-    equal = abs(abs(factor) - 1.0) < _SAME_FACTOR
+    equal = spoken(abs(factor)) == "1"
     sign = "the negative of" if factor < 0 and equal else "" if equal else f"{spoken(factor)} times"
     what = f"is {sign} {role} {named(first)}".replace("  ", " ") if sign else f"is the same as {role} {named(first)}"
     return Finding(
@@ -222,22 +226,13 @@ def _finding(role: str, first: str, second: str, factor: float) -> Finding:
 
 
 def _some_rows(records: Sequence[Record]) -> FloatArray:
-    """Complete rows from the start of each record, at most 100 000."""
+    """Complete rows from the start of each record, at most 65 536."""
     taken = []
     for record in records:
-        rows = slice(0, max(8, MOST_ROWS_COMPARED // len(records)))
+        rows = slice(0, max(8, MOST_ROWS // len(records)))
         block = np.concatenate([record.inputs[rows], record.outputs[rows]], axis=1)
         taken.append(block[complete_rows(block)])
     return np.concatenate(taken)
-
-
-HEAD_START = 16
-MOST_ROWS_TIMED = 8000
-GROUP = 8
-"""Outputs looked at together: the observer of more would be shorter than the head start."""
-FEWEST_ROWS = 400
-AHEAD = 2
-"""Samples by which an output must run ahead: an input measured behind a filter or held by a converter explains one."""
 
 
 def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Finding]:
@@ -253,8 +248,8 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
         return []
     found: list[Finding] = []
     together: list[FloatArray] = []
-    for start in range(0, len(moving), GROUP):
-        group = list(moving[start : start + GROUP])
+    for start in range(0, len(moving), TIMED_TOGETHER):
+        group = list(moving[start : start + TIMED_TOGETHER])
         lags = _lags(parts, group)
         if lags is None:
             continue
@@ -297,8 +292,8 @@ def _ahead(record: Record, output: int, lags: FloatArray) -> Finding:
 
 def _part(record: Record) -> Record | None:
     """The first rows of a record, means removed; None where it is short or an input is missing."""
-    part = record.samples(0, min(record.n_samples, MOST_ROWS_TIMED))
-    if part.n_samples < FEWEST_ROWS or np.isnan(part.inputs).any() or np.isnan(part.outputs).all(axis=0).any():
+    part = record.samples(0, min(record.n_samples, FITTED_ROWS))
+    if part.n_samples < FEWEST_TIMED or np.isnan(part.inputs).any() or np.isnan(part.outputs).all(axis=0).any():
         return None
     return part.detrended(0)
 
@@ -322,143 +317,3 @@ def _lags(parts: Sequence[Record], outputs: Sequence[int]) -> FloatArray | None:
 
 def _later(values: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros((HEAD_START, values.shape[1])), values[:-HEAD_START]])
-
-
-QUIET = 0.05
-"""Of the largest force: a hammer is quieter than this ..."""
-QUIET_SHARE = 0.95
-"""... for this share of the time, and the channel carries no noise of that size."""
-ONE_SIDED = 0.3
-"""Of the largest force: a hammer pushes and does not pull; what swings to both sides is a burst or an earthquake."""
-HIT = 0.1
-"""Of the largest force: what counts as a hit."""
-DOUBLE = 20.0
-"""Widths of a hit within which the next one is a double hit."""
-FALLEN = 0.01
-"""Of the largest density of the force: 20 dB down, the modes above are hardly driven."""
-RINGING = 0.1
-"""Of the largest level of the response that is left at the end."""
-N_BLOCKS = 50
-
-
-def is_hammer(channel: Channel) -> bool:
-    """Whether an input is at rest but for short pulses, each of them many samples apart."""
-    if channel.role == "output" or channel.std == 0.0:
-        return False
-    rest = _rest(channel)
-    up, down = channel.largest - rest, rest - channel.smallest
-    largest = max(up, down)
-    if min(up, down) > ONE_SIDED * largest:
-        return False
-    quiet = sum(int((np.abs(part - rest) < QUIET * largest).sum()) for part in channel.parts)
-    if quiet < QUIET_SHARE * (channel.n_samples - channel.n_missing):
-        return False
-    hits = hits_of(channel)
-    return 0 < sum(len(some) for some in hits) <= max(1, channel.n_samples // 100)
-
-
-def hits_of(channel: Channel) -> tuple[list[tuple[int, int]], ...]:
-    """(start, stop) of each hit, a record; parts of one pulse that are closer than their width are one hit."""
-    rest = _rest(channel)
-    largest = max(channel.largest - rest, rest - channel.smallest)
-    found = []
-    for part in channel.parts:
-        hits: list[tuple[int, int]] = []
-        for start, stop in runs_of(np.abs(part - rest) > HIT * largest):
-            if hits and start - hits[-1][1] < max(2, hits[-1][1] - hits[-1][0]):
-                hits[-1] = (hits[-1][0], stop)
-            else:
-                hits.append((start, stop))
-        found.append(hits)
-    return tuple(found)
-
-
-def hit_findings(channel: Channel, frequencies: FloatArray, density: FloatArray, n_records: int) -> list[Finding]:
-    """Double hits, and the end of the force spectrum.
-
-    Args:
-        channel: a hammer.
-        frequencies: (n_frequencies,) [Hz]; empty where no spectrum could be made.
-        density: (n_frequencies,) of this channel.
-        n_records: number of records.
-    """
-    found: list[Finding] = []
-    doubles: list[Span] = []
-    gap = 0.0
-    for number, hits in enumerate(hits_of(channel)):
-        for (start, stop), (again, end) in pairwise(hits):
-            if again - start < DOUBLE * max(2, stop - start, end - again):
-                doubles.append(channel.span(number, start, end))
-                gap = gap or (again - start) * channel.dt
-    if doubles:
-        found.append(
-            Finding(
-                level="note",
-                what="double hit",
-                where=where_found(channel.name, doubles, n_records),
-                sentence=f"hammer {named(channel.name)} struck twice {len(doubles)} time{'s' * (len(doubles) > 1)}, "
-                f"first at {doubles[0][1]:.6g} s with {spoken(gap)} s between: the force spectrum then has dips every "
-                f"{spoken(1 / gap)} Hz, which spoil quotients of spectra; the identification uses the force as it was "
-                "and stands it.",
-                channels=(channel.name,),
-                spans=tuple(doubles[:MOST_SPANS]),
-            )
-        )
-    if frequencies.size > 8:
-        fallen = np.flatnonzero(density[1:] < FALLEN * density[1:].max())
-        if fallen.size and frequencies[1 + fallen[0]] < 0.9 * frequencies[-1]:
-            found.append(
-                Finding(
-                    level="note",
-                    what="force spectrum",
-                    where=named(channel.name),
-                    sentence=f"the force spectrum of hammer {named(channel.name)} falls below a hundredth (-20 dB) of "
-                    f"its largest density at {spoken(float(frequencies[1 + fallen[0]]))} Hz: modes above are hardly "
-                    "driven; a harder tip reaches further.",
-                    channels=(channel.name,),
-                )
-            )
-    return found
-
-
-def ring_findings(
-    channel: Channel, hammers: Sequence[tuple[list[tuple[int, int]], ...]], n_records: int
-) -> list[Finding]:
-    """An output that still rings when the record ends.
-
-    Args:
-        channel: an output.
-        hammers: hits of each hammer.
-        n_records: number of records.
-    """
-    if channel.role == "input" or channel.std == 0.0 or not hammers:
-        return []
-    worst = 0.0
-    for number, part in enumerate(channel.parts):
-        last = max((hits[number][-1][1] for hits in hammers if hits[number]), default=None)
-        if last is None or part.size - last < 2 * N_BLOCKS:
-            continue
-        size = (part.size - last) // N_BLOCKS
-        blocks = part[part.size - N_BLOCKS * size :].reshape(N_BLOCKS, size) - channel.mean
-        there = ~np.isnan(blocks)
-        levels = np.sqrt(np.where(there, blocks**2, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
-        worst = max(worst, float(levels[-2:].mean() / max(levels.max(), np.finfo(float).tiny)))
-    if worst <= RINGING:
-        return []
-    return [
-        Finding(
-            level="note",
-            what="still ringing",
-            where=where_found(channel.name, (), n_records),
-            sentence=f"output {named(channel.name)} still rings at {percent(worst)} of its largest level when the "
-            "record ends: spectra of it leak, and an exponential window would add damping that has to be taken off "
-            "again; the identification works in time and needs no window, but a longer record makes damping sharper.",
-            channels=(channel.name,),
-            share=worst,
-        )
-    ]
-
-
-def _rest(channel: Channel) -> float:
-    """Where the hammer rests: the median of the longest record."""
-    return float(np.nanmedian(max(channel.parts, key=len)[: 1 << 20]))

@@ -1,11 +1,9 @@
-"""The level of a channel: a mean far from zero, and a size that changes within the record.
+"""The level of a channel: a mean far from zero, a size that changes within the record, slow drift that no input causes.
 
-Slow drift of the outputs that no input causes.
-
-As the identification decides it (`modal.preparation.drift`), but with the pulse response of an observer in the place
-of a model: what the inputs do is taken off, once with a response fitted to the records as they are and once with one
-fitted to records without slow motion, and slow functions of time must predict held-out blocks of the rest clearly
-better.
+Drift is decided as the identification does (`modal.preparation.drift`), but with the pulse response of an observer in
+the place of a model: what the inputs do is taken off, once with a response fitted to the records as they are and once
+with one fitted to records without slow motion; then slow functions of time must predict held-out blocks of the rest
+clearly better.
 """
 
 from collections.abc import Sequence
@@ -25,7 +23,17 @@ from modal.preparation.drift import (
     without_drift,
 )
 from modal.quality.coherence import best_pulse, predicted_outputs
-from modal.quality.findings import Channel, Finding, named, spoken, where_found
+from modal.quality.findings import (
+    FEWEST_ROWS,
+    FITTED_ROWS,
+    MOSTLY,
+    NOTABLE,
+    Channel,
+    Finding,
+    named,
+    spoken,
+    where_found,
+)
 from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
@@ -34,19 +42,25 @@ from okid.record import Record
 __all__ = ["block_levels", "drift_findings", "is_steady", "level_findings", "offset_findings"]
 
 LARGE_OFFSET = 10.0
-"""Mean over standard deviation."""
+"""Speak of a mean of so many standard deviations."""
+
 N_BLOCKS = 10
+"""Compare the levels of so many blocks of a record."""
+
 CHANGED = 4.0
-"""Median level on one side of the change over that on the other."""
+"""Say that the level changed where the median of one side is so many times that of the other."""
+
 APART = 2.0
-"""Every block on one side is so many times as large as every block on the other: chance does not sort them."""
+"""Ask that every block of one side be so many times as large as every one of the other: chance does not sort them."""
+
 RING_DOWN = 1.3
-"""Every block over the next one: the start from rest dies out."""
+"""Take levels for a start that dies out where every block is so many times the next one."""
+
 STEADY = 1.5
-"""The same for every input and for its steps from sample to sample, so that neither its level nor its band changes."""
-FEWEST_SAMPLES = 1000
+"""Call an input steady whose blocks, and those of its steps, differ by less: neither its level nor its band changes."""
+
 FEWEST_BLOCKS = 2
-"""With samples, on either side of a change."""
+"""Ask for so many blocks with samples on either side of a change."""
 
 
 def offset_findings(channel: Channel, n_records: int) -> list[Finding]:
@@ -88,7 +102,7 @@ def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """
     levels = []
     for part in parts:
-        if part.size < FEWEST_SAMPLES:
+        if part.size < FEWEST_ROWS:
             continue
         size = part.size // N_BLOCKS
         blocks = part[: N_BLOCKS * size].reshape(N_BLOCKS, size)
@@ -115,7 +129,7 @@ def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: i
         if change is None:
             continue
         cut, before, after = change
-        part = [part for part in channel.parts if part.size >= FEWEST_SAMPLES][number]
+        part = [part for part in channel.parts if part.size >= FEWEST_ROWS][number]
         time = cut * (part.size // N_BLOCKS) * channel.dt
         ratio = max(before, after) / max(min(before, after), np.finfo(float).tiny)
         word, times = ("larger" if after > before else "smaller"), spoken(ratio) if ratio < 1e6 else "many"
@@ -155,18 +169,6 @@ def _spread(levels: FloatArray) -> float:
     return float(known.max() / known.min()) if known.size and known.min() > 0.0 else np.inf
 
 
-MOST_ROWS = 6000
-FEWEST_ROWS = 800
-BLOCKS = 1000
-NOTED = 0.01
-"""Of a channel's power: less slow motion than this is not worth a word."""
-DOUBTFUL = 0.5
-SENSIBLE = -0.5
-"""Share that a pulse response explains, below which it adds more than it explains: nothing is known then."""
-MOSTLY = 0.5
-"""Of an output's slow motion: where the inputs cause more of it, the rest is what the pulse response missed."""
-
-
 def drift_findings(records: Sequence[Record]) -> list[Finding]:
     """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere.
 
@@ -176,24 +178,24 @@ def drift_findings(records: Sequence[Record]) -> list[Finding]:
     longest = max(records, key=lambda record: record.n_samples)
     if longest.n_inputs == 0 or longest.n_samples < FEWEST_ROWS or np.isnan(longest.inputs).any():
         return []
-    slow = np.flatnonzero(_slow_shares(longest) > NOTED)
+    slow = np.flatnonzero(_slow_shares(longest) > NOTABLE)
     if slow.size == 0:
         return []
     try:
-        thinned = longest.decimated(max(1, -(-longest.n_samples // MOST_ROWS)))
+        thinned = longest.decimated(max(1, -(-longest.n_samples // FITTED_ROWS)))
     except IdentificationError:
         return []
     if np.isnan(thinned.outputs).all(axis=0).any() or _slow_inputs(thinned) > SLOW_INPUTS:
         return []
     shares = {int(i): _drift_share(thinned.select(outputs=[int(i)])) for i in slow}
-    which = sorted((i for i in shares if shares[i] > NOTED), key=lambda i: -shares[i])
+    which = sorted((i for i in shares if shares[i] > NOTABLE), key=lambda i: -shares[i])
     if not which:
         return []
     names = tuple(longest.output_names[i] for i in which)
     share = shares[which[0]]
     return [
         Finding(
-            level="doubtful" if share > DOUBTFUL else "note",
+            level="doubtful" if share > MOSTLY else "note",
             what="drift",
             where=named(names),
             sentence=f"output{'s' * (len(names) > 1)} {named(names)} drift{'s' * (len(names) == 1)} slowly in a way "
@@ -209,7 +211,7 @@ def drift_findings(records: Sequence[Record]) -> list[Finding]:
 def _slow_shares(record: Record) -> FloatArray:
     """(n_outputs,) share of an output's power that all slow functions can take, over block means."""
     shares = np.zeros(record.n_outputs)
-    size = -(-record.n_samples // BLOCKS)
+    size = -(-record.n_samples // FEWEST_ROWS)
     n_blocks = record.n_samples // size
     functions = np.linalg.qr(slow_functions(n_blocks, CANDIDATES[-1]))[0][:, 1:]
     for i in range(record.n_outputs):
@@ -242,7 +244,7 @@ def _drift_share(record: Record) -> float:
         return 0.0
     plain = without_drift(record, 0)
     own, freed = best_pulse(plain), best_pulse(without_drift(record, most[-1]))
-    if freed is None or not freed[1].min() >= SENSIBLE:
+    if freed is None or not freed[1].min() >= -MOSTLY:  # it adds more than it explains: nothing is known
         return 0.0
     settled = record.n_samples // 10  # the answer to what came before the record has died out, about
     left = (plain.outputs - predicted_outputs(freed[0], plain.inputs))[settled:]
@@ -257,7 +259,7 @@ def _drift_share(record: Record) -> float:
     if best == 0 or not is_significant(gain, SIGNIFICANT) or gain.sum() < LEAST_GAIN * without.sum():
         return 0.0
     moved = [held_out_squares(slow_motion([plain.outputs[settled:]]), n).sum() for n in (0, best)]
-    if gain.sum() < MOSTLY * (moved[0] - moved[1]):
+    if gain.sum() < MOSTLY * (moved[0] - moved[1]):  # the rest is what the pulse response missed
         return 0.0
     functions = slow_functions(len(left), best)
     fitted = functions @ np.linalg.lstsq(functions, left, rcond=None)[0]

@@ -1,12 +1,8 @@
-"""Single samples that lie far off the curve through their neighbours.
+"""Single samples: those that lie far off the curve through their neighbours, those without a number, too few of all.
 
 Each sample is compared with the cubic through its two neighbours on either side. A spike is off by six times what is
-usual nearby, and with it taken out the neighbours lie as they usually do: a hit, a step or the start of a ringing
-stays rough.
-
-Samples without a number: how many, in how many gaps, and what they leave to fit to.
-
-Records too short for any fit, or for a look at coherence.
+usual nearby (a normal variable is so with `FALSE_ALARM`), and with it taken out the neighbours lie as they usually do:
+a hit, a step or the start of a ringing stays rough.
 
 The smallest observer that holds one mode looks two samples back: of n_channels channels it has 2 n_channels + n_inputs
 coefficients an output, and one row of the records gives one equation for them.
@@ -15,8 +11,24 @@ coefficients an output, and one row of the records gives one equation for them.
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
-from modal.quality.findings import MOST_SPANS, Channel, Finding, Level, named, spoken, when, where_found
+from modal.quality.findings import (
+    BLOCK,
+    FALSE_ALARM,
+    HARDLY,
+    MOST_SPANS,
+    MOSTLY,
+    SERIOUS,
+    SPOILED,
+    Channel,
+    Finding,
+    Level,
+    named,
+    spoken,
+    when,
+    where_found,
+)
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -24,17 +36,21 @@ from okid.rows import runs_of, usable_rows
 
 __all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings"]
 
-TIMES_USUAL = 6.0
-"""A normal variable is as far off once in 5e8 samples, and the largest of three blocks is taken for usual."""
-LEAST_SIZE = 0.1
-"""Of the channel's standard deviation: a smaller spike moves nothing."""
 LEFT_OVER = 0.2
-"""Of a spike, or a third of the limit: how well its neighbours must lie once it is taken out."""
-BLOCK = 64
-CROWDED, SPARSE = (0.75, 1.1503493803760079), (0.5, 0.6744897501960817)
-"""Quantiles of a block that tell what is usual, and what they are for the modulus of a normal variable: the higher one
-where steps or hits may fill a third of the block and are no spikes, the lower one where they are what is looked for."""
-BAD_SHARE = 1e-3
+"""Ask that the neighbours of a spike lie within this share of it, or a third of the limit, once it is taken out."""
+
+CROWDED = 0.75
+"""Take this quantile of a block for what is usual where steps or hits may fill a third of it and are no spikes."""
+
+PAST = 2
+"""Count so many samples of the past for one mode."""
+
+ROWS_PER_COEFFICIENT = 10
+"""Doubt a record with fewer rows a coefficient: a fit follows the noise."""
+
+OBSERVER_ORDER = 50
+"""Count a row as usable where it and so many before it are complete, about what an observer uses."""
+
 _REACH = 2
 
 
@@ -82,9 +98,9 @@ def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray
 
 
 def _level(channel: Channel, share: float, largest: float) -> Level:
-    if share >= BAD_SHARE and channel.role == "output":
+    if share >= SPOILED and channel.role == "output":
         return "bad"
-    return "doubtful" if share >= BAD_SHARE or largest >= channel.std else "note"
+    return "doubtful" if share >= SPOILED or largest >= channel.std else "note"
 
 
 def sharp_samples(channel: Channel, resolution: float) -> tuple[BoolArray, ...]:
@@ -92,7 +108,7 @@ def sharp_samples(channel: Channel, resolution: float) -> tuple[BoolArray, ...]:
     masks = []
     for part in channel.parts:
         off = np.abs(_off_curve(part))
-        limit = _limit(off, channel, resolution, SPARSE)
+        limit = _limit(off, channel, resolution, MOSTLY)  # the median, for steps and hits are looked for
         masks.append(np.asarray(off > limit, dtype=np.bool_))
     return tuple(masks)
 
@@ -106,7 +122,7 @@ def _off_curve(part: FloatArray) -> FloatArray:
     return off
 
 
-def _limit(off: FloatArray, channel: Channel, resolution: float, usual_is: tuple[float, float]) -> FloatArray:
+def _limit(off: FloatArray, channel: Channel, resolution: float, quantile: float) -> FloatArray:
     """How far a sample may be off: six times what is usual in its block and the two beside it.
 
     Samples of which nothing is known take no part in what is usual; the blocks are of the others.
@@ -114,13 +130,13 @@ def _limit(off: FloatArray, channel: Channel, resolution: float, usual_is: tuple
     known = ~np.isnan(off)
     if not known.all():
         limit = np.full(off.size, np.inf)
-        limit[known] = _limit(off[known], channel, resolution, usual_is)
+        limit[known] = _limit(off[known], channel, resolution, quantile)
         return limit
     n_blocks = off.size // BLOCK
-    floor = max(LEAST_SIZE * channel.std, 4.0 * resolution if np.isfinite(resolution) else 0.0)
+    floor = max(HARDLY * channel.std, 4.0 * resolution if np.isfinite(resolution) else 0.0)
     if n_blocks == 0:
         return np.full(off.size, np.inf)
-    quantile, normal = usual_is
+    normal = float(scipy.special.ndtri(0.5 * (1.0 + quantile)))  # the quantile of the modulus of a normal variable
     place_of = int(quantile * BLOCK)
     blocks = np.abs(off[: n_blocks * BLOCK]).reshape(n_blocks, BLOCK)
     usual = np.partition(blocks, place_of, axis=1)[:, place_of] / normal
@@ -128,7 +144,7 @@ def _limit(off: FloatArray, channel: Channel, resolution: float, usual_is: tuple
     usual = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     every = np.repeat(usual, BLOCK)
     every = np.concatenate([every, np.full(off.size - every.size, usual[-1])])
-    return np.asarray(np.maximum(TIMES_USUAL * every, floor), dtype=np.float64)
+    return np.asarray(np.maximum(-scipy.special.ndtri(FALSE_ALARM) * every, floor), dtype=np.float64)
 
 
 def _sharp(part: FloatArray, off: FloatArray, channel: Channel, resolution: float) -> list[int]:
@@ -165,14 +181,7 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
     """Whether an input moves around the sample most of the time: a single pulse out of rest is a hit, not a spike."""
     nearby = np.concatenate([part[max(0, k - BLOCK) : max(0, k - 1)], part[k + 2 : k + BLOCK]])
     low, high = np.nanquantile(nearby, [0.25, 0.75])
-    return bool(high - low > LEAST_SIZE * channel.std)
-
-
-MANY = 0.05
-OBSERVER_ORDER = 50
-"""Past samples that an observer uses, about: a row counts when it and they are complete."""
-FEW_ROWS = 0.5
-TOO_FEW_ROWS = 0.1
+    return bool(high - low > HARDLY * channel.std)
 
 
 def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
@@ -186,12 +195,12 @@ def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
     several = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "one gap of"
     return [
         Finding(
-            level="bad" if share > 0.5 else "doubtful" if share > MANY else "note",
+            level="bad" if share > MOSTLY else "doubtful" if share > SERIOUS else "note",
             what="missing samples",
             where=where_found(channel.name, spans, n_records),
             sentence=f"{channel.role} {named(channel.name)} lacks {percent(share)} of its samples, in {several} "
             f"{spoken(longest * channel.dt)} s: the rows they touch are left out"
-            + ("; leave the channel out if the others matter more." if share > MANY else "."),
+            + ("; leave the channel out if the others matter more." if share > SERIOUS else "."),
             channels=(channel.name,),
             spans=spans,
             share=share,
@@ -208,11 +217,11 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
         n_usable += int(usable_rows(complete, order).sum())
         n_rows += record.n_samples - order
     share = n_usable / max(1, n_rows)
-    if share >= FEW_ROWS:
+    if share >= MOSTLY:
         return []
     return [
         Finding(
-            level="bad" if share < TOO_FEW_ROWS else "doubtful",
+            level="bad" if share < HARDLY else "doubtful",
             what="missing samples",
             where=when((), len(records)),
             sentence=f"gaps leave {percent(share)} of the rows with {OBSERVER_ORDER} whole samples before them, which "
@@ -220,12 +229,6 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
             share=1.0 - share,
         )
     ]
-
-
-PAST = 2
-"""Samples of the past that one mode needs."""
-ROWS_PER_COEFFICIENT = 10
-"""With fewer, a fit follows the noise."""
 
 
 def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[Finding]:

@@ -1,11 +1,9 @@
-"""What the spectrum of a channel tells: a bound on its noise, motion up to half the sampling frequency, few periods.
+"""What the spectrum of a channel tells: a bound on its noise, no roll-off, few periods, white noise, hum of the mains.
 
-Hum of the mains: lines at 50 or 60 Hz and their multiples that the inputs do not hold.
-
-In the spectrum of the whole record (Hann window) the power of noise, and of a resonance that noise drives, is
-spread like an exponential variable about a level that is smooth over a few hertz: it exceeds r times the median of its
-neighbours with probability 2^-r. A line stands alone: its power grows with the length of the record, that of its
-neighbours does not.
+In the spectrum of a whole record (Hann window for the mains) the power of noise, and of a resonance that noise drives,
+is spread like an exponential variable about a level that is smooth over a few hertz: it exceeds r times its mean with
+probability e^-r, and r times the median of its neighbours with probability 2^-r; `FALSE_ALARM` gives both r. A line
+stands alone: its power grows with the length of the record, that of its neighbours does not.
 """
 
 from collections.abc import Sequence
@@ -13,7 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.quality.findings import Channel, Finding, named, spoken, where_found
+from modal.quality.findings import (
+    BLOCK,
+    FALSE_ALARM,
+    HARDLY,
+    MOST_ROWS,
+    MOSTLY,
+    NEARLY_ALL,
+    NOTABLE,
+    Channel,
+    Finding,
+    named,
+    spoken,
+    where_found,
+)
 from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -30,21 +41,33 @@ __all__ = [
 ]
 
 SMOOTHED = 16
-"""Lines of the spectrum over which the floor is averaged."""
-ALIAS_SHARE = 0.01
-"""Of a channel's power that lies in the top tenth of the band."""
-NO_ROLL_OFF = 0.5
-"""Density at the very top over that between 0.6 and 0.8 of the band: an anti-alias filter leaves far less."""
+"""Average the floor of a spectrum over so many lines."""
+
 FEW_PERIODS = 10
+"""Doubt a record that holds fewer periods of its strongest motion."""
+
 WHITE_LAGS = 20
-WHITE_ROWS = 20_000
+"""Test an output for white noise over so many lags."""
+
 WHITE = 1.5
-"""Hosking's statistic over its degrees of freedom; 1 for white noise, and 1.5 at 20 lags with probability 0.07."""
-NOTHING = 0.05
-"""Explained share, chance taken off, below which the inputs explain nothing."""
-STRONGEST = 20.0
-"""Times the mean density of one periodogram that its largest line has at least, if there is a motion to speak of."""
-SHORTEST = 64
+"""Call an output white below this portmanteau statistic over its freedom: white noise is so in 93 of 100 cases."""
+
+MAINS = (50.0, 60.0)
+"""Look for lines of these mains [Hz]."""
+
+MOST_MULTIPLES = 6
+"""Look for so many multiples of the mains."""
+
+STRAY = 0.002
+"""Look for a line of the mains within this share of its frequency."""
+
+NEIGHBOURS = (2.5, 8.0, 40.0)
+"""Compare a line with its neighbours between the first and either other distance, in resolutions (one over the
+duration): from just outside the window's main lobe. The larger median counts, so that the peak of a resonance is
+compared with its own flanks."""
+
+LEAST_DURATION = 10.0
+"""Look for no line in a shorter record [s]: it would be as wide as a mode of 50 Hz with half a per cent of damping."""
 
 
 def most_white_noise(frequencies: FloatArray, density: FloatArray) -> float:
@@ -76,15 +99,15 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
     """
     if record.input_hold == "zero_order" and record.n_inputs:
         return []
-    top = frequencies > 0.9 * frequencies[-1]
+    top = frequencies > NEARLY_ALL * frequencies[-1]
     very_top = (frequencies > 0.95 * frequencies[-1]) & (frequencies < frequencies[-1])
     middle = (frequencies > 0.6 * frequencies[-1]) & (frequencies < 0.8 * frequencies[-1])
     if not very_top.any() or not middle.any():
         return []
     total = np.maximum(densities[1:].sum(axis=0), np.finfo(float).tiny)
     shares = densities[top].sum(axis=0) / total
-    flat = densities[very_top].mean(axis=0) > NO_ROLL_OFF * densities[middle].mean(axis=0)
-    which = np.flatnonzero((shares > ALIAS_SHARE) & flat)
+    flat = densities[very_top].mean(axis=0) > MOSTLY * densities[middle].mean(axis=0)
+    which = np.flatnonzero((shares > NOTABLE) & flat)
     if which.size == 0:
         return []
     names = tuple(record.output_names[i] for i in which)
@@ -95,9 +118,9 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
             what="no roll-off",
             where=named(names),
             sentence=f"output{'s' * (len(names) > 1)} {named(names)} hold{'s' * (len(names) == 1)} up to "
-            f"{percent(share)} of "
-            f"the power above {spoken(0.9 * frequencies[-1])} Hz and no roll-off below half the sampling frequency: "
-            "without an anti-alias filter, motion above it is folded into the band; if there was none, sample faster.",
+            f"{percent(share)} of the power above {spoken(NEARLY_ALL * frequencies[-1])} Hz and no roll-off below half "
+            "the sampling frequency: without an anti-alias filter, motion above it is folded into the band; if there "
+            "was none, sample faster.",
             channels=names,
             share=share,
         )
@@ -111,7 +134,7 @@ def period_findings(records: Sequence[Record]) -> list[Finding]:
         records: without inputs; of others nothing is said, whose slow motion may be the inputs' doing.
     """
     longest = max(records, key=lambda record: record.n_samples)
-    if longest.n_inputs or longest.n_samples < SHORTEST:
+    if longest.n_inputs or longest.n_samples < BLOCK:
         return []
     summed = np.zeros(longest.n_samples // 2 + 1)
     for i in range(longest.n_outputs):
@@ -120,7 +143,7 @@ def period_findings(records: Sequence[Record]) -> list[Finding]:
         power = np.square(np.abs(np.fft.rfft(np.nan_to_num(values - np.nanmean(values)))))
         summed += power / max(float(power.sum()), np.finfo(float).tiny)
     n_periods = 1 + int(summed[1:].argmax())
-    if n_periods >= FEW_PERIODS or summed[n_periods] < STRONGEST * summed[1:].mean():
+    if n_periods >= FEW_PERIODS or summed[n_periods] < -np.log(FALSE_ALARM) * summed[1:].mean():
         return []
     frequency = n_periods / longest.duration
     return [
@@ -145,10 +168,10 @@ def white_findings(records: Sequence[Record], explained: FloatArray) -> list[Fin
     longest = max(records, key=lambda record: record.n_samples)
     found: list[Finding] = []
     for i, name in enumerate(longest.output_names):
-        values = longest.outputs[:WHITE_ROWS, [i]]
+        values = longest.outputs[:MOST_ROWS, [i]]
         if len(values) < 10 * WHITE_LAGS or np.isnan(values).any() or values.std() == 0.0:
             continue
-        if longest.n_inputs and not explained[i] < NOTHING:
+        if longest.n_inputs and not explained[i] < HARDLY:
             continue
         ratio = whiteness(centred([values / values.std()]), n_lags=WHITE_LAGS, n_fitted=0).ratio
         if not ratio < WHITE:
@@ -165,23 +188,6 @@ def white_findings(records: Sequence[Record], explained: FloatArray) -> list[Fin
             )
         )
     return found
-
-
-MAINS = (50.0, 60.0)
-MOST_MULTIPLES = 6
-OFF = 0.002
-"""Of its frequency: how far the mains stray."""
-NEIGHBOURS = (2.5, 8.0, 40.0)
-"""Resolutions (one over the duration) from the peak to its neighbours: from just outside the window's main lobe, to
-either of two distances. The larger median counts, so that the peak of a resonance is compared with its own flanks."""
-STANDS_OUT = 30.0
-"""Power over the median of the neighbours: by chance with probability 1e-9 a line."""
-HOLDS = 15.0
-"""The same from which an input is said to hold the line itself."""
-SHORTEST_FOR_LINES = 10.0
-"""Seconds: in a shorter record a line is as wide as a mode of 50 Hz with half a per cent of damping."""
-DOUBTFUL_SHARE = 0.01
-BAD_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -208,14 +214,14 @@ def mains_lines(channel: Channel) -> HumLines:
     part = max(channel.parts, key=len)
     duration = part.size * channel.dt
     prominence, rms = np.zeros(mains.size), np.zeros(mains.size)
-    if mains.size and duration >= SHORTEST_FOR_LINES and channel.std > 0.0:
+    if mains.size and duration >= LEAST_DURATION and channel.std > 0.0:
         window = np.hanning(part.size + 1)[:-1]
         size = 1 << part.size.bit_length()
         spectrum = np.fft.rfft(np.nan_to_num(part - channel.mean) * window, size)
         power = spectrum.real**2 + spectrum.imag**2
         step = 1.0 / (size * channel.dt)
         for i, frequency in enumerate(frequencies):
-            strays = OFF * frequency + 1.0 / duration
+            strays = STRAY * frequency + 1.0 / duration
             near = _between(frequency - strays, frequency + strays, step)
             peak = near.start + int(power[near].argmax())
             largest = float(power[peak])
@@ -237,9 +243,10 @@ def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], 
     """
     if channel.role == "input" or channel.std == 0.0:
         return []
-    there = lines.prominence > STANDS_OUT
+    stands_out = -np.log2(FALSE_ALARM)
+    there = lines.prominence > stands_out
     for one in inputs:
-        there &= one.prominence < HOLDS
+        there &= one.prominence < MOSTLY * stands_out
     found: list[Finding] = []
     for base in MAINS:
         own = there & (lines.mains == base)
@@ -249,7 +256,7 @@ def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], 
         which = ", ".join(spoken(f) for f in lines.frequencies[own])
         found.append(
             Finding(
-                level="bad" if share >= BAD_SHARE else "doubtful" if share >= DOUBTFUL_SHARE else "note",
+                level="bad" if share >= MOSTLY else "doubtful" if share >= NOTABLE else "note",
                 what="mains hum",
                 where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} holds {'sharp lines' if own.sum() > 1 else 'a sharp line'} of "

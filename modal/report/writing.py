@@ -1,16 +1,17 @@
 """The files of a report, all of them or none, with the result itself beside them to be loaded and compared again."""
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
 from modal import recording
+from modal.comparison.source import PART, summary_of
 from modal.discrepancy.results import Diagnosis
-from modal.identification.result import Identification
+from modal.identification.result import Identification, write_parts
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
 from modal.report.folder import Existing, recording_written, refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
@@ -37,8 +38,8 @@ __all__ = [
 ]
 
 LARGEST_KEPT = 1 << 27
-"""Bytes: 128 MiB, a record of 8 channels and 700 000 samples with its two simulations. Above, the report's JSON keeps
-every number but the time histories, which can be made again from the measured files."""
+"""Keep the result whole up to so many bytes of arrays: 128 MiB, a record of 8 channels and 700 000 samples with its two
+simulations. Above, its file holds the summary that a comparison needs; the rest can be made again from the records."""
 
 
 def kept_size(result: Identification) -> int:
@@ -48,20 +49,21 @@ def kept_size(result: Identification) -> int:
     return sum(sizes.values())
 
 
-def keep_result(result: Identification, path: Path) -> Path | None:
-    """Write the result with `Identification.save`; nothing where it would be larger than `LARGEST_KEPT`.
+def keep_result(result: Identification, path: Path, *, files: Sequence[str] = ()) -> Path:
+    """Write the summary for a comparison, and with it the result unless it would be larger than `LARGEST_KEPT`.
 
     Args:
         result: of `modal.identify`.
         path: of a file that is not there.
-
-    Returns:
-        The path, or None where nothing was written.
+        files: SHA-256 of each measured file.
 
     Raises:
         InvalidDataError: the file exists or cannot be written.
     """
-    return result.save(path) if kept_size(result) <= LARGEST_KEPT else None
+    parts: dict[str, object] = {PART: summary_of(result, files=files)}
+    if kept_size(result) <= LARGEST_KEPT:
+        parts["result"] = result
+    return write_parts(parts, path)
 
 
 def _add_sizes(value: object, sizes: dict[int, int]) -> None:
@@ -86,7 +88,7 @@ class ReportFiles:
         schema: JSON schema of that file.
         csv: one row a mode.
         uff55: modes of the system as universal file datasets 55, for other tools.
-        result: the result itself, for `modal.load`; None where it would be very large and was not written.
+        result: the result itself, for `modal.load` and `modal-report diff`; where it would be very large, the summary.
         recording: Rerun recording (.rrd).
     """
 
@@ -96,11 +98,11 @@ class ReportFiles:
     schema: Path
     csv: Path
     uff55: Path
-    result: Path | None
+    result: Path
     recording: Path
 
     def __iter__(self) -> Iterator[Path]:
-        return (path for field in fields(self) if (path := getattr(self, field.name)) is not None)
+        return (getattr(self, field.name) for field in fields(self))
 
     @classmethod
     def in_folder(cls, folder: Path) -> "ReportFiles":
@@ -184,16 +186,12 @@ def write_report(
     files = ReportFiles.in_folder(target)
     refuse_names(target, [path.name for path in files], existing)
     setting = setting_of(result, geometry=geometry, specification=specification, quality=quality)
-    written: list[str] = []
     write_folder(
         target,
         [path.name for path in files],
-        lambda made: written.extend(_write_all(result, ReportFiles.in_folder(made), source, setting)),
+        lambda made: _write_all(result, ReportFiles.in_folder(made), source, setting),
         existing=existing,
     )
-    if files.result is not None and files.result.name not in written:
-        files.result.unlink(missing_ok=True)  # of the report that was replaced
-        return replace(files, result=None)
     return files
 
 
@@ -206,10 +204,10 @@ def refuse_existing(folder: Path, existing: Existing) -> None:
     refuse_names(folder, [path.name for path in ReportFiles.in_folder(folder)], existing)
 
 
-def _write_all(result: Identification, files: ReportFiles, provenance: Provenance, setting: Setting) -> list[str]:
-    """Write every file; return their names."""
-    kept = None if files.result is None else keep_result(result, files.result)
-    beside = _beside(replace(files, result=kept))
+def _write_all(result: Identification, files: ReportFiles, provenance: Provenance, setting: Setting) -> None:
+    measured = [file.sha256 for file in provenance.files if file.name in provenance.sources]
+    keep_result(result, files.result, files=measured)
+    beside = _beside(files)
     pages = {
         files.html: html_text(result, provenance, draw_pictures(result, setting), setting, beside=beside),
         files.markdown: markdown_text(result, provenance, setting, beside=beside),
@@ -222,14 +220,13 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
         path.write_bytes(text.encode("utf-8"))
     with recording_written(files.recording):
         recording.save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
-    return [path.name for path in replace(files, result=kept)]
 
 
 def _beside(files: ReportFiles) -> str:
     """The other files of the report, for the last words of the page."""
-    kept = f"{files.result.name} (the result itself, for modal.load and modal-report diff), " if files.result else ""
     return (
         f"{files.markdown.name} (the same words), {files.json.name} (every number; {files.schema.name} says how it is "
-        f"laid out), {files.csv.name} (one row a pole), {files.uff55.name} (the modes for other tools), {kept}and "
-        f"{files.recording.name} (open it with: rerun {files.recording.name})"
+        f"laid out), {files.csv.name} (one row a pole), {files.uff55.name} (the modes for other tools), "
+        f"{files.result.name} (the result itself, or its summary where it is above {LARGEST_KEPT >> 20} MiB, for "
+        f"modal.load and modal-report diff), and {files.recording.name} (open it with: rerun {files.recording.name})"
     )

@@ -8,19 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.acceptance.check import all_met, check_limits
-from modal.acceptance.limits import (
-    DampingRange,
-    FitAtLeast,
-    ModeCount,
-    ModeExpected,
-    ModeForbidden,
-    SettledVerdicts,
-    TrustAtLeast,
-    UncertaintyAtMost,
-)
+from modal.acceptance.check import MAYBE, NO, YES, all_met, all_of, any_of, check_limits, inside, negated, uncovered
+from modal.acceptance.limits import AcceptanceLimit
 from modal.acceptance.test_file import Specification
-from modal.acceptance.weighing import MAYBE, NO, YES, all_of, any_of, inside, negated, uncovered
 from modal.modes.mode import Uncertainty
 from okid.record import Record
 
@@ -75,7 +65,7 @@ def changed(result, index, **changes):
     ],
 )
 def test_a_mode_expected_in_a_band(measured, band, expected):
-    assert state(measured, ModeExpected(name="", frequency=band)) == expected
+    assert state(measured, AcceptanceLimit(kind="mode", frequency=band)) == expected
 
 
 @pytest.mark.parametrize(
@@ -88,25 +78,27 @@ def test_a_mode_expected_in_a_band(measured, band, expected):
     ],
 )
 def test_the_damping_of_an_expected_mode(measured, damping, expected):
-    assert state(measured, ModeExpected(name="", frequency=(3.6, 3.7), damping=damping)) == expected
+    assert state(measured, AcceptanceLimit(kind="mode", frequency=(3.6, 3.7), damping=damping)) == expected
 
 
 def test_damping_that_is_not_resolved_cannot_be_told(measured):
-    limit = ModeExpected(name="", frequency=(3.6, 3.7), damping=(0.0, 1.0))
+    limit = AcceptanceLimit(kind="mode", frequency=(3.6, 3.7), damping=(0.0, 1.0))
     found = outcome(changed(measured, 0, damping_resolved=False), limit)
     assert (found.state, "not resolved" in found.sentence) == ("cannot be told", True)
     assert state(measured, limit) == "met"
 
 
 def test_an_unknown_uncertainty_cannot_be_weighed(identification):
-    found = outcome(identification, ModeExpected(name="first", frequency=(3.0, 4.0)))
+    found = outcome(identification, AcceptanceLimit(kind="mode", name="first", frequency=(3.0, 4.0)))
     assert found.state == "cannot be told"
     assert "is not known" in found.sentence
 
 
 def test_another_mode_in_the_band_may_meet_the_limit(measured):
     near = changed(measured, 1, frequency=3.68)
-    limit = ModeExpected(name="", frequency=(3.6, 3.75), damping=(0.005, 0.0115))  # 0.009 +- 0.002 is met by this one
+    limit = AcceptanceLimit(
+        kind="mode", frequency=(3.6, 3.75), damping=(0.005, 0.0115)
+    )  # 0.009 +- 0.002 is met by this one
     assert state(near, limit) == "met"
     assert state(measured, limit) == "cannot be told"
 
@@ -120,7 +112,7 @@ def test_students_interval_is_wider(measured):
         markov_std=np.zeros((1, 3, 1)),
         degrees_of_freedom=4.0,  # 2.776 instead of 1.96
     )
-    limit = ModeExpected(name="", frequency=(3.6, 3.692))
+    limit = AcceptanceLimit(kind="mode", frequency=(3.6, 3.692))
     assert state(measured, limit) == "met"
     assert state(replace(measured, uncertainty=few), limit) == "cannot be told"
 
@@ -141,22 +133,22 @@ def test_students_interval_is_wider(measured):
     ],
 )
 def test_a_band_without_modes(measured, band, expected):
-    assert state(measured, ModeForbidden(name="", frequency=band)) == expected
+    assert state(measured, AcceptanceLimit(kind="no_mode", frequency=band)) == expected
 
 
 def test_where_no_input_moved_no_mode_can_be_missed(measured):
     quiet = replace(measured, excitation=replace(measured.excitation, excited_bands=(((0.1, 5.2), (5.6, 20.0)),)))
-    found = outcome(quiet, ModeForbidden(name="", frequency=(5.0, 6.0)))
+    found = outcome(quiet, AcceptanceLimit(kind="no_mode", frequency=(5.0, 6.0)))
     assert (found.state, "no input moved at 5.2 to 5.6 Hz" in found.sentence) == ("cannot be told", True)
-    assert state(quiet, ModeForbidden(name="", frequency=(7.0, 8.0))) == "met"
-    assert state(quiet, ModeExpected(name="", frequency=(5.0, 6.0))) == "cannot be told"
-    assert state(quiet, ModeForbidden(name="", frequency=(3.0, 5.4))) == "not met"  # there is one all the same
+    assert state(quiet, AcceptanceLimit(kind="no_mode", frequency=(7.0, 8.0))) == "met"
+    assert state(quiet, AcceptanceLimit(kind="mode", frequency=(5.0, 6.0))) == "cannot be told"
+    assert state(quiet, AcceptanceLimit(kind="no_mode", frequency=(3.0, 5.4))) == "not met"  # there is one all the same
 
 
 def test_above_half_the_sampling_frequency_nothing_can_be_seen(measured):
     driven = replace(measured, excitation=replace(measured.excitation, excited_bands=(((0.0, 50.0),),)))
     for band, expected in (((40.0, 50.0), "met"), ((40.0, 50.1), "cannot be told"), ((60.0, 70.0), "cannot be told")):
-        found = outcome(driven, ModeForbidden(name="", frequency=band))
+        found = outcome(driven, AcceptanceLimit(kind="no_mode", frequency=band))
         assert found.state == expected
         assert ("above 50 Hz, half the sampling frequency" in found.reason) == (expected != "met")
 
@@ -165,8 +157,8 @@ def test_without_measured_inputs_every_frequency_below_counts_as_seen(measured):
     (record,) = measured.records
     ambient = replace(measured, records=(Record(np.zeros((record.n_samples, 0)), record.outputs, record.dt),))
     ambient = replace(ambient, excitation=replace(measured.excitation, excited_bands=(), excited_share=np.zeros(0)))
-    assert state(ambient, ModeForbidden(name="", frequency=(5.0, 6.0))) == "met"
-    assert state(ambient, ModeForbidden(name="", frequency=(45.0, 60.0))) == "cannot be told"
+    assert state(ambient, AcceptanceLimit(kind="no_mode", frequency=(5.0, 6.0))) == "met"
+    assert state(ambient, AcceptanceLimit(kind="no_mode", frequency=(45.0, 60.0))) == "cannot be told"
 
 
 def test_uncovered_parts_of_a_band():
@@ -192,7 +184,7 @@ def test_uncovered_parts_of_a_band():
     ],
 )
 def test_the_number_of_modes(measured, least, most, expected):
-    assert state(measured, ModeCount(name="", at_least=least, at_most=most)) == expected
+    assert state(measured, AcceptanceLimit(kind="n_modes", at_least=least, at_most=most)) == expected
 
 
 @pytest.mark.parametrize(
@@ -202,14 +194,14 @@ def test_the_number_of_modes(measured, least, most, expected):
 def test_the_fit(measured, at_least, expected):
     """Folds of 0.971, 0.968 and 0.966: half the interval of their mean is 4.303 * 0.00252 / sqrt(3) = 0.0063."""
     result = replace(measured, fit=replace(measured.fit, cross_validated=np.full(3, 0.97)))
-    assert state(result, FitAtLeast(name="", at_least=at_least)) == expected
+    assert state(result, AcceptanceLimit(kind="fit", at_least=at_least)) == expected
 
 
 def test_a_fit_of_one_fold_or_none_cannot_be_told(measured):
     one = replace(measured, fit=replace(measured.fit, folds=np.array([0.97])))
-    assert "one fold alone" in outcome(one, FitAtLeast(name="", at_least=0.1)).sentence
+    assert "one fold alone" in outcome(one, AcceptanceLimit(kind="fit", at_least=0.1)).sentence
     none = replace(measured, fit=replace(measured.fit, cross_validated=np.full(3, np.nan), folds=np.zeros(0)))
-    assert outcome(none, FitAtLeast(name="", at_least=0.1)).state == "cannot be told"
+    assert outcome(none, AcceptanceLimit(kind="fit", at_least=0.1)).state == "cannot be told"
 
 
 @pytest.mark.parametrize(
@@ -226,7 +218,10 @@ def test_a_fit_of_one_fold_or_none_cannot_be_told(measured):
     ],
 )
 def test_the_damping_of_every_mode(measured, limits, band, expected):
-    assert state(measured, DampingRange(name="", damping=limits, frequency=band)) == expected
+    assert (
+        state(measured, AcceptanceLimit(kind="damping", at_least=limits[0], at_most=limits[1], frequency=band))
+        == expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -240,11 +235,14 @@ def test_the_damping_of_every_mode(measured, limits, band, expected):
     ],
 )
 def test_the_uncertainty_of_every_mode(measured, frequency, damping, expected):
-    assert state(measured, UncertaintyAtMost(name="", frequency_share=frequency, damping_share=damping)) == expected
+    assert (
+        state(measured, AcceptanceLimit(kind="uncertainty", frequency_at_most=frequency, damping_at_most=damping))
+        == expected
+    )
 
 
 def test_an_uncertainty_that_is_not_known_cannot_be_told(measured, identification):
-    limit = UncertaintyAtMost(name="", frequency_share=0.5, damping_share=0.5)
+    limit = AcceptanceLimit(kind="uncertainty", frequency_at_most=0.5, damping_at_most=0.5)
     assert state(identification, limit) == "cannot be told"
     assert state(changed(measured, 1, damping_resolved=False), limit) == "cannot be told"
     assert state(measured, replace(limit, frequency=(40.0, 45.0))) == "cannot be told"
@@ -252,22 +250,22 @@ def test_an_uncertainty_that_is_not_known_cannot_be_told(measured, identificatio
 
 
 def test_of_several_intervals_the_one_that_fails_is_shown(measured):
-    limit = UncertaintyAtMost(name="", frequency_share=1e-5, damping_share=0.5)
+    limit = AcceptanceLimit(kind="uncertainty", frequency_at_most=1e-5, damping_at_most=0.5)
     part = changed(measured, 0, frequency_std=math.nan)
     found = outcome(part, limit)
     assert found.state == "not met"
     assert "not known" not in found.found
-    assert "not known" in outcome(part, replace(limit, frequency_share=0.9)).found
+    assert "not known" in outcome(part, replace(limit, frequency_at_most=0.9)).found
 
 
 def test_settled_verdicts(measured):
-    assert state(measured, SettledVerdicts(name="")) == "not met"
-    assert state(measured, SettledVerdicts(name="", frequency=(0.0, 20.0))) == "met"
-    assert state(measured, SettledVerdicts(name="", frequency=(0.0, 23.4))) == "cannot be told"
+    assert state(measured, AcceptanceLimit(kind="settled")) == "not met"
+    assert state(measured, AcceptanceLimit(kind="settled", frequency=(0.0, 20.0))) == "met"
+    assert state(measured, AcceptanceLimit(kind="settled", frequency=(0.0, 23.4))) == "cannot be told"
 
 
 def test_trust(measured):
-    carried, care = TrustAtLeast(name="", at_least="carried"), TrustAtLeast(name="", at_least="with care")
+    carried, care = AcceptanceLimit(kind="trust", trust="carried"), AcceptanceLimit(kind="trust", trust="with care")
     warned = replace(measured, warnings=("something",))
     poor = replace(measured, fit=replace(measured.fit, cross_validated=np.full(3, 0.2)))
     assert [state(one, carried) for one in (measured, warned, poor)] == ["met", "not met", "not met"]
@@ -276,17 +274,19 @@ def test_trust(measured):
 
 def test_real_and_noise_poles_are_no_modes(measured):
     overdamped = changed(measured, 0, kind="real")
-    assert state(overdamped, ModeExpected(name="", frequency=(3.6, 3.7))) == "not met"
-    assert state(overdamped, ModeCount(name="", at_least=3)) == "cannot be told"
+    assert state(overdamped, AcceptanceLimit(kind="mode", frequency=(3.6, 3.7))) == "not met"
+    assert state(overdamped, AcceptanceLimit(kind="n_modes", at_least=3)) == "cannot be told"
 
 
 def test_the_name_of_a_limit_is_what_it_is_about(measured):
-    assert outcome(measured, ModeForbidden(name="rotor", frequency=(5, 6))).sentence.startswith("Rotor: met.")
-    assert outcome(measured, ModeForbidden(name="", frequency=(5, 6))).what == "no mode allowed"
+    assert outcome(measured, AcceptanceLimit(kind="no_mode", name="rotor", frequency=(5, 6))).sentence.startswith(
+        "Rotor: met."
+    )
+    assert outcome(measured, AcceptanceLimit(kind="no_mode", frequency=(5, 6))).what == "no mode allowed"
 
 
 def test_all_are_met_or_not(measured):
-    good, bad = ModeForbidden(name="", frequency=(5, 6)), ModeForbidden(name="", frequency=(3, 4))
+    good, bad = AcceptanceLimit(kind="no_mode", frequency=(5, 6)), AcceptanceLimit(kind="no_mode", frequency=(3, 4))
     told = [check_limits(measured, Specification(limits=limits)) for limits in ((), (good,), (good, bad))]
     assert [all_met(outcomes) for outcomes in told] == [True, True, False]
 

@@ -1,15 +1,13 @@
 """The two stories of a missing effect: their records against other integrators, what they find against the truth."""
 
-import json
-
 import numpy as np
 import pytest
 
 from modal.examples import loose_joint, motor_propeller, story
 from modal.examples.loose_joint import Frame
-from modal.examples.motor_propeller import Motor, read_staircase, thrust_law, thrust_sentences
+from modal.examples.motor_propeller import Motor
 from modal.report.writing import DiagnosisFiles
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import InvalidDataError
 
 # --- the motor and its propeller -------------------------------------------------------------------------------------
 
@@ -23,14 +21,13 @@ def exact_speed(motor, start, voltage, time):
     return (high - low * share) / (1 - share)
 
 
-def test_the_motor_is_integrated_right(monkeypatch):
-    monkeypatch.setattr(motor_propeller, "SPEED_NOISE", 0.0)
-    motor = Motor()
+def test_the_motor_is_integrated_right():
+    motor = Motor(noise=0)
     record = motor_propeller.measured_record(
         motor, np.random.default_rng(4), voltages=(1.0, 12.0), name="run", n_samples=300
     )
     speeds, volts = record.outputs[:, 0], record.inputs[:, 0]
-    following = exact_speed(motor, speeds[:-1], volts[:-1], motor_propeller.DT)
+    following = exact_speed(motor, speeds[:-1], volts[:-1], motor.dt)
     np.testing.assert_allclose(speeds[1:], following, rtol=1e-7)
     assert 4 < np.count_nonzero(np.diff(volts)) < 30  # it holds each voltage for 10 samples or more
 
@@ -55,61 +52,12 @@ def test_the_motor_story_finds_the_drag_and_the_loss():
         story.parameter(diagnosis, "gap_spring", "gap")
 
 
-def staircase(folder, exponent, *, n_steps=10, n_samples=40):
-    """A folder as the measured one: raw counts of a propeller whose thrust is a power of its speed."""
-    raw = np.linspace(20.0, 150.0, n_steps)
-    speed = raw * (780 / 12) * (2 * np.pi / 60)
-    thrust = 10.0 * (speed / speed.max()) ** exponent
-    force = 30.0 + thrust * 0.084 / (0.5 * 9.81 * 0.088) * (400.0 - 30.0)
-    rows = [
-        f"{i * n_samples + j},{10 * (i + 1)},{raw[i] if j else 9999.0},{force[i] if j >= n_samples // 2 else 0.0}"
-        for i in range(n_steps)
-        for j in range(n_samples)
-    ]
-    text = "sample,command,rpm_raw,force_raw\n" + "\n".join(rows) + "\n"
-    for name in ("tiger700_14p4V.csv", "tiger700_15p0V.csv"):
-        (folder / name).write_text(text, encoding="utf-8")
-    values = {"v1": 30.0, "v2": 400.0}
-    about = {"tiger700": {"calibration": {"14.4": values, "15.0": values}}}
-    (folder / "about.json").write_text(json.dumps(about), encoding="utf-8")
-    return speed, thrust
-
-
-def test_a_staircase_is_read_in_units_and_its_law_found(tmp_path):
-    speed, thrust = staircase(tmp_path, 1.9)
-    speeds, thrusts = read_staircase(tmp_path, "15.0")
-    np.testing.assert_allclose(speeds, speed)
-    np.testing.assert_allclose(thrusts, thrust, rtol=1e-6)
-    assert thrust_law(speeds, thrusts).exponent == pytest.approx(1.9, abs=1e-6)
-    sentences = thrust_sentences(tmp_path)
-    assert len(sentences) == 2
-    assert "10 steps up to 10.0 N: exponent 1.90" in sentences[0]
-
-
-def test_the_interval_of_the_exponent_holds_as_often_as_it_says():
-    """200 staircases of 25 steps with 0.1 N of scatter; 95 % of 200 +- 4 binomial deviations."""
-    rng, speeds = np.random.default_rng(12), np.linspace(150.0, 1000.0, 25)
-    held = 0
-    for _ in range(200):
-        law = thrust_law(speeds, 10.0 * (speeds / 1000.0) ** 2.0 + 0.1 * rng.standard_normal(25))
-        held += abs(law.exponent - 2.0) < 2.07 * law.exponent_std  # Student's t with 23 degrees of freedom
-    assert 178 <= held <= 200
-
-
-def test_staircases_that_are_not_there_are_skipped_in_words(tmp_path):
-    assert "skipped" in thrust_sentences(None)[0]
-    assert "skipped" in thrust_sentences(tmp_path)[0]
-    with pytest.raises(UnreadableFileError, match=r"tiger700_14p4V.csv"):
-        read_staircase(tmp_path, "14.4")
-
-
 # --- the frame -------------------------------------------------------------------------------------------------------
 
 
-def test_the_frame_is_integrated_right(monkeypatch):
+def test_the_frame_is_integrated_right():
     """Against 64 Runge-Kutta steps a sample, on equations that are written out storey by storey."""
-    monkeypatch.setattr(loose_joint, "ACCELEROMETER_NOISE", 0.0)
-    frame, level, n_samples = Frame(), 25.0, 60
+    frame, level, n_samples = Frame(noise=0), 25.0, 60
     record = loose_joint.measured_record(frame, np.random.default_rng(6), level=level, name="run", n_samples=n_samples)
     again = np.random.default_rng(6)  # the same draws: 120 frequencies, 120 phases, then the start
     pulses = 2 * np.pi * again.uniform(0.5, 25.0, 120)
@@ -129,9 +77,9 @@ def test_the_frame_is_integrated_right(monkeypatch):
         m = frame.masses
         return np.array([(loads[1] - loads[0]) / m[0], (loads[2] - loads[1]) / m[1], (f - loads[2]) / m[2]])
 
-    wanted, step = [], loose_joint.DT / 64
+    wanted, step = [], frame.dt / 64
     for k in range(n_samples):
-        t = k * loose_joint.DT
+        t = k * frame.dt
         wanted.append(acceleration(x, v, force(t)))
         for j in range(64):
             f = [force(t + (j + part) * step) for part in (0.0, 0.5, 1.0)]
@@ -141,15 +89,8 @@ def test_the_frame_is_integrated_right(monkeypatch):
             a4 = acceleration(x + step * (v + step / 2 * a2), v + step * a3, f[2])
             x = x + step * v + step**2 / 6 * (a1 + a2 + a3)
             v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    np.testing.assert_allclose(record.inputs[:, 0], [force(k * loose_joint.DT) for k in range(n_samples)], atol=1e-12)
+    np.testing.assert_allclose(record.inputs[:, 0], [force(k * frame.dt) for k in range(n_samples)], atol=1e-12)
     np.testing.assert_allclose(record.outputs, wanted, atol=1e-5 * np.abs(wanted).max())
-
-
-@pytest.mark.slow
-def test_the_frame_story_finds_storey_play_and_stiffness():
-    frame = Frame()
-    diagnosis = loose_joint.study(frame, np.random.default_rng(77))
-    check_loose_joint(frame, diagnosis)
 
 
 def test_a_short_frame_story_finds_storey_play_and_stiffness(tmp_path, monkeypatch, capsys):

@@ -47,9 +47,9 @@ def test_the_frame_of_the_page_is_the_frame_of_the_truth(page):
 
 
 def test_the_shifts_of_the_page_hold_the_true_ones(page):
-    true = 100 * (many_records.modules(loss=many_records.LOSS).modes()[0] / many_records.modules().modes()[0] - 1)
+    true = 100 * (many_records.modules(loss=many_records.ROW.loss).modes()[0] / many_records.modules().modes()[0] - 1)
     rows = re.findall(r"\| ([+-][\d.]+) ± ([\d.]+) % \| (.+) \|", page)
-    assert len(rows) == many_records.N_MODULES
+    assert len(rows) == many_records.ROW.n_modules
     for (shift, width, verdict), expected in zip(rows, true, strict=True):
         assert float(shift) == pytest.approx(expected, abs=2 * float(width))
         assert (verdict == "beyond chance") == (expected < -0.1)
@@ -62,4 +62,4 @@ def test_what_the_page_calls_hidden_is_hidden(page):
     assert {round(value, 4) for value in expected} == {round(value, 4) for value in hidden}
     assert f"(true {mass.frequency:.4f})" in page
     assert f"(true {mass.damping_ratio:.4f})" in page
-    assert f"hidden: joint {many_records.LOOSENED + 1}, {100 * many_records.LOSS:.2f} %" in page
+    assert f"hidden: joint {many_records.ROW.loosened + 1}, {100 * many_records.ROW.loss:.2f} %" in page

@@ -3,63 +3,12 @@ import pytest
 import scipy.signal
 
 from modal.quality.check import check_quality
-from modal.quality.inputs import excitation_findings, hit_findings, hits_of, is_hammer, ring_findings
+from modal.quality.inputs import excitation_findings
 from okid.record import Record
 
 
 def found(record, what):
     return [finding for finding in check_quality(record).findings if finding.what == what]
-
-
-def force(starts, n=4000, width=9, size=1.0):
-    values = 1e-4 * np.random.default_rng(0).standard_normal(n)
-    for start in starts:
-        values[start : start + width] += size * np.hanning(width + 2)[1:-1]
-    return values
-
-
-def test_a_hammer_is_told_from_shakers_bursts_and_earthquakes(channel_of):
-    rng = np.random.default_rng(0)
-    k = np.arange(4000)
-    assert is_hammer(channel_of(force([100, 2000]), role="input"))
-    quake = np.where((k > 1000) & (k < 1100), rng.standard_normal(4000), 1e-3 * rng.standard_normal(4000))
-    for values in (rng.standard_normal(4000), quake, np.sin(0.1 * k), np.where(k > 400, 1.0, 0.0)):
-        assert not is_hammer(channel_of(values, role="input"))
-    assert not is_hammer(channel_of(force([100, 2000]), role="output"))
-
-
-def test_hits_are_found_where_they_are(channel_of):
-    (hits,) = hits_of(channel_of(force([100, 2000]), role="input"))
-    assert [start for start, _ in hits] == pytest.approx([101, 2001], abs=1)
-
-
-@pytest.mark.parametrize(("gap", "n_found"), [(60, 1), (900, 0)])
-def test_a_double_hit_is_one_soon_after_another(channel_of, gap, n_found):
-    channel = channel_of(force([300, 300 + gap]), role="input")
-    none = np.empty(0)
-    doubles = [f for f in hit_findings(channel, none, none, 1) if f.what == "double hit"]
-    assert len(doubles) == n_found
-    if doubles:
-        ((_, start, _),) = doubles[0].spans
-        assert start == pytest.approx(3.0, abs=0.02)
-
-
-def test_the_force_spectrum_ends_where_it_has_fallen_to_a_hundredth(channel_of):
-    frequencies = np.linspace(0, 50, 101)
-    channel = channel_of(force([300]), role="input")
-    (finding,) = hit_findings(channel, frequencies, np.where(frequencies < 20.25, 1.0, 0.005), 1)
-    assert "at 20.5 Hz" in finding.sentence
-    assert hit_findings(channel, frequencies, np.where(frequencies < 20.25, 1.0, 0.02), 1) == []
-
-
-@pytest.mark.parametrize(("decay", "n_found"), [(0.0005, 1), (0.005, 0)])
-def test_an_answer_that_rings_on_is_noted(channel_of, decay, n_found):
-    """Left of the level after 3600 samples: 17 % and nothing; the limit is 10 %."""
-    k = np.arange(4000)
-    ringing = np.where(k > 400, np.exp(-decay * (k - 400.0)) * np.sin(0.5 * k), 0.0)
-    hammer = hits_of(channel_of(force([400]), role="input"))
-    assert len(ring_findings(channel_of(ringing), [hammer], 1)) == n_found
-    assert ring_findings(channel_of(ringing), [], 1) == []
 
 
 def test_inputs_that_are_one_signal_are_bad_and_two_signals_are_not():

@@ -1,12 +1,15 @@
-"""The kept result: read back as it was, counted once, and not written where it would be very large."""
+"""The kept result: read back as it was, counted once, and its summary where it would be very large."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from modal.comparison.source import read_result
 from modal.identification.result import load
 from modal.report import writing as kept_result
 from modal.report.writing import keep_result, kept_size
+from okid.errors import UnreadableFileError
 
 
 def test_it_is_the_result(tmp_path, identification):
@@ -28,9 +31,12 @@ def test_an_array_that_is_shared_counts_once(identification):
     assert kept_size(replace(identification, predicted=identification.records)) == kept_size(identification)
 
 
-def test_one_that_is_too_large_is_not_written(tmp_path, identification, monkeypatch):
+def test_of_one_that_is_too_large_the_summary_is_kept(tmp_path, identification, monkeypatch):
     monkeypatch.setattr(kept_result, "LARGEST_KEPT", kept_size(identification) - 1)
-    assert keep_result(identification, tmp_path / "result.npz") is None
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(kept_result, "LARGEST_KEPT", kept_size(identification))
-    assert keep_result(identification, tmp_path / "result.npz") is not None
+    path = keep_result(identification, tmp_path / "result.npz", files=["ab"])
+    assert path.stat().st_size < 50_000
+    summary = read_result(path)
+    assert [mode.pole for mode in summary.modes] == [mode.pole for mode in identification.modes]
+    assert summary.data == ("file ab",)
+    with pytest.raises(UnreadableFileError, match="summary alone"):
+        load(path)

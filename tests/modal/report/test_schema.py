@@ -7,7 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from modal.acceptance.limits import ModeForbidden
+from modal.acceptance.limits import AcceptanceLimit
 from modal.acceptance.test_file import SensorNote, Specification
 from modal.modes.mode import Uncertainty
 from modal.report.machine import document_schema, json_text, schema_file, schema_text, type_schema
@@ -53,7 +53,7 @@ def test_a_report_with_everything_is_valid(validator, identification):
     )
     files = (SourceFile(name="a.csv", size=3, sha256="ab"),)
     specification = Specification(
-        article="frame", sensors=(SensorNote(channel="x"),), limits=(ModeForbidden(name="", frequency=(1, 2)),)
+        article="frame", sensors=(SensorNote(channel="x"),), limits=(AcceptanceLimit(kind="no_mode", frequency=(1, 2)),)
     )
     parsed = json.loads(json_text(result, Provenance(files=files), specification=specification))
     validator.validate(parsed)

@@ -1,6 +1,6 @@
 import pytest
 
-from modal.acceptance.limits import FitAtLeast
+from modal.acceptance.limits import AcceptanceLimit
 from modal.acceptance.test_file import Specification
 from modal.geometry.sensors import Geometry, Sensor
 from modal.report import pictures as module
@@ -35,7 +35,7 @@ def test_the_data_are_looked_at_unless_somebody_has(identification, monkeypatch)
 
 @pytest.mark.parametrize(("least", "state"), [(0.5, "met"), (0.999, "not met")])
 def test_limits_are_weighed(identification, least, state):
-    limits = (FitAtLeast(name="fit", at_least=least),)
+    limits = (AcceptanceLimit(kind="fit", name="fit", at_least=least),)
     weighed = setting_of(identification, specification=Specification(limits=limits), quality=object())
     assert [one.state for one in weighed.outcomes] == [state]
     assert setting_of(identification, quality=object()).outcomes == ()
