@@ -212,7 +212,8 @@ def load(path: str | Path) -> Identification:
     result = read_part(path, "result", Identification)
     if result is None:
         raise UnreadableFileError(
-            f"{path} is damaged, or holds a summary alone because the whole result is too large; identify again."
+            f"{path} is damaged or no saved identification (where a result is too large for its folder, the file holds a "
+            "summary alone); identify again."
         )
     return cast("Identification", result)
 
