@@ -212,8 +212,8 @@ def load(path: str | Path) -> Identification:
     result = read_part(path, "result", Identification)
     if result is None:
         raise UnreadableFileError(
-            f"{path} is damaged or no saved identification (where a result is too large for its folder, the file holds a "
-            "summary alone); identify again."
+            f"{path} is damaged or no saved identification (of a result that is too large it holds a summary "
+            "alone); identify again."
         )
     return cast("Identification", result)
 
