@@ -29,6 +29,7 @@ from era.hankel import block_sizes, hankel_energy
 from era.hankel_svd import GapChoice, Method, choose_order, hankel_triplets
 from era.realisation import HankelFactors, Realisation
 from okid.arrays import FloatArray, require, whole_number
+from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
 
@@ -47,8 +48,8 @@ __all__ = [
 RealiseOn = Literal["system", "system_and_gain"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class HankelDecomposition:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class HankelDecomposition(Displayed):
     """Singular value decomposition of the scaled block Hankel matrix, with the model of the highest order it allows.
 
     Attributes:

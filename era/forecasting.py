@@ -32,6 +32,7 @@ from era.realisation import Realisation
 from era.simulation import check_channels, filled_inputs, unknown_after
 from era.state_recursion import checked_state, run_from
 from okid.arrays import FloatArray, frozen, real_number, whole_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 from okid.rows import runs_of
@@ -154,8 +155,8 @@ TRUSTED_INVERSE = 1e8
 """Condition number of A up to which A^(-1) K costs filterpy's filter no more than half of its digits."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Forecast:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Forecast(Displayed):
     """Predictions of each output at each sample from `steps` samples before, with intervals.
 
     Attributes:

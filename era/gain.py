@@ -31,6 +31,7 @@ from era.realisation import Realisation
 from era.simulation import check_channels
 from era.state_recursion import finite_gramian
 from okid.arrays import BoolArray, FloatArray
+from okid.display import Displayed
 from okid.errors import IdentificationError
 from okid.record import Record
 from okid.rows import as_records
@@ -156,8 +157,8 @@ ROUND_OFF = 1e-9
 """Size of what the free run leaves of an output, relative to the output, that is rounding."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class GainEstimate:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class GainEstimate(Displayed):
     """A gain, how well it is known, and the covariance of the innovations that it leaves.
 
     Attributes:

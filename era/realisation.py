@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from okid.arrays import FloatArray, frozen, time_step, whole_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["HankelFactors", "Realisation", "from_control", "to_control"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class HankelFactors:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class HankelFactors(Displayed):
     """The balanced factors H(0) = observability @ controllability that the SVD of the block Hankel matrix gave.
 
     They are data, not model: rebuilt from (A, B, C) they would make every accuracy indicator 1. Channels are scaled
@@ -79,7 +80,7 @@ class HankelFactors:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Realisation:
+class Realisation(Displayed):
     """State-space model in the units of the record; see the module for its equations.
 
     Attributes:

@@ -10,19 +10,32 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from modal import discrepancy
+    from modal import discrepancy, plots
     from modal.acceptance.check import check_limits
     from modal.acceptance.test_file import read_specification
+    from modal.batch import Batch, identify_batch
     from modal.comparison.changes import compare_results
     from modal.comparison.source import read_result
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
+    from modal.identification.by_hand import with_modes
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
     from modal.identification.result import Identification, OrderEvidence, load
+    from modal.identification.synthesis import frequency_response
     from modal.modes.choice import Choice, Fit
     from modal.modes.extraction import extract_modes
     from modal.modes.mode import ModalModel, Mode, Uncertainty
+    from modal.modes.shape_sets import (
+        ModePairs,
+        ScaledShapes,
+        Shapes,
+        assurance,
+        coordinate_assurance,
+        normalise_shapes,
+        pair_modes,
+        read_shapes,
+    )
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
@@ -31,74 +44,114 @@ if TYPE_CHECKING:
     from modal.structure.model_file import read_model, write_model
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
+    from modal.tracking import Alarm, Track, Tracks, track
+    from modal.tracking.live import LiveEstimate, follow
     from modal.verdict.stabilisation import StabilisationPoint
 
 __all__ = [
+    "Alarm",
+    "Batch",
     "Choice",
     "Element",
     "Fit",
     "Geometry",
     "Identification",
+    "LiveEstimate",
     "ModalModel",
     "Mode",
+    "ModePairs",
     "OrderChoice",
     "OrderEvidence",
     "PlantModel",
+    "ScaledShapes",
     "Sensor",
+    "Shapes",
     "StabilisationPoint",
     "StructuralModel",
+    "Track",
+    "Tracks",
     "Uncertainty",
+    "assurance",
     "check_limits",
     "check_quality",
     "choose_orders",
     "compare_results",
+    "coordinate_assurance",
     "discrepancy",
     "extract_modes",
+    "follow",
+    "frequency_response",
     "identify",
+    "identify_batch",
     "load",
     "log_diagnosis",
     "log_identification",
+    "normalise_shapes",
+    "pair_modes",
+    "plots",
     "read_geometry",
     "read_model",
     "read_result",
+    "read_shapes",
     "read_specification",
     "save_recording",
     "simulate",
+    "track",
+    "with_modes",
     "write_model",
     "write_report",
 ]
 
 _PLACES = {
+    "Alarm": "modal.tracking",
+    "Batch": "modal.batch",
     "Choice": "modal.modes.choice",
     "Element": "modal.structure.elements",
     "Fit": "modal.modes.choice",
     "Geometry": "modal.geometry.sensors",
     "Identification": "modal.identification.result",
+    "LiveEstimate": "modal.tracking.live",
     "ModalModel": "modal.modes.mode",
     "Mode": "modal.modes.mode",
+    "ModePairs": "modal.modes.shape_sets",
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.structure.plant_model",
+    "ScaledShapes": "modal.modes.shape_sets",
     "Sensor": "modal.geometry.sensors",
+    "Shapes": "modal.modes.shape_sets",
     "StabilisationPoint": "modal.verdict.stabilisation",
     "StructuralModel": "modal.structure.structural_model",
+    "Track": "modal.tracking",
+    "Tracks": "modal.tracking",
     "Uncertainty": "modal.modes.mode",
+    "assurance": "modal.modes.shape_sets",
     "check_limits": "modal.acceptance.check",
     "check_quality": "modal.quality",
     "choose_orders": "modal.identification.order_search",
     "compare_results": "modal.comparison.changes",
+    "coordinate_assurance": "modal.modes.shape_sets",
     "discrepancy": "modal.discrepancy",
     "extract_modes": "modal.modes.extraction",
+    "frequency_response": "modal.identification.synthesis",
+    "follow": "modal.tracking.live",
     "identify": "modal.identification.pipeline",
+    "identify_batch": "modal.batch",
     "load": "modal.identification.result",
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
+    "normalise_shapes": "modal.modes.shape_sets",
+    "pair_modes": "modal.modes.shape_sets",
+    "plots": "modal.plots",
     "read_geometry": "modal.geometry.file",
     "read_model": "modal.structure.model_file",
     "read_result": "modal.comparison.source",
+    "read_shapes": "modal.modes.shape_sets",
     "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",
     "simulate": "modal.structure.given",
+    "track": "modal.tracking",
+    "with_modes": "modal.identification.by_hand",
     "write_model": "modal.structure.model_file",
     "write_report": "modal.report",
 }
@@ -115,7 +168,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
 
 
 if importlib.util.find_spec("modal_proto") is not None:

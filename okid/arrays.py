@@ -25,6 +25,8 @@ __all__ = [
     "BoolArray",
     "ComplexArray",
     "FloatArray",
+    "any_number",
+    "check_not_empty",
     "column_block",
     "frozen",
     "frozen_complex",
@@ -43,6 +45,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 TINY = 1e-300
 """Divide by no less than this: nothing over nothing is nothing, and no quotient of it overflows."""
+SHORTEST_STEP, LONGEST_STEP = 1e-12, 1e9
+"""Refuse time steps [s] that no experiment has: beyond them the arithmetic of frequencies overflows."""
+
 CHUNK_VALUES = 1 << 21
 """Values looked at in one step, so that checking a mapped file needs 16 MiB at a time."""
 
@@ -168,6 +173,11 @@ def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
             raise InvalidDataError(
                 f"{name} must be real numbers, but is complex; pass its real part, or time histories."
             )
+        if given.dtype.kind in "USmM" or (given.dtype.kind == "O" and any(map(_is_no_number, given.flat))):
+            raise InvalidDataError(
+                f"{name} must be real numbers, but holds texts or times; turn texts into numbers, and times into "
+                "seconds after the first."
+            )
         if given.dtype.kind not in "biuf":
             given = given.astype(np.float64)
     except (TypeError, ValueError) as error:
@@ -177,6 +187,10 @@ def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
     array = given.astype(np.float64, copy=False)
     # What lies under a mask is no measurement, and numpy.asarray would bring it back.
     return np.where(np.ma.getmaskarray(values), np.nan, array) if isinstance(values, np.ma.MaskedArray) else array
+
+
+def _is_no_number(value: object) -> bool:
+    return isinstance(value, str | bytes | np.datetime64 | np.timedelta64)
 
 
 def _check_shape(array: npt.NDArray[np.generic], name: str, shape: tuple[int | None, ...] | None) -> None:
@@ -202,7 +216,7 @@ def real_number(value: Any) -> float:
         >>> real_number(3), real_number("3"), real_number(True)
         (3.0, nan, nan)
     """
-    if isinstance(value, bool | str | bytes | bytearray) or getattr(value, "ndim", 0) != 0:
+    if isinstance(value, bool | bytearray) or _is_no_number(value) or getattr(value, "ndim", 0) != 0:
         return math.nan
     try:
         return float(value)
@@ -238,7 +252,7 @@ def time_step(value: Any) -> float:
     """A time step in seconds as a float.
 
     Raises:
-        InvalidDataError: no number, or one that is not positive and finite.
+        InvalidDataError: no number, or one that is not positive, finite and within what an experiment can have.
 
     Example:
         >>> time_step(0.01)
@@ -247,6 +261,11 @@ def time_step(value: Any) -> float:
     step = real_number(value)
     if not (math.isfinite(step) and step > 0):
         raise InvalidDataError(f"dt must be a positive time step in seconds, but is {value!r}.")
+    if not SHORTEST_STEP <= step <= LONGEST_STEP:
+        raise InvalidDataError(
+            f"dt must be a time step between {SHORTEST_STEP:g} and {LONGEST_STEP:g} s, but is {step:g}; count the time "
+            "in another unit."
+        )
     return step
 
 
@@ -272,3 +291,22 @@ def require(value: object, kind: type, *, where: str, made_by: str) -> None:
         raise InvalidDataError(
             f"{where} takes {article} {kind.__name__}, but was given {type(value).__name__}; make one by {made_by}."
         )
+
+
+def any_number(array: FloatArray) -> bool:
+    """Whether anything but NaN is there; a mapped file is read only as far as needed."""
+    return any(not np.isnan(array[rows]).all() for rows in row_chunks(*array.shape))
+
+
+def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> None:
+    """Raise if a channel is missing in every sample; a mapped file is read only as far as needed."""
+    seen = np.zeros(array.shape[1], dtype=np.bool_)
+    for rows in row_chunks(*array.shape):
+        chunk = array[rows]
+        seen |= ~np.isnan(chunk[0])  # mostly the first sample tells
+        seen |= seen.all() or ~np.isnan(chunk).all(axis=0)
+        if seen.all():
+            return
+    empty = ", ".join(repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number)
+    if empty:
+        raise InvalidDataError(f"{kind} {empty} holds no number in any of its {array.shape[0]} samples; leave it out.")

@@ -11,6 +11,13 @@ IdentificationError(Exception)     the root: catch this to catch all of ours
 A message is one sentence: the rule, the numbers, the remedy.
 """
 
+import contextlib
+import re
+import threading
+import unicodedata
+import warnings
+from collections.abc import Iterator
+
 __all__ = [
     "IdentificationError",
     "IdentificationWarning",
@@ -18,11 +25,35 @@ __all__ = [
     "InvalidDataError",
     "NumericalError",
     "UnreadableFileError",
+    "quiet",
+    "visible",
 ]
+
+_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode categories that show nothing themselves but change what is around them (and lone surrogates)."""
+
+
+def visible(text: str) -> str:
+    r"""The text on one line, each control or direction-changing character replaced by U+FFFD.
+
+    Example:
+        >>> visible("floor\t1"), visible("\x1b[2J") == "\N{REPLACEMENT CHARACTER}[2J"
+        ('floor 1', True)
+    """
+    spaced = re.sub(r"[\t\r\n\v\f]+", " ", text)
+    return "".join(
+        "\N{REPLACEMENT CHARACTER}" if unicodedata.category(letter) in _HIDDEN else letter for letter in spaced
+    )
 
 
 class IdentificationError(Exception):
-    """Root of the tree; never raised itself."""
+    """Root of the tree; never raised itself.
+
+    A message may quote names that others wrote, and ends in a terminal: it shows control characters, and obeys none.
+    """
+
+    def __str__(self) -> str:
+        return visible(super().__str__())
 
 
 class InvalidDataError(IdentificationError, ValueError):
@@ -43,3 +74,36 @@ class NumericalError(IdentificationError):
 
 class IdentificationWarning(UserWarning):
     """The result stands, but the caller should act on what the text says."""
+
+    def __str__(self) -> str:
+        return visible(super().__str__())
+
+
+class _Quiet:
+    """How many blocks are quiet now, and the filters as they were before the first."""
+
+    lock = threading.Lock()
+    n_open = 0
+    before = warnings.catch_warnings()
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """No warning is shown until the block ends: what it says is known, or told in another way.
+
+    `warnings.catch_warnings` alone is not made for threads: of two blocks that overlap, the first to end would leave
+    the filters of the second behind for ever. Here the last to end puts the filters back.
+    """
+    with _Quiet.lock:
+        if _Quiet.n_open == 0:
+            _Quiet.before = warnings.catch_warnings()
+            _Quiet.before.__enter__()
+            warnings.simplefilter("ignore")
+        _Quiet.n_open += 1
+    try:
+        yield
+    finally:
+        with _Quiet.lock:
+            _Quiet.n_open -= 1
+            if _Quiet.n_open == 0:
+                _Quiet.before.__exit__(None, None, None)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from okid.arrays import BoolArray, FloatArray, whole_number
+from okid.display import Displayed
 from okid.gram import lag_gram
 from okid.record import Record
 from okid.rows import as_records, runs_of
@@ -25,8 +26,8 @@ _RANGE = 1e-6
 _ROW_LIMIT = 2_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Excitation:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Excitation(Displayed):
     """What the inputs allow to be identified.
 
     Attributes:

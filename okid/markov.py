@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 
 from okid.arrays import FloatArray, frozen, require, time_step, whole_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.observer import ObserverFit
 
@@ -30,7 +31,7 @@ __all__ = ["MarkovParameters", "recover_arrays", "recover_markov", "recover_syst
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class MarkovParameters:
+class MarkovParameters(Displayed):
     """Pulse response of a discrete-time system, recovered by OKID or given by hand (an impulse test is one already).
 
     Attributes:

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from okid.arrays import FloatArray
+from okid.display import Displayed
 from okid.errors import IdentificationWarning, InsufficientDataError
 from okid.gram import LagGram, lag_gram
 from okid.least_squares import ObserverCoefficients, RegressionRows, solve
@@ -34,7 +35,7 @@ _NOISE_FREE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class ObserverFit:
+class ObserverFit(Displayed):
     """Coefficients of the observer equation, in the units of the record.
 
     Attributes:

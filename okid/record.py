@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ import numpy.typing as npt
 from okid.arrays import (
     BoolArray,
     FloatArray,
+    any_number,
+    check_not_empty,
     column_block,
     real_number,
     row_chunks,
@@ -27,7 +29,11 @@ from okid.arrays import (
     time_step,
     whole_number,
 )
+from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = [
     "InputHold",
@@ -36,7 +42,6 @@ __all__ = [
     "channel_indices",
     "check_lengths",
     "check_names",
-    "check_not_empty",
     "decimated",
     "detrended",
     "filter_half_length",
@@ -75,6 +80,8 @@ def detrended(array: FloatArray, degree: int) -> FloatArray:
         return result
     for index in range(array.shape[1]):
         rows = ~np.isnan(result[:, index])
+        if not rows.any():
+            continue
         coefficients, *_ = np.linalg.lstsq(basis[rows], result[rows, index], rcond=None)
         result[rows, index] -= basis[rows] @ coefficients
     return result
@@ -159,20 +166,6 @@ def check_names(names: tuple[str, ...]) -> None:
         )
 
 
-def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> None:
-    """Raise if a channel is missing in every sample; a mapped file is read only as far as needed."""
-    seen = np.zeros(array.shape[1], dtype=np.bool_)
-    for rows in row_chunks(*array.shape):
-        chunk = array[rows]
-        seen |= ~np.isnan(chunk[0])  # mostly the first sample tells
-        seen |= seen.all() or ~np.isnan(chunk).all(axis=0)
-        if seen.all():
-            return
-    empty = ", ".join(repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number)
-    if empty:
-        raise InvalidDataError(f"{kind} {empty} holds no number in any of its {array.shape[0]} samples; leave it out.")
-
-
 def channel_indices(chosen: Sequence[str | int] | None, names: tuple[str, ...], kind: str) -> list[int]:
     """Indices of channels given by name or index; None means all."""
     if chosen is None:
@@ -195,12 +188,12 @@ InputHold = Literal["zero_order", "linear", "band_limited"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Record:
+class Record(Displayed):
     """Inputs and outputs of one uninterrupted experiment on a uniform time grid.
 
     Args:
         inputs: (n_samples, n_inputs); n_inputs may be 0. One-dimensional values are one channel.
-        outputs: (n_samples, n_outputs); NaN marks a missing sample.
+        outputs: (n_samples, n_outputs); NaN marks a missing sample, NaN throughout a channel that another record has.
         dt: time step [s].
         input_names: one a channel, unique over inputs and outputs; "input_0", ... unless given.
         output_names: "output_0", ... unless given.
@@ -252,7 +245,8 @@ class Record:
         set_(self, "output_units", labels(self.output_units, outputs.shape[1], "output", named=False))
         check_names(self.input_names + self.output_names)
         check_not_empty(inputs, self.input_names, "input")
-        check_not_empty(outputs, self.output_names, "output")
+        if not any_number(outputs):
+            check_not_empty(outputs, self.output_names, "output")
 
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
@@ -290,6 +284,57 @@ class Record:
     def time(self) -> FloatArray:
         """(n_samples,) time of each sample [s]."""
         return self.start_time + self.dt * np.arange(self.n_samples, dtype=np.float64)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        *,
+        inputs: Sequence[str] | str,
+        outputs: Sequence[str] | str,
+        dt: float | None = None,
+        input_hold: InputHold = "band_limited",
+    ) -> "Record":
+        """A record from a data frame of pandas, polars or Arrow, read as a file with the same columns would be.
+
+        Args:
+            frame: one column a channel; a unit stands in the name (`tip [g]`) or in the metadata of the field.
+            inputs: names of the channels that drive the system; () for none.
+            outputs: names of the channels that answer.
+            dt: time step [s]; None where a column called time gives it.
+            input_hold: what the inputs did between samples.
+
+        Raises:
+            InvalidDataError: no such channel, no time step, or columns that are no numbers.
+
+        Example:
+            >>> import pyarrow as pa
+            >>> frame = pa.table({"time": [0.0, 0.1, 0.2], "force [kN]": [1.0, 0.0, 0.0], "tip": [0.0, 1.0, 0.5]})
+            >>> record = Record.from_frame(frame, inputs="force", outputs="tip")
+            >>> record.dt, float(record.inputs[0, 0]), record.input_units
+            (0.1, 1000.0, ('N',))
+        """
+        from okid.readers.parquet import table_of_frame
+        from okid.readers.table import to_record
+
+        return to_record(table_of_frame(frame), cls, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+
+    def to_table(self) -> "pa.Table":
+        """Time [s] and every channel as columns of an Arrow table, units in the metadata of each field.
+
+        For pandas and polars: `record.to_table().to_pandas()`, `polars.from_arrow(record.to_table())`.
+        """
+        import pyarrow as pa
+
+        names = ("time", *self.input_names, *self.output_names)
+        units = ("s", *self.input_units, *self.output_units)
+        roles = ("", *("input" for _ in self.input_names), *("output" for _ in self.output_names))
+        columns = [self.time, *self.inputs.T, *self.outputs.T]
+        fields = [
+            pa.field(name, pa.float64(), metadata={"unit": unit, "role": role})
+            for name, unit, role in zip(names, units, roles, strict=True)
+        ]
+        return pa.table([pa.array(column) for column in columns], schema=pa.schema(fields))
 
     def complete_rows(self) -> BoolArray:
         """(n_samples,) True where no channel is missing; made in chunks, so a mapped file stays on disk."""

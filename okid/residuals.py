@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from okid.arrays import FloatArray, row_chunks, whole_number
+from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.observer import ObserverFit
 from okid.record import Record
@@ -41,8 +42,8 @@ ROUND_OFF = 1e-8
 """Error relative to its output below which it is the rounding of the data, not noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ResidualCheck:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ResidualCheck(Displayed):
     """Hosking's portmanteau test of one-step errors and their correlation with past inputs.
 
     Attributes:

@@ -11,7 +11,8 @@ every fold some of everything, and since Gram matrices of disjoint rows add, a t
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +27,7 @@ __all__ = [
     "check_rows_left",
     "complete_rows",
     "interleaved_folds",
+    "join_setups",
     "regressor_chunks",
     "runs_of",
     "scaled_block",
@@ -63,6 +65,89 @@ def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
                 f"record 0 has {first.dt:.9g} s; resample or decimate one of them."
             )
     return several
+
+
+def join_setups(records: Sequence[Record]) -> tuple[Record, ...]:
+    """Records of one system in several set-ups, on the union of their channels: `modal.identify` joins them.
+
+    An input that a record lacks did not act there (a roving hammer) and is 0; an output that it lacks was not measured
+    there (roving sensors) and is NaN throughout.
+
+    Args:
+        records: of one system; inputs and outputs are told apart by name.
+
+    Raises:
+        InvalidDataError: other units, time steps or holds, a channel that is input here and output there, or set-ups
+            that share no channel with the rest.
+
+    Example:
+        >>> first = Record([1.0, 0.0, 0.0], [0.0, 1.0, 0.5], 0.1, input_names=["hammer_1"], output_names=["tip"])
+        >>> second = Record([1.0, 0.0, 0.0], [0.0, 0.8, 0.4], 0.1, input_names=["hammer_2"], output_names=["tip"])
+        >>> joined = join_setups([first, second])
+        >>> joined[1].input_names, joined[1].inputs[0].tolist()
+        (('hammer_1', 'hammer_2'), [0.0, 1.0])
+    """
+    several = tuple(records)
+    if not several or not all(isinstance(record, Record) for record in several):
+        raise InvalidDataError("join_setups takes a sequence of okid.Record, at least one.")
+    inputs: dict[str, str] = {}
+    outputs: dict[str, str] = {}
+    for record in several:
+        for known, names, units in (
+            (inputs, record.input_names, record.input_units),
+            (outputs, record.output_names, record.output_units),
+        ):
+            for name, unit in zip(names, units, strict=True):
+                if known.setdefault(name, unit) != unit:
+                    raise InvalidDataError(
+                        f"{name!r} is in {known[name] or 'no unit'} in one set-up and in {unit or 'no unit'} in "
+                        f"{record.name or 'another'}; give it one unit."
+                    )
+        if record.input_hold != several[0].input_hold:
+            raise InvalidDataError("set-ups of one system need one input_hold; give all of them the same.")
+    both = sorted(inputs.keys() & outputs.keys())
+    if both:
+        raise InvalidDataError(f"{', '.join(map(repr, both))} is an input in one set-up and an output in another.")
+    _check_connected(several)
+    return as_records([_on_union(record, inputs, outputs) for record in several])
+
+
+def _on_union(record: Record, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> Record:
+    """The record with all channels, the absent inputs 0 and the absent outputs NaN."""
+    if (record.input_names, record.output_names) == (tuple(inputs), tuple(outputs)):
+        return record
+    blocks = []
+    for names, own, values, absent in (
+        (inputs, record.input_names, record.inputs, 0.0),
+        (outputs, record.output_names, record.outputs, np.nan),
+    ):
+        block = np.full((record.n_samples, len(names)), absent)
+        block[:, [list(names).index(name) for name in own]] = values
+        blocks.append(block)
+    return replace(
+        record,
+        inputs=blocks[0],
+        outputs=blocks[1],
+        input_names=tuple(inputs),
+        output_names=tuple(outputs),
+        input_units=tuple(inputs.values()),
+        output_units=tuple(outputs.values()),
+    )
+
+
+def _check_connected(records: Sequence[Record]) -> None:
+    """Raise where a set-up shares nothing with the rest: how large its motion is against theirs could not be told."""
+    channels = [set(record.input_names) | set(record.output_names) for record in records]
+    reached, left = channels[0], list(range(1, len(records)))
+    while joined := [i for i in left if channels[i] & reached]:
+        reached = reached.union(*(channels[i] for i in joined))
+        left = [i for i in left if i not in joined]
+    if left:
+        alone = records[left[0]].name or f"record {left[0]}"
+        raise InvalidDataError(
+            f"{alone} shares no channel with the other set-ups, so its motion cannot be scaled to theirs; keep a "
+            "reference sensor or the hammer in its place."
+        )
 
 
 def usable_rows(complete: BoolArray, order: int) -> BoolArray:

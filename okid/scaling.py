@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from okid.arrays import FloatArray
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -21,8 +22,8 @@ _CACHE_VALUES = 1 << 17
 """Values in one step: the chunk stays in cache while it is read three times."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ChannelScaling:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ChannelScaling(Displayed):
     """What is taken off each channel, and by what it is divided.
 
     Attributes:

@@ -29,6 +29,7 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode
 from modal.wording.numbers import fit_text, hertz
+from okid.display import Displayed
 
 __all__ = [
     "MAYBE",
@@ -70,8 +71,8 @@ LimitState = Literal["met", "not met", "cannot be told"]
 _STATES: dict[int, LimitState] = {1: "met", 0: "cannot be told", -1: "not met"}
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LimitOutcome:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class LimitOutcome(Displayed):
     """What became of one limit.
 
     Attributes:
@@ -455,12 +456,17 @@ def blind_part(result: Identification, band: Range) -> str:
         result: of `modal.identify`.
         band: [Hz].
     """
-    nyquist = 0.5 / result.records[0].dt
+    nyquist = 0.5 / result.realisation.dt
     if band[1] > nyquist:
         return f"the band reaches above {nyquist:.4g} Hz, half the sampling frequency of the identified record"
-    if not result.records[0].n_inputs:
+    if not result.channels.n_inputs:
         return ""  # what drove the structure is not known; it is for the verdicts to doubt
-    dark = uncovered(band, (pair for bands in result.excitation.excited_bands for pair in bands))
+    if result.response is not None:
+        f = result.response.frequencies
+        dark = uncovered(band, [(float(f[0]), float(f[-1]))])
+        return f"the table has no lines at {band_text(dark[0])}" if dark else ""
+    excited = () if result.excitation is None else result.excitation.excited_bands
+    dark = uncovered(band, (pair for bands in excited for pair in bands))
     return f"no input moved at {band_text(dark[0])}" if dark else ""
 
 

@@ -38,6 +38,7 @@ from modal.acceptance.limits import LONGEST_NAME, AcceptanceLimit, TomlTable, li
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
 from modal.geometry.sensors import quoted
 from modal.wording.names import shorten, visible
+from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 
 if TYPE_CHECKING:
@@ -76,8 +77,8 @@ class SensorNote:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Specification:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Specification(Displayed):
     """What the test file says; "" or None where it does not.
 
     Attributes:

@@ -16,8 +16,9 @@ from rich.text import Text
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
 from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources
 from modal.command.terminal import listing, plain
+from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality
-from modal.quality.findings import LEVELS, ChannelQuality, DataQuality, Finding
+from modal.quality.findings import ChannelQuality, DataQuality
 from modal.wording.names import shorten
 from modal.wording.numbers import whole_percent
 from okid.errors import InvalidDataError

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from modal.command.options import Overwrite, Traceback, examples, faults
+from modal.command.options import Overwrite, Traceback, examples, faults, folder_path
 from modal.command.run import Job, Live, Pdf, carry_out, exit_status, read_demo
 from modal.command.terminal import show_comparison, show_files
 from modal.examples.demo import compare_with_truth, demo_geometry, demo_truth
@@ -17,9 +17,9 @@ EXAMPLES = examples("report, recording and all: demo -o demo", "and look at it: 
 
 
 def demo(
-    folder: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the report.")] = Path(
-        "modal-report-demo"
-    ),
+    folder: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", parser=folder_path, help="Folder for the report.")
+    ] = Path("modal-report-demo"),
     *,
     live: Live = False,
     pdf: Pdf = False,

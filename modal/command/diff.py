@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from modal.command.options import Overwrite, Traceback, examples, faults
+from modal.command.options import Overwrite, Traceback, examples, faults, folder_path
 from modal.command.terminal import listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
@@ -94,7 +94,13 @@ def diff(
     *,
     folder: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FOLDER", help="Write the comparison as HTML, Markdown and JSON too."),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FOLDER",
+            parser=folder_path,
+            help="Write the comparison as HTML, Markdown and JSON too.",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     traceback: Traceback = False,

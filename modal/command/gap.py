@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from modal.command.options import Dt, Overwrite, Traceback, examples, faults, name_list, plain_name
+from modal.command.options import Dt, Overwrite, Traceback, examples, faults, folder_path, name_list, plain_name
 from modal.command.run import (
     FileSource,
     Pdf,
@@ -144,6 +144,7 @@ class GapJob:
         folder: for the report.
         existing: "refuse" to touch a report that is there, or "replace" it.
         printed: print the report into a file too.
+        budget: CPU seconds after which the search begins nothing new; no end unless given.
     """
 
     model: Path
@@ -157,6 +158,7 @@ class GapJob:
     folder: Path
     existing: Literal["refuse", "replace"]
     printed: bool = False
+    budget: float | None = None
 
     @property
     def pdf(self) -> Path | None:
@@ -170,6 +172,7 @@ class GapJob:
         for option, names in (("--inputs", self.inputs), ("--outputs", self.outputs), ("--catalogue", self.catalogue)):
             words += [option, ",".join(names)] if names else []
         words += ["--dt", repr(self.dt)] if self.dt is not None else []
+        words += ["--budget", repr(self.budget)] if self.budget is not None else []
         words += ["--hold", self.hold] if self.hold != "band_limited" else []
         sources = (self.model, *self.fit, *self.held_out)
         return Provenance(command=shlex.join(words), sources=tuple(map(str, sources)), dt=self.dt)
@@ -203,16 +206,13 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
             fit,
             held_out,
             catalogue=catalogue,
+            budget=job.budget,
             progress=lambda what, share: tell(what, READ + (DIAGNOSED - READ) * share),
         )
         tell("writing the report and the recording", DIAGNOSED)
         remarks = (*remarks, *(text for text in heard if text not in found.warnings))
         provenance = replace(job.provenance(), remarks=remarks, files=files_read)
         files = write_diagnosis(found, job.folder, existing=job.existing, provenance=provenance)
-        if job.existing == "replace":  # what an earlier report left and this one does not have
-            (job.folder / "report.pdf").unlink(missing_ok=True)
-            if files.model is None:
-                (job.folder / "model.json").unlink(missing_ok=True)
         if job.pdf is not None:
             tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
@@ -319,8 +319,17 @@ def gap(
             metavar="KEYS", help="Effects to try, with commas between; all unless given.", autocompletion=_effects
         ),
     ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="CPU seconds after which nothing new is tried; what is open then is unresolved, and said."
+        ),
+    ] = None,
     folder: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Folder; modal-report-gap-NAME unless given.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", metavar="FOLDER", parser=folder_path, help="Folder; modal-report-gap-NAME unless given."
+        ),
     ] = None,
     pdf: Pdf = False,
     overwrite: Overwrite = False,
@@ -344,6 +353,7 @@ def gap(
             folder=folder or Path(f"modal-report-gap-{plain_name(model.stem)}"),
             existing="replace" if overwrite else "refuse",
             printed=pdf,
+            budget=budget,
         )
         found, written, console = carry_out_gap(job)
         show_diagnosis_files(console, written, pdf=job.pdf)

@@ -11,15 +11,14 @@ from typing import Annotated
 
 import typer
 
-from modal.command import check, demo, diff, gap, run, view
+from modal.command import batch, check, demo, diff, gap, run, track, view
 from modal.command.options import complain, spread_files
-from modal.report.folder import stop_no_more, stop_politely
+from modal.command.stopping import STOPPED, Requests
+from modal.command.terminal import plain_streams
+from modal.report.folder import clear_away
 from modal.sections.provenance import installed_version
 
-__all__ = ["main"]
-
-STOPPED = 130
-"""Exit status of shells for a program that Ctrl-C stopped."""
+__all__ = ["leave", "main", "status"]
 
 app = typer.Typer(
     add_completion=True,
@@ -31,32 +30,39 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command and leave with its exit status."""
-    stop_politely()
-    status = _status(sys.argv[1:])
-    if status == STOPPED:
-        stop_no_more()
-    sys.exit(status)
+    """Run the command where it was imported first, and leave with its exit status."""
+    Requests.listen()
+    leave()
 
 
-def _status(arguments: list[str]) -> int:
+def leave() -> None:
+    """Run the command and leave with its exit status; requests to stop are noted already."""
+    number = status(sys.argv[1:])
+    Requests.ignore()
+    sys.exit(number)
+
+
+def status(arguments: list[str]) -> int:
     """Exit status for the arguments; whatever goes wrong is one sentence on stderr."""
+    Requests.clear_away = clear_away
+    plain_streams()
     if arguments[:1] == ["gap"]:
         arguments = ["gap", *spread_files(arguments[1:], ("--fit", "--held-out"))]
     try:
-        status = app(arguments, prog_name="modal-report", standalone_mode=False)
+        Requests.check()
+        found = app(arguments, prog_name="modal-report", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
-        status = STOPPED
+        found = STOPPED
     except Exception as error:
         explain = getattr(error, "format_message", None)  # wrong use, as typer found it
         if explain is None:
             raise
         text = explain() or "no command was given."
         complain(_with_help(text.replace("Value error, ", "").rstrip("."), arguments))
-        status = 2
-    if status == STOPPED:
+        found = 2
+    if found == STOPPED:
         complain("stopped; nothing was left half-written.")
-    return status if isinstance(status, int) else 0
+    return found if isinstance(found, int) else 0
 
 
 def _with_help(text: str, arguments: list[str]) -> str:
@@ -94,7 +100,9 @@ def _root(
 
 app.command(epilog=run.EXAMPLES)(run.run)
 app.command(epilog=demo.EXAMPLES)(demo.demo)
+app.command(epilog=batch.EXAMPLES)(batch.batch)
 app.command(epilog=check.EXAMPLES)(check.check)
 app.command(epilog=gap.EXAMPLES)(gap.gap)
 app.command(epilog=diff.EXAMPLES)(diff.diff)
+app.command(epilog=track.EXAMPLES)(track.track)
 app.command(epilog=view.EXAMPLES)(view.view)

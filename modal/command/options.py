@@ -8,20 +8,24 @@ from typing import Annotated, Literal
 
 import typer
 
+from modal.preparation.kind import GivenKind
 from modal.wording.names import visible
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError
+from okid.readers.guard import first_line
 from okid.record import InputHold
 
 __all__ = [
     "Dt",
     "Hold",
     "Inputs",
+    "Kind",
     "Outputs",
     "Overwrite",
     "Traceback",
     "complain",
     "examples",
     "faults",
+    "folder_path",
     "name_list",
     "number_or_auto",
     "plain_name",
@@ -41,6 +45,12 @@ Hold = Annotated[
     InputHold,
     typer.Option(
         help="Input between samples: measured behind an anti-alias filter (band_limited), or held by a converter."
+    ),
+]
+Kind = Annotated[
+    GivenKind,
+    typer.Option(
+        help="What was recorded: forces throughout, blows, a ring-down, or no input; the data say it unless given."
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", metavar="", help="Replace a report that is there already.")]
@@ -82,6 +92,14 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
         raise typer.Exit(2) from error
     except (typer.Exit, typer.Abort):
         raise
+    except MemoryError as error:
+        if show:
+            raise
+        complain(
+            f"there is not enough memory for this ({first_line(error)}); give shorter records or fewer channels, or a "
+            "machine with more."
+        )
+        raise typer.Exit(2) from error
     except Exception as error:
         if show:
             raise
@@ -93,6 +111,17 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
 def complain(sentence: str) -> None:
     """One line on stderr."""
     typer.echo(f"modal-report: {re.sub(' +', ' ', visible(sentence))}", err=True)
+
+
+def folder_path(given: str | Path) -> Path:
+    """A folder as it is given; an empty name would be the folder that the user stands in.
+
+    Raises:
+        typer.BadParameter: no name.
+    """
+    if not str(given).strip():
+        raise typer.BadParameter("the name of the folder is empty; give one, such as -o result")
+    return Path(given)
 
 
 Auto = Literal["auto"]

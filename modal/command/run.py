@@ -6,7 +6,7 @@ What would stop the work is looked at before it begins: a report that is there, 
 import contextlib
 import shlex
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,12 +20,14 @@ from modal.command.options import (
     Dt,
     Hold,
     Inputs,
+    Kind,
     Outputs,
     Overwrite,
     Records,
     Traceback,
     examples,
     faults,
+    folder_path,
     name_list,
     number_or_auto,
     plain_name,
@@ -38,6 +40,7 @@ from modal.geometry.sensors import Geometry
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
+from modal.preparation.kind import GivenKind
 from modal.quality.check import check_quality
 from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
@@ -47,7 +50,9 @@ from modal.report.writing import refuse_existing
 from modal.sections.provenance import Provenance, fingerprints
 from modal.wording.names import shorten, visible
 from okid.errors import IdentificationWarning, InvalidDataError
+from okid.frequency_response import FrequencyResponse
 from okid.readers import read_described
+from okid.readers.response import holds_responses, read_response
 from okid.record import InputHold, Record
 
 __all__ = [
@@ -147,11 +152,14 @@ def refuse_other_report(folder: Path, mark: str) -> None:
         )
 
 
-def unknown_sensors(specification: Specification | None, records: Sequence[Record]) -> tuple[str, ...]:
+def unknown_sensors(
+    specification: Specification | None, records: tuple[Record, ...] | FrequencyResponse
+) -> tuple[str, ...]:
     """A sentence on sensors whose channel no record has: a misspelt name would otherwise be lost in silence."""
     if specification is None:
         return ()
-    known = {name for record in records for name in (*record.input_names, *record.output_names)}
+    read = [records] if isinstance(records, FrequencyResponse) else records
+    known = {name for one in read for name in (*one.input_names, *one.output_names)}
     missing = [shorten(visible(note.channel), 60) for note in specification.sensors if note.channel not in known]
     if not missing:
         return ()
@@ -178,6 +186,7 @@ class Job:
         observer_order: past samples of the observer.
         ridge: of the observer fit.
         order: of the model.
+        kind: of the records.
         test: file of what no measured file knows; None where there is none.
         geometry: file of nodes, lines and sensors; None: that of the test file, if it has one.
         live: show the work in a viewer while it goes on.
@@ -189,6 +198,7 @@ class Job:
     observer_order: int | Auto = "auto"
     ridge: float | Auto = "auto"
     order: int | Auto = "auto"
+    kind: GivenKind = "auto"
     test: Path | None = None
     geometry: Path | None = None
     live: bool = False
@@ -210,13 +220,25 @@ class FileSource:
     dt: float | None
     hold: InputHold
 
+    def read_any(self) -> tuple[tuple[Record, ...] | FrequencyResponse, tuple[str, ...]]:
+        """As `read`, or the one table of frequency responses that the file holds."""
+        tables = [file for file in self.files if holds_responses(file)]
+        if tables:
+            if len(self.files) > 1:
+                raise InvalidDataError(
+                    f"{tables[0]} holds frequency responses, which are identified by themselves; give that file alone."
+                )
+            return read_response(tables[0], inputs=self.inputs, outputs=self.outputs), ()
+        return self.read()
+
     def read(self) -> Reading:
         """Records, and remarks on what was done to the units of their channels."""
-        records, descriptions = read_described(
-            self.files, inputs=self.inputs, outputs=self.outputs, dt=self.dt, input_hold=self.hold
-        )
+        with own_warnings() as unseen:
+            records, descriptions = read_described(
+                self.files, inputs=self.inputs, outputs=self.outputs, dt=self.dt, input_hold=self.hold
+            )
         used = {name for record in records for name in (*record.input_names, *record.output_names)}
-        remarks: dict[str, None] = {}  # in order, once each: several files of one test say the same
+        remarks: dict[str, None] = dict.fromkeys(unseen)  # in order, once each: several files of one test say the same
         for description in descriptions:
             channels = tuple(channel for channel in description.channels if channel.channel in used)
             remarks |= dict.fromkeys(replace(description, channels=channels).remarks)
@@ -229,7 +251,12 @@ class FileSource:
             words += [option, ",".join(names)] if names else []
         words += ["--dt", repr(self.dt)] if self.dt is not None else []
         words += ["--hold", self.hold] if self.hold != "band_limited" else []
-        for option, value in (("--observer-order", job.observer_order), ("--ridge", job.ridge), ("--order", job.order)):
+        for option, value in (
+            ("--observer-order", job.observer_order),
+            ("--ridge", job.ridge),
+            ("--order", job.order),
+            ("--kind", job.kind),
+        ):
             words += [option, str(value)] if value != "auto" else []
         for option, path in (("--test", job.test), ("--geometry", job.geometry)):
             words += [option, str(path)] if path is not None else []
@@ -265,13 +292,17 @@ def read_demo() -> Reading:
 
 
 def carry_out(
-    job: Job, read: Callable[[], Reading], *, provenance: Provenance, geometry: Geometry | None = None
+    job: Job,
+    read: Callable[[], tuple[tuple[Record, ...] | FrequencyResponse, tuple[str, ...]]],
+    *,
+    provenance: Provenance,
+    geometry: Geometry | None = None,
 ) -> Finished:
     """Read, identify, write, print what was found; the report is complete before a word of it is printed.
 
     Args:
         job: what to do.
-        read: gives the records.
+        read: gives the records, or a table of frequency responses.
         provenance: where they come from; hashes of its sources and remarks are added.
         geometry: of the structure, where the job names no file of one.
 
@@ -295,7 +326,7 @@ def carry_out(
         tell("reading", 0.0)
         records, remarks = read()
         files_read = fingerprints((*provenance.sources, *provenance.besides))
-        if viewer is not None:
+        if viewer is not None and not isinstance(records, FrequencyResponse):
             log_records(records, viewer)
 
         def progress(what: str, share: float) -> None:
@@ -308,10 +339,11 @@ def carry_out(
             observer_order=job.observer_order,
             ridge=job.ridge,
             order=job.order,
+            kind=job.kind,
             progress=progress,
         )
         tell("looking at the quality of the data", IDENTIFIED)
-        quality = check_quality(records)
+        quality = None if isinstance(records, FrequencyResponse) else check_quality(records)
         if viewer is not None:
             log_result(result, viewer, geometry=geometry)
         tell("writing the report and the recording", IDENTIFIED)
@@ -326,8 +358,6 @@ def carry_out(
             specification=specification,
             quality=quality,
         )
-        if job.existing == "replace":  # stopped while it prints the new one, the old one must not stand beside the rest
-            (job.folder / "report.pdf").unlink(missing_ok=True)
         if job.pdf is not None:
             tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
@@ -376,9 +406,16 @@ def run(
     outputs: Outputs = None,
     dt: Dt = None,
     hold: Hold = "band_limited",
+    kind: Kind = "auto",
     folder: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the report; modal-report-NAME unless given."),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FOLDER",
+            parser=folder_path,
+            help="Folder for the report; modal-report-NAME unless given.",
+        ),
     ] = None,
     test: Test = None,
     geometry: GeometryFile = None,
@@ -402,6 +439,7 @@ def run(
             observer_order=whole_or_auto(observer_order, "observer order"),
             ridge=number_or_auto(ridge, "ridge"),
             order=whole_or_auto(order, "model order"),
+            kind=kind,
             test=test,
             geometry=geometry,
             live=live,
@@ -410,7 +448,7 @@ def run(
         source = FileSource(
             files=files, inputs=name_list(inputs, "inputs"), outputs=name_list(outputs, "outputs"), dt=dt, hold=hold
         )
-        finished = carry_out(job, source.read, provenance=source.provenance(job))
+        finished = carry_out(job, source.read_any, provenance=source.provenance(job))
         show_files(finished.console, finished.files, pdf=finished.pdf)
         raise typer.Exit(exit_status(finished))
 

@@ -3,10 +3,14 @@
 Names come from files: every cell is a `Text`, never markup, and shows control characters instead of obeying them.
 """
 
+import codecs
 import contextlib
+import io
 import math
 import re
 import shlex
+import sys
+import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from modal.acceptance.check import LimitOutcome
+from modal.command.stopping import Requests
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
@@ -33,6 +38,7 @@ __all__ = [
     "listing",
     "live_view",
     "plain",
+    "plain_streams",
     "progress_bar",
     "show_comparison",
     "show_files",
@@ -51,6 +57,43 @@ MOST_NOISE = 5
 _COLOURS = {"system": "green", "doubtful": "yellow", "noise": "bright_black"}
 _STATES = {"met": "green", "not met": "bold red", "cannot be told": "yellow"}
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
+
+
+_IN_ASCII = {"–": "-", "—": "-", "−": "-", "→": "->", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "°": "deg"}
+_IN_ASCII |= {
+    "ß": "ss",
+    "µ": "u",
+    "μ": "u",
+    "ζ": "zeta",
+    "σ": "sigma",
+    "±": "+-",
+    "²": "^2",
+    "³": "^3",
+    "\N{BULLET}": "*",
+}
+
+
+def plain_streams() -> None:
+    """Write what a terminal's or a pipe's encoding lacks in plain letters, and never as an exception."""
+    codecs.register_error("plain", _in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="plain")
+
+
+def _in_ascii(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    found = error.object[error.start : error.end]
+    parts = (_IN_ASCII.get(letter) or _letters(letter) for letter in found)
+    return "".join(parts), error.end
+
+
+def _letters(letter: str) -> str:
+    """The letters of a sign without its accents; a line or block of a drawing is a dash, and anything else "?"."""
+    if unicodedata.category(letter) == "So":
+        return "-"
+    return unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode() or "?"
 
 
 def plain(text: str, style: str = "") -> Text:
@@ -208,12 +251,20 @@ LEAST_SECONDS = 1.5
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal."""
+    """A bar on stderr that is gone when the work is done; nothing where stderr is not a terminal.
+
+    Each step that it is told of is a place to stop at: there a KeyboardInterrupt answers a request.
+    """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), _TimeLeft())
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("starting", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
+
+        def tell(what: str, share: float) -> None:
+            Requests.check()
+            bar.update(task, description=what, completed=share)
+
+        yield tell
 
 
 def time_left_text(share: float, elapsed: float) -> str:

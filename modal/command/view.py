@@ -23,6 +23,9 @@ LONGEST = 200
 _MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 """First bytes of a recording."""
 
+_FOOTER, _WITH_FOOTER = b"RRF2FOOT", (0, 41)
+"""Last words of a recording that is whole, and the version of Rerun from which we know them."""
+
 
 def recording_of(result: str | Path) -> Path:
     """The recording in the folder of a result, or the file itself.
@@ -41,10 +44,14 @@ def recording_of(result: str | Path) -> Path:
         elif not path.is_file():
             raise UnreadableFileError(f"there is no {shown}; give a folder that modal-report run wrote.")
         with path.open("rb") as file:
-            start = file.read(4)
+            start = file.read(8)
+            file.seek(max(0, path.stat().st_size - len(_FOOTER) - 4))
+            end = file.read()
     except OSError as error:
         raise UnreadableFileError(f"{shown} cannot be read ({error.strerror or error}).") from error
-    if start not in _MAGIC:
+    if start[:4] == _MAGIC[0] and tuple(start[4:6]) >= _WITH_FOOTER and _FOOTER not in end:
+        raise UnreadableFileError(f"{shown} is cut off or damaged: its last part is missing; write it again.")
+    if start[:4] not in _MAGIC:
         raise UnreadableFileError(f"{shown} is no Rerun recording; give a folder that modal-report run wrote.")
     return path
 

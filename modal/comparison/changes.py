@@ -37,13 +37,14 @@ from modal.comparison.source import ChannelName, ResultSummary, summary_of
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.wording.numbers import fit_text
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 __all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results", "differences_of"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Difference:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Difference(Displayed):
     """Something that is not the same in the two results.
 
     Attributes:
@@ -102,8 +103,8 @@ def _difference(
     return Difference(kind=kind, what=what, before=before, after=after)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModePair:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ModePair(Displayed):
     """A mode that both results have.
 
     Attributes:
@@ -137,8 +138,8 @@ class ModePair:
         return any(shift.verdict == "beyond chance" for shift in self.shifts)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Unmatched:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Unmatched(Displayed):
     """A mode, or a doubtful pole, that only one of the results has.
 
     Attributes:
@@ -153,8 +154,8 @@ class Unmatched:
     near: Mode | None
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Comparison:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Comparison(Displayed):
     """What changed between two results.
 
     Attributes:

@@ -26,8 +26,9 @@ import scipy
 
 from modal.comparison.source import ResultSummary
 from modal.modes.mode import Mode
-from modal.modes.shape_comparison import assurance
+from modal.modes.shape_sets import assurance
 from okid.arrays import ComplexArray, FloatArray
+from okid.display import Displayed
 
 __all__ = [
     "LEVEL",
@@ -153,8 +154,8 @@ SURE_FROM = 1.5364
 """Use P(chi^2_1 > q / T) from this ratio q / T: there it bounds P(Q > q) for every correlation (Szekely, Bakirov)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Shift:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Shift(Displayed):
     """How far one number of a mode moved.
 
     Attributes:

@@ -14,6 +14,7 @@ from modal.identification.words import trust_of
 from modal.modes.choice import Choice
 from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
+from okid.display import Displayed
 from okid.errors import UnreadableFileError
 
 __all__ = ["PART", "ChannelName", "ResultSummary", "read_result", "summary_of"]
@@ -28,8 +29,8 @@ LONGEST_NAME = 200
 """Shorten names and messages of a stranger's file to so many letters."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelName:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class ChannelName(Displayed):
     """A channel of the records.
 
     Attributes:
@@ -41,8 +42,8 @@ class ChannelName:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ResultSummary:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ResultSummary(Displayed):
     """A result without its time histories and matrices.
 
     Attributes:
@@ -81,21 +82,23 @@ def summary_of(result: Identification, *, name: str = "", files: Sequence[str] =
         name: for a reader; that of its first record unless given.
         files: SHA-256 of each measured file, where it comes from files.
     """
-    record = result.records[0]
-    known = result.uncertainty
+    record = result.channels
+    known, table = result.uncertainty, result.response
     return ResultSummary(
         name=name or record.name or "result",
         modes=result.modes.modes,
         inputs=_channels(record.input_names, record.input_units),
         outputs=_channels(record.output_names, record.output_units),
-        dt=record.dt,
-        n_samples=tuple(one.n_samples for one in result.records),
+        dt=result.realisation.dt,
+        n_samples=tuple(one.n_samples for one in result.records)
+        or (() if result.response is None else (result.response.n_lines,)),
         choices=result.choices,
         fit=result.fit.mean,
         trust=trust_of(result).trust,
         degrees_of_freedom=math.inf if known is None else known.degrees_of_freedom,
         data=tuple(f"file {one}" for one in files)
-        or tuple(f"samples {_digest(one.inputs, one.outputs)}" for one in result.records),
+        or tuple(f"samples {_digest(one.inputs, one.outputs)}" for one in result.records)
+        or (() if table is None else (f"lines {_digest(table.frequencies, table.response)}",)),
     )
 
 

@@ -8,6 +8,8 @@ from modal.discrepancy.programs.black_box import diagnose_callable
 from modal.discrepancy.results import Diagnosis
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.decision import decide_nodes
+from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.selection.lack_of_fit import only_noise
 from modal.discrepancy.setup import (
     Progress,
     Setup,
@@ -16,10 +18,10 @@ from modal.discrepancy.setup import (
     locate_gap,
     prepare_setup,
     roots,
+    with_coloured_floor,
     with_uncovered_floor,
 )
-from modal.discrepancy.validation.cautions import doubted_units, with_cautions
-from modal.discrepancy.validation.findings import circumstances_of
+from modal.discrepancy.validation.cautions import with_cautions
 from modal.discrepancy.validation.other_hold import (
     by_the_better_hold,
     cut_into_spans,
@@ -30,6 +32,7 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.estimation.modal_states import one_blas_thread
 from modal.localisation.levels import LevelModes
+from modal.simulation.scheme import cpu_seconds
 from modal.structure.checks import SensorKind
 from modal.structure.given import given_model
 from okid.errors import InvalidDataError
@@ -50,6 +53,7 @@ def diagnose(
     catalogue: Mapping[str, Effect] = CATALOGUE,
     sensor_kind: SensorKind | Sequence[SensorKind] | None = None,
     progress: Progress | None = None,
+    budget: float | None = None,
 ) -> Diagnosis:
     """Find where a simulation and measured records disagree, name the missing effect, and add it to the model.
 
@@ -64,6 +68,9 @@ def diagnose(
         sensor_kind: What the outputs of a state space are ("displacement", "velocity", "acceleration", one word or one
             an output); by default from the units of the records' outputs, "displacement" where they say nothing.
         progress: Called with a sentence and the share that is done.
+        budget: CPU seconds after which nothing new is begun; what was found by then is told, unresolved where
+            something was left untried. A fit that runs is ended at its next iteration. With one, the same records may
+            give another diagnosis on another machine.
 
     Returns:
         What is missing, where, how sure that is, and the updated model.
@@ -80,7 +87,9 @@ def diagnose(
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
     report = _silent if progress is None else progress
-    with one_blas_thread():
+    if budget is not None and not budget > 0.0:
+        raise InvalidDataError(f"the budget is a positive number of CPU seconds, but {budget!r} was given")
+    with one_blas_thread(), cpu_seconds(budget):
         found = _diagnosed(model, fit, held_out, catalogue=catalogue, sensor_kind=sensor_kind, report=report)
 
         def otherwise(
@@ -135,7 +144,7 @@ def _in_spans(whole: Setup) -> Setup:
     n_fit = sum(position < len(whole.fit) for position in origin)
     task, floor = whole.task, whole.floor.of_records(origin)
     task.report("once more on spans of the records", 0.05)
-    return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.catalogue, task.report, floor=floor)
+    return prepare_setup(whole.given, spans[:n_fit], spans[n_fit:], task.every_effect, task.report, floor=floor)
 
 
 def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) -> Diagnosis:
@@ -145,10 +154,9 @@ def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) ->
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """
     as_given, root = roots(setup)
-    nodes = search_effects(root, setup.task)
+    nodes = search_effects(root, setup.task, curves=curves_beside, settled=only_noise)
     location = locate_gap(setup, root, modes)
-    setup, nodes, as_given = with_uncovered_floor(setup, nodes, as_given)
-    circumstances = circumstances_of(setup.given.plant, setup.fit, root)
+    setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
     setup.task.report("deciding", 0.9)
-    decision = doubted_units(decide_nodes(nodes, setup.task, circumstances=circumstances))
-    return diagnosis_of(setup, as_given, nodes, decision, location=location, circumstances=circumstances, notes=notes)
+    decision = decide_nodes(nodes, setup.task, setup.fit)
+    return diagnosis_of(setup, as_given, nodes, decision, location=location, notes=notes)

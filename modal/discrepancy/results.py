@@ -13,9 +13,11 @@ from modal.effects.catalogue import effects_at
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.numbers import listed, percent, times_floor_text
 from okid.arrays import FloatArray
+from okid.display import Displayed
 from okid.record import Record
 
 __all__ = [
+    "EVEN",
     "NOTHING",
     "Calibrated",
     "DetectionLimit",
@@ -23,14 +25,18 @@ __all__ = [
     "Evidence",
     "Finding",
     "Hypothesis",
+    "LackOfFit",
     "LawCurve",
     "Parameter",
+    "ResidualKind",
     "Step",
     "explained_shares",
     "explained_words",
     "unexplained_outputs",
 ]
 
+EVEN = 10.0
+"""Count a model with no more effects as explaining the data as well where its criterion is within this: odds of 150."""
 NOTHING = 0.1
 """Say that a model explains nothing of an output where it explains less than this share of its variance."""
 MOST_NAMED = 4
@@ -76,8 +82,8 @@ def explained_words(diagnosis: "Diagnosis") -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Parameter:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Parameter(Displayed):
     """A parameter of an effect, as found.
 
     Attributes:
@@ -94,9 +100,12 @@ class Parameter:
     unit: str
     meaning: str = ""
 
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.6g} +- {self.std:.2g} {self.unit}".rstrip()
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Hypothesis:
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Hypothesis(Displayed):
     """A set of effects that was fitted.
 
     Attributes:
@@ -112,8 +121,8 @@ class Hypothesis:
     log_likelihood: float
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Evidence:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Evidence(Displayed):
     """What speaks for a finding.
 
     Attributes:
@@ -130,91 +139,32 @@ class Evidence:
     words: str
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Finding:
-    """An effect that the model lacked.
+ResidualKind = Literal["displacement", "velocity", "time", "input", "output"]
+"""What a residual depends on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class LackOfFit(Displayed):
+    """A test of what the model still leaves, against laws of no particular form at one place.
 
     Attributes:
-        effect: Key in the catalogue.
-        where: Name of the place.
-        parameters: Its parameters.
-        law: The law in one line.
-        signature: How it shows in the data.
-        evidence: What speaks for it.
-        runner_up: The best hypothesis with another effect or place instead of it, None if there is none.
-        ambiguous_with: Effects that cannot be told from it in these data: by a fixed table of what is the same by
-            structure or in records such as these, and where the evidence for a member of its class is even.
+        kind: What they depend on.
+        where: Name of the place, the input or the output.
+        p_value: Probability that noise alone leaves as much, all tests of the diagnosis counted.
+        share: Size of what is left as a share of the least named effect's force, both by what they do to the outputs
+            beyond all that the model can make up for; nan where nothing is named.
+        size: Size of what is left as a share of the measured outputs, root mean square.
     """
 
-    effect: str
+    kind: ResidualKind
     where: str
-    parameters: tuple[Parameter, ...]
-    law: str
-    signature: str
-    evidence: Evidence
-    runner_up: Hypothesis | None
-    ambiguous_with: tuple[str, ...]
+    p_value: float
+    share: float
+    size: float
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Calibrated:
-    """A linear parameter after the fit.
-
-    Attributes:
-        name: What it is ("stiffness of element_1").
-        unit: Its unit.
-        nominal: Value in the model as given.
-        value: The estimate.
-        std: Its standard deviation.
-        at_bound: Whether it sits on a hard bound.
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    value: float
-    std: float
-    at_bound: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DetectionLimit:
-    """The largest size of an effect that the data could still hide: a smaller one would not count as found.
-
-    Attributes:
-        effect: Key in the catalogue.
-        where: Name of the place.
-        parameter: Name of the amplitude.
-        value: The limit, in `unit`.
-        unit: Its unit.
-    """
-
-    effect: str
-    where: str
-    parameter: str
-    value: float
-    unit: str
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Step:
-    """One step from the model as given to the model as found.
-
-    Attributes:
-        name: "as given", "calibrated", or the effect added ("cubic_stiffness at element_0").
-        fit_level: Mean square of the residual on the records to fit, in units of the floor.
-        held_out_level: Likewise on the held-out records.
-        simulated: Simulated outputs of each held-out record, (n_samples, n_outputs) each.
-    """
-
-    name: str
-    fit_level: float
-    held_out_level: float
-    simulated: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LawCurve:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class LawCurve(Displayed):
     """A law as found, over what the data say of it without any law.
 
     Attributes:
@@ -223,7 +173,8 @@ class LawCurve:
         against: What it is drawn against.
         motion: (n,) grid of it, in `motion_unit`.
         force: (n,) the law.
-        deviation: (n,) standard deviation of the law from that of its parameters.
+        deviation: (n,) standard deviation of the law from that of its parameters; of a law of unknown form also from
+            that of the linear part beside it, and what the law still moves with more points.
         points_motion: (m,) centres of bins of the motion.
         points_force: (m,) force in each bin, free of the law's form, from the data.
         points_deviation: (m,) standard deviation of each.
@@ -247,9 +198,109 @@ class LawCurve:
     motion_unit: str
     force_unit: str
 
+    @property
+    def force_std(self) -> FloatArray:
+        """(n,) standard deviation of the force, `deviation`."""
+        return self.deviation
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Diagnosis:
+    @property
+    def unit(self) -> str:
+        """Unit of the force."""
+        return self.force_unit
+
+    @property
+    def learned_on(self) -> tuple[float, float]:
+        """Range of the motion in the records to fit: the law says nothing beyond it."""
+        return float(self.motion.min()), float(self.motion.max())
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Finding(Displayed):
+    """An effect that the model lacked.
+
+    Attributes:
+        effect: Key in the catalogue.
+        where: Name of the place.
+        parameters: Its parameters.
+        law: The law in one line.
+        signature: How it shows in the data.
+        evidence: What speaks for it.
+        runner_up: The best hypothesis with another effect or place instead of it, None if there is none.
+        ambiguous_with: Effects that cannot be told from it in these data: by a fixed table of what is the same by
+            structure or in records such as these, and all others with no more effects for which the evidence is even.
+        curve: The law of a form-free effect; None for effects with a name.
+    """
+
+    effect: str
+    where: str
+    parameters: tuple[Parameter, ...]
+    law: str
+    signature: str
+    evidence: Evidence
+    runner_up: Hypothesis | None
+    ambiguous_with: tuple[str, ...]
+    curve: LawCurve | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Calibrated(Displayed):
+    """A linear parameter after the fit.
+
+    Attributes:
+        name: What it is ("stiffness of element_1").
+        unit: Its unit.
+        nominal: Value in the model as given.
+        value: The estimate.
+        std: Its standard deviation.
+        at_bound: Whether it sits on a hard bound.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    std: float
+    at_bound: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class DetectionLimit(Displayed):
+    """The largest size of an effect that the data could still hide: a smaller one would not count as found.
+
+    Attributes:
+        effect: Key in the catalogue.
+        where: Name of the place.
+        parameter: Name of the amplitude.
+        value: The limit, in `unit`.
+        unit: Its unit.
+    """
+
+    effect: str
+    where: str
+    parameter: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Step(Displayed):
+    """One step from the model as given to the model as found.
+
+    Attributes:
+        name: "as given", "calibrated", or the effect added ("cubic_stiffness at element_0").
+        fit_level: Mean square of the residual on the records to fit, in units of the floor.
+        held_out_level: Likewise on the held-out records.
+        simulated: Simulated outputs of each held-out record, (n_samples, n_outputs) each.
+    """
+
+    name: str
+    fit_level: float
+    held_out_level: float
+    simulated: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Diagnosis(Displayed):
     """What a simulation lacks against measured records.
 
     Attributes:
@@ -263,7 +314,8 @@ class Diagnosis:
         gap_before: (n_held_out, n_outputs) RMSE of the model as given on the held-out records.
         gap_after: (n_held_out, n_outputs) RMSE of `model`.
         closed: Share of the held-out mean square above the floor that calibration and effects took away.
-        calibrated: The linear parameters.
+        calibrated: The linear parameters, then the masses; of those that the records do not ask to be others, the
+            nominal value and the tolerance.
         bounds_hit: Names of linear parameters that sit on a hard bound.
         detection_limits: What the data could still hide.
         advice: What to measure next, in words.
@@ -274,6 +326,7 @@ class Diagnosis:
         fit: The records to fit.
         held_out: The held-out records.
         warnings: What the reader must know, a sentence each.
+        lack_of_fit: Tests of what `model` still leaves, the least probable first; empty where none could be made.
     """
 
     status: Literal["named", "unresolved", "none"]
@@ -294,6 +347,15 @@ class Diagnosis:
     fit: tuple[Record, ...]
     held_out: tuple[Record, ...]
     warnings: tuple[str, ...]
+    lack_of_fit: tuple[LackOfFit, ...] = ()
+
+    def display_rows(self) -> list[tuple[str, str]]:
+        """The verdict, each effect with its parameters, and what the reader must know."""
+        found = [(f"{one.effect} at {one.where}", "; ".join(map(str, one.parameters))) for one in self.findings]
+        rows = [("verdict", self.verdict), *found, ("closed", f"{percent(self.closed)} of the gap above the floor")]
+        rows += [("records", f"{len(self.fit)} to fit, {len(self.held_out)} held out")]
+        rows += [("hypotheses", f"{len(self.hypotheses)} fitted to the end")]
+        return rows + [("warning", text) for text in self.warnings]
 
     @property
     def verdict(self) -> str:

@@ -8,8 +8,11 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import FINE_STEPS, Node, Task, calibrated_node, node_of, on_other_floor, polished
-from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor
+from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
 from modal.discrepancy.selection.beam import search_effects
+from modal.discrepancy.selection.lack_of_fit import only_noise
+from modal.effects.ambiguity import Circumstance
+from modal.effects.catalogue import by_form
 from modal.effects.effect import Effect
 from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap
@@ -18,7 +21,7 @@ from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget, simulation_work
-from modal.simulation.tolerances import ROUNDING
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
@@ -30,12 +33,14 @@ __all__ = [
     "check_long_enough",
     "check_plant",
     "check_records",
+    "circumstances_of",
     "fewest_samples",
     "locate_gap",
     "prepare_setup",
     "roots",
     "simulated_outputs",
     "simulated_records",
+    "with_coloured_floor",
     "with_uncovered_floor",
 ]
 
@@ -215,9 +220,6 @@ MOST_WORK = 4000.0
 """End a search that has cost so many simulations along the records to fit: two effects were seen to take 200 to
 1600."""
 
-FOLLOWED = 1e-3
-"""Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""
-
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done (0 to 1)."""
 
@@ -266,6 +268,8 @@ def prepare_setup(
     drive = drive_of(fit, steps)
     n_fit = len(fit)
 
+    named, free = by_form(catalogue)
+
     def held(upsampling: int) -> Problem:
         return Problem(
             drive=drive_of(held_out, upsampling, reference=drive.reference),
@@ -279,7 +283,8 @@ def prepare_setup(
         fine_fit=Problem(drive=drive_of(fit, max(steps, FINE_STEPS)), floor=known.variance[:n_fit]),
         fine_held_out=held(max(steps, FINE_STEPS)),
         upsampling=steps,
-        catalogue=catalogue,
+        catalogue=named,
+        form_free=free,
         report=report,
         whole=whole,
         budget=Budget(MOST_WORK * simulation_work(drive.n_times, given.plant.n_states)) if budget is None else budget,
@@ -311,12 +316,30 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
         return setup, nodes, as_given
     task = setup.task
     found = prepare_setup(
-        setup.given, setup.fit, setup.held_out, task.catalogue, task.report, floor=lower, budget=task.budget
+        setup.given, setup.fit, setup.held_out, task.every_effect, task.report, floor=lower, budget=task.budget
     )
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
     return found, search_effects(scaled[0], found.task, scaled), given
+
+
+def with_coloured_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -> tuple[Setup, tuple[Node, ...], Node]:
+    """The floor, higher where the best model leaves more than the floor says, and nothing but noise.
+
+    The quiet band is taken for white, and noise of another colour is stronger where the motion is.
+    """
+    best = min(nodes, key=lambda node: node.held_out_level)
+    if best.held_out is None or best.held_out_level <= AT_FLOOR or not only_noise(best, nodes[0], setup.task):
+        return setup, nodes, as_given
+    left = np.concatenate([best.fitted.mean_square, best.held_out.mean_square]) * setup.floor.variance
+    higher = raised_floor(setup.floor, np.nan_to_num(left))
+    ratio, task, n_fit = setup.floor.variance / higher.variance, setup.task, len(setup.fit)
+    found = prepare_setup(
+        setup.given, setup.fit, setup.held_out, task.every_effect, task.report, floor=higher, budget=task.budget
+    )
+    scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
+    return found, scaled, on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
 
 
 def roots(setup: Setup) -> tuple[Node, Node]:
@@ -327,7 +350,7 @@ def roots(setup: Setup) -> tuple[Node, Node]:
     """
     given, task = setup.given, setup.task
     task.report("calibrating the linear parameters", 0.02)
-    assembly, unknowns = placed_assembly(given.plant, given.linear, given.effects, task.fit.drive, task.catalogue)
+    assembly, unknowns = placed_assembly(given.plant, given.linear, given.effects, task.fit.drive, task.every_effect)
     start = simulate_at(assembly, unknowns, task.fit)
     if start is None:
         raise NumericalError(
@@ -355,3 +378,29 @@ def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[Floa
     """The model's outputs along each record."""
     firsts = np.concatenate([[0], np.cumsum([record.n_samples for record in records])])
     return tuple(fitted.trajectory.outputs[a:b] for a, b in pairwise(firsts))
+
+
+def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozenset[Circumstance]:
+    """What holds of the plant, its records and a model's motion along them, for the table of ambiguities."""
+    found: set[Circumstance] = set()
+    if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
+        found.add("one_dof")
+    per_mass = [port for port in plant.ports if port.mass is not None and port.force_unit == f"{port.length_unit}/s^2"]
+    if per_mass and "one_dof" not in found:
+        found.add("unknown_masses")  # forces are counted per effective mass
+    if plant.n_outputs == 1:
+        found.add("one_output")
+    sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]
+    if min(sizes) <= 0.0 or max(sizes) / min(sizes) < SAME_LEVEL:
+        found.add("one_level")
+    n = plant.n_states
+    states = node.coarse.trajectory.states[:, :n]
+    drive = node.coarse.trajectory.drive
+    speeds = [
+        states @ port.velocity[:n] + drive.sample @ port.velocity[n:]
+        for port in plant.ports
+        if port.velocity is not None
+    ]
+    if speeds and all(min(-speed.min(), speed.max()) < 0.01 * np.abs(speed).max() for speed in speeds):
+        found.add("one_way")
+    return frozenset(found)

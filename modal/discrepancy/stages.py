@@ -6,21 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
+from modal.discrepancy.fitting.estimation import Estimate, Problem, covariance, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, fitted_either_way, node_of, polished
 from modal.discrepancy.fitting.observer_form import observer_gain
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.results import Calibrated
-from modal.discrepancy.selection.decision import Decision, covariance, decide_nodes
+from modal.discrepancy.selection.decision import Decision, decide_nodes
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.setup import check_plant, check_records, prepare_setup, simulated_outputs
-from modal.discrepancy.validation.findings import circumstances_of
-from modal.effects.catalogue import CATALOGUE
+from modal.discrepancy.validation.summary import calibrated_parameters, with_findings
+from modal.effects.catalogue import CATALOGUE, by_form
 from modal.effects.effect import Effect
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
 from okid.arrays import FloatArray
+from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
@@ -29,8 +30,8 @@ __all__ = ["Fitted", "calibrate", "decide", "fit", "screen"]
 Records = Record | Sequence[Record]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fitted:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Fitted(Displayed):
     """A model fitted to records.
 
     Attributes:
@@ -149,7 +150,7 @@ def screen(
     observed = simulate_at(
         found.assembly, found.unknowns, problem, states=found.trajectory.states, gain=gain, smoothing=found.smoothing
     )
-    return screen_candidates(found if observed is None else observed, problem, catalogue)
+    return screen_candidates(found if observed is None else observed, problem, by_form(catalogue)[0])
 
 
 def decide(
@@ -173,7 +174,7 @@ def decide(
         catalogue: Where the models' effects are found.
 
     Returns:
-        The decision: status, the chosen model as a node, margins, reasons.
+        The decision: status, findings, the chosen model as a node, margins, reasons, what it leaves.
 
     Raises:
         InvalidDataError: No model, or models and records that do not match.
@@ -191,27 +192,8 @@ def decide(
         if start is None:
             raise NumericalError(f"{model!r} could not be simulated along the records to fit; check its effects")
         nodes.append(polished(node_of(estimate(start, setup.task.fit, iterations=12), setup.task), setup.task))
-    return decide_nodes(nodes, setup.task, circumstances=circumstances_of(setup.given.plant, fits, nodes[0]))
-
-
-def calibrated_parameters(fitted: Estimate, deviations: FloatArray) -> tuple[Calibrated, ...]:
-    """The linear parameters of an estimate.
-
-    Args:
-        fitted: The estimate.
-        deviations: (n_common,) standard deviations of its common unknowns.
-    """
-    return tuple(
-        Calibrated(
-            name=parameter.name,
-            unit=parameter.unit,
-            nominal=parameter.nominal,
-            value=float(fitted.unknowns.common[j]),
-            std=float(deviations[j]),
-            at_bound=bool(fitted.at_bounds[j]),
-        )
-        for j, parameter in enumerate(fitted.assembly.plant.parameters)
-    )
+    # among the models given: none of unknown form beside them
+    return with_findings(decide_nodes(nodes, replace(setup.task, form_free={}), setup.fit), nodes[0], setup)
 
 
 def _estimated(

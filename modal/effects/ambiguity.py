@@ -81,6 +81,12 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         "flexibility, while in a state space its direction may be open), or an accelerometer",
     ),
     AmbiguityClass(
+        effects=("actuator_lag", "sensor_lag"),
+        circumstance="one_output",
+        when="one output is measured: a lag before a linear structure and one behind it are the same",
+        separates="a second output, which shows no lag where one sensor is to blame, or the force measured along",
+    ),
+    AmbiguityClass(
         effects=("input_delay",),
         besides=("a wrongly declared hold of the input (half a sample)",),
         circumstance="half_a_sample",

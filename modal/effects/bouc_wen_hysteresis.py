@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Limit, Memory, Motion, ParameterKind, Situation, Values
 from modal.effects.memoryless import least_length, levels
 from modal.effects.rate_independent import SETTLED, SHARES, Leg, advance_along
 from okid.arrays import FloatArray
@@ -207,6 +207,7 @@ class BoucWenHysteresis(ForceEffect):
     family = "hysteresis"
     signature = "loop; softens with the level, damping rises then falls; odd lines"
     reference = "Wen 1976, doi 10.1061/JMCEA3.0002106"
+    limits = (Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] <= size),)
     n_memory = 1
     rate_independent = True
 

@@ -10,12 +10,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from modal.effects.actuator_lag import ActuatorLag
 from modal.effects.bilinear_stiffness import BilinearStiffness
 from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from modal.effects.constant_force import ConstantForce
 from modal.effects.coulomb_friction import CoulombFriction
 from modal.effects.cubic_stiffness import CubicStiffness
-from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation
+from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation, is_form_free
 from modal.effects.gap_spring import GapSpring
 from modal.effects.input_delay import DelayedInput
 from modal.effects.input_gain import InputGain
@@ -26,10 +27,15 @@ from modal.effects.periodic_disturbance import PeriodicDisturbance
 from modal.effects.power_law_flow import PowerLawFlow
 from modal.effects.quadratic_drag import QuadraticDrag
 from modal.effects.quadratic_stiffness import QuadraticStiffness
+from modal.effects.record_offset import RecordOffset
 from modal.effects.sensor_bias import SensorBias
 from modal.effects.sensor_gain import SensorGain
+from modal.effects.sensor_lag import SensorLag
 from modal.effects.sine_softening import SineSoftening
 from modal.effects.slack_in_hysteresis import SlackInHysteresis
+from modal.effects.smooth_damping import SmoothDamping
+from modal.effects.smooth_stiffness import SmoothStiffness
+from modal.effects.stribeck_friction import StribeckFriction
 from modal.effects.time_varying_stiffness import TimeVaryingStiffness
 from modal.simulation.plant import Plant
 from modal.simulation.tolerances import DIFFERENCE_STEP
@@ -38,6 +44,7 @@ from okid.errors import InvalidDataError
 
 __all__ = [
     "CATALOGUE",
+    "by_form",
     "check_effect",
     "composed_unit",
     "effect_name",
@@ -71,6 +78,12 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
             PeriodicDisturbance(),
             PowerLawFlow(),
             Overflow(),
+            StribeckFriction(),
+            SmoothStiffness(),
+            SmoothDamping(),
+            ActuatorLag(),
+            SensorLag(),
+            RecordOffset(),
         )
     }
 )
@@ -107,8 +120,26 @@ def register(effect: Effect, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     return MappingProxyType({**catalogue, effect.key: effect})
 
 
+def by_form(catalogue: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[str, Effect]]:
+    """The effects of a catalogue with a law of their own, and those of unknown form, which contain many of the former.
+
+    Example:
+        >>> list(by_form(CATALOGUE)[1])
+        ['smooth_stiffness', 'smooth_damping']
+    """
+    free = {key: one for key, one in catalogue.items() if is_form_free(one)}
+    return {key: one for key, one in catalogue.items() if key not in free}, free
+
+
 _NAMES_KEPT = {"coulomb": "Coulomb", "bouc": "Bouc", "wen": "Wen"}
 """Words of catalogue keys that are people's names."""
+
+
+_LAWS_OF_UNKNOWN_FORM = {
+    "smooth_stiffness": "a smooth law of the displacement",
+    "smooth_damping": "a smooth law of the velocity",
+}
+"""What has no name."""
 
 
 def effect_name(key: str) -> str:
@@ -118,6 +149,8 @@ def effect_name(key: str) -> str:
         >>> effect_name("bouc_wen_hysteresis"), effect_name("input_delay"), effect_name("viscous damping")
         ('Bouc-Wen hysteresis', 'input delay', 'viscous damping')
     """
+    if key in _LAWS_OF_UNKNOWN_FORM:
+        return _LAWS_OF_UNKNOWN_FORM[key]
     words = [_NAMES_KEPT.get(word, word) for word in key.split("_") if word]
     return " ".join(words).replace("Bouc Wen", "Bouc-Wen")
 
@@ -227,7 +260,7 @@ def check_effect(effect: Effect) -> None:
 
 
 def _check_laws(effect: Effect) -> None:
-    motion = _random_motion(effect.n_memory if isinstance(effect, ForceEffect) else 0)
+    motion = _random_motion(effect.n_memory)
     values = _check_starts(effect, motion)
     if isinstance(effect, ForceEffect):
         _check_force(effect, values, motion)
@@ -361,7 +394,7 @@ def _check_force(effect: ForceEffect, values: list[float], motion: Motion) -> No
         _check_memory(effect, values, motion)
 
 
-def _check_memory(effect: ForceEffect, values: list[float], motion: Motion) -> None:
+def _check_memory(effect: ForceEffect | SensorEffect, values: list[float], motion: Motion) -> None:
     dt = 0.02
     rng = np.random.default_rng(20260102)
     after = replace(
@@ -411,6 +444,9 @@ def _check_input(effect: InputEffect, values: list[float], drive: FloatArray) ->
 
 def _check_sensor(effect: SensorEffect, values: list[float], motion: Motion) -> None:
     output, time = motion.displacement, motion.time
+    if effect.n_memory:
+        _check_memory(effect, values, motion)
+        return
 
     def sensed(at: list[float]) -> FloatArray:
         return np.asarray(effect.gain(at) * output + effect.offset(at, time))

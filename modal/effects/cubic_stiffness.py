@@ -2,10 +2,17 @@
 
 from dataclasses import dataclass
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
+import numpy as np
+
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Twin, Values
 from modal.effects.memoryless import cut_to_finite, memoryless
+from okid.arrays import FloatArray
 
 __all__ = ["CubicStiffness"]
+
+
+def _as_sine(values: FloatArray, stiffness: float) -> tuple[float, ...] | None:
+    return (float(np.sqrt(-stiffness / (6.0 * values[0]))),) if values[0] < 0.0 else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +42,7 @@ class CubicStiffness(ForceEffect):
     family = "odd stiffness"
     signature = "odd lines, third harmonic; the resonance moves with the level"
     reference = "Kerschen et al. 2006, doi 10.1016/j.ymssp.2005.04.008"
+    twin = Twin(law="sine_softening", values=_as_sine)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

@@ -6,9 +6,9 @@ parameter has a value of its own in each record, an array over the samples: `val
 Force laws stand on the left-hand side of the equation of motion: a positive force opposes positive motion.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ __all__ = [
     "Force",
     "ForceEffect",
     "InputEffect",
+    "Limit",
     "Memory",
     "Motion",
     "ParameterKind",
@@ -27,7 +28,9 @@ __all__ = [
     "Situation",
     "StepForce",
     "StepValue",
+    "Twin",
     "Values",
+    "is_form_free",
     "is_sharp",
     "jumps",
 ]
@@ -171,6 +174,34 @@ class ParameterKind:
     local: bool = False
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Limit:
+    """A law that another one turns into.
+
+    Attributes:
+        law: Key of the simpler law.
+        values: Its parameters by those of the richer one.
+        near: Whether the richer one may be near it, by its parameters and the standard deviation of the displacement.
+    """
+
+    law: str
+    values: Callable[[FloatArray], tuple[float, ...]]
+    near: Callable[[FloatArray, float], bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Twin:
+    """A law that is the same to third order beside a linear stiffness.
+
+    Attributes:
+        law: Its key.
+        values: Its parameters by those of the other one and the stiffness; None where there is no such law.
+    """
+
+    law: str
+    values: Callable[[FloatArray, float], tuple[float, ...] | None]
+
+
 N_PEAKS = 3
 """Try an effect with a frequency of its own at so many of the highest peaks of what the model leaves."""
 
@@ -204,6 +235,14 @@ class Effect:
         family: Effects that may be taken for each other share a family; the search keeps the best of each.
         signature: How it shows in the data, in a few words.
         reference: Source of the law.
+        n_memory: Number of states of its own.
+        rate_independent: Whether these depend on where the motion went and not on how fast or when; a law that adds
+            such a dependence to one without sets it to False.
+        is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
+        limits: Simpler laws that it turns into.
+        twin: The law that is nearly the same; None for none.
+        contains: Keys of effects that it fits as well with more numbers: no rival of theirs unless it fits better.
+        like_a_mass: Whether a wrong mass may be taken for it, so that it is tried where one explains the records.
     """
 
     key: ClassVar[str]
@@ -213,6 +252,13 @@ class Effect:
     family: ClassVar[str]
     signature: ClassVar[str]
     reference: ClassVar[str]
+    n_memory: ClassVar[int] = 0
+    rate_independent: ClassVar[bool] = False
+    is_brim: ClassVar[bool] = False
+    limits: ClassVar[tuple[Limit, ...]] = ()
+    twin: ClassVar[Twin | None] = None
+    contains: ClassVar[tuple[str, ...]] = ()
+    like_a_mass: ClassVar[bool] = False
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - for laws with shapes
         """Values to start from: one tuple for each shape worth a try, amplitudes of 1 (they enter linearly).
@@ -221,6 +267,14 @@ class Effect:
         """
         neutral = zip(self.parameters, self.neutral, strict=True)
         return (tuple(1.0 if kind.role == "amplitude" else value for kind, value in neutral),)
+
+    def over(self, motion: Motion) -> "Effect":  # noqa: ARG002 - for laws of unknown form
+        """The effect for a motion such as this; laws of unknown form learn its range."""
+        return self
+
+    def with_values(self, values: Mapping[str, Any]) -> "Effect":  # noqa: ARG002 - likewise
+        """The effect that these values by name belong to; a law of unknown form has as many points as there are."""
+        return self
 
     def known_values(self, length_unit: str) -> tuple[float | None, ...]:  # noqa: ARG002 - for laws of angles
         """Value of each parameter that is known before any data, where the port's displacement has this unit.
@@ -239,24 +293,19 @@ class ForceEffect(Effect):
         needs: What the law reads ("displacement", "velocity", "stiffness"); a port without it is no place for the
             effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
-        n_memory: Number of states of its own.
-        rate_independent: Whether these depend on where the motion went and not on how fast or when; a law that adds
-            such a dependence to one without sets it to False.
         has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
-        is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
+        form_free: Whether it is any law of its motion: tried where no law with a name is enough.
         beside_stiffness: Parameters of which, where the linear stiffness at the place is free as well, only the
             differences are determined: the smallest is held at zero.
     """
 
     needs: ClassVar[frozenset[str]] = frozenset({"displacement"})
     acts_at: ClassVar[str] = "motion"
-    n_memory: ClassVar[int] = 0
-    rate_independent: ClassVar[bool] = False
     has_corners: ClassVar[bool] = False
-    is_brim: ClassVar[bool] = False
     per_stiffness: ClassVar[bool] = False
     beside_stiffness: ClassVar[tuple[str, ...]] = ()
+    form_free: ClassVar[bool] = False
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
@@ -345,7 +394,27 @@ class InputEffect(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorEffect(Effect):
-    """A change of an output after the plant: y becomes gain(values) y + offset(values, time)."""
+    """A change of an output after the plant: y becomes gain(values) y + offset(values, time).
+
+    One that remembers (`n_memory` > 0) has `force` and `advance` as a force has, of which the displacement is the
+    output: the "force" is what the sensor shows less the output.
+    """
+
+    def force(self, values: Values, motion: Motion) -> Force:
+        """What the sensor shows less the output, and its derivatives (only where `n_memory` > 0)."""
+        raise NotImplementedError
+
+    def advance(self, values: Values, before: Motion, after: Motion, dt: float) -> Memory:
+        """The effect's own states one sample on (likewise)."""
+        raise NotImplementedError
+
+    def changed(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:
+        """The output of one record, (n,), as the sensor shows it."""
+        return self.gain(values) * output + self.offset(values, time)
+
+    def screen_columns(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:  # noqa: ARG002 - linear in the parameters
+        """Changes of an output whose weighted sum is the effect, (n, n_columns)."""
+        return self.by_parameter(self.neutral, output, time)
 
     def gain(self, values: Values) -> float | FloatArray:  # noqa: ARG002 - for changes of the gain
         """Factor on the output; 1 unless an effect says otherwise."""
@@ -363,6 +432,11 @@ class SensorEffect(Effect):
 def jumps(effect: Effect) -> bool:
     """Whether an effect is a force that changes all at once and brings its own line over a step (friction, a brim)."""
     return isinstance(effect, ForceEffect) and type(effect).step_force is not ForceEffect.step_force
+
+
+def is_form_free(effect: Effect) -> bool:
+    """Whether an effect is a law of unknown form."""
+    return isinstance(effect, ForceEffect) and effect.form_free
 
 
 def is_sharp(effect: Effect) -> bool:

@@ -39,6 +39,7 @@ class InputGain(InputEffect):
     family = "input gain"
     signature = "flat ratio at every frequency and level"
     reference = "Worden, Tomlinson, Nonlinearity in Structural Dynamics, 2001"
+    like_a_mass = True
 
     def apply(self, values: Values, start: FloatArray, end: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002 - a gain needs no time
         """Start and end of each step times the gain."""

@@ -100,6 +100,7 @@ class MissingMode(ForceEffect):
     family = "narrow band"
     signature = "narrow band, same relative size at every level"
     reference = "Ormondroyd, Den Hartog, Transactions of the ASME 50, 1928, 9-22"
+    like_a_mass = True
     needs = frozenset({"displacement", "velocity"})
     acts_at = "mass"
     n_memory = 2

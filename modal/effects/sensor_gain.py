@@ -38,6 +38,7 @@ class SensorGain(SensorEffect):
     family = "sensor gain"
     signature = "flat ratio in one channel, same at every level"
     reference = "Ewins, Modal Testing, 2nd ed., 2000"
+    like_a_mass = True
 
     def gain(self, values: Values) -> float | FloatArray:
         """The factor."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Twin, Values
 from modal.effects.memoryless import cut_to_finite, least_length, memoryless
 from okid.arrays import FloatArray
 
@@ -15,6 +15,10 @@ LENGTHS = (1.0, 3.0)
 """Start from these length scales, in units of the largest displacement."""
 STRAIGHT = 1e-2
 """Take sine less angle from its series below this d / length_scale."""
+
+
+def _as_cubic(values: FloatArray, stiffness: float) -> tuple[float, ...] | None:
+    return (float(-stiffness / (6.0 * values[0] ** 2)),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +53,7 @@ class SineSoftening(ForceEffect):
     per_stiffness = True
     signature = "odd lines; the resonance falls with the square of the level, the damping stays"
     reference = "Nelson, Olsson 1986, doi 10.1119/1.14703"
+    twin = Twin(law="cubic_stiffness", values=_as_cubic)
 
     def known_values(self, length_unit: str) -> tuple[float | None, ...]:
         """One radian, where the displacement is an angle."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Memory, Motion, ParameterKind, Situation, Values
+from modal.effects.effect import Force, ForceEffect, Limit, Memory, Motion, ParameterKind, Situation, Values
 from modal.effects.memoryless import levels, positive_part
 from modal.effects.rate_independent import SHARES, Leg, advance_along, stop_operator
 from okid.arrays import FloatArray
@@ -64,6 +64,11 @@ class SlackInHysteresis(ForceEffect):
     family = "hysteresis"
     signature = "loop with a flat at zero force, of the same width at every level; odd lines"
     reference = "Kuhnen 2003, doi 10.3166/ejc.9.407-418"
+    limits = (
+        # a link that seldom slips, and one that slips in most cycles
+        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2]), near=lambda v, size: v[1] + v[2] >= size),
+        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] + v[2] <= size),
+    )
     n_memory = 1
     rate_independent = True
     has_corners = True

@@ -13,6 +13,7 @@ too, is known before the first row that does.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -28,8 +29,10 @@ from modal.estimation.free_run import (
     modal_form_of,
     one_step_predictor,
 )
+from modal.estimation.modal_states import parts_of
 from okid.arrays import BoolArray, FloatArray
-from okid.gram import LagGram, lag_gram
+from okid.display import Displayed
+from okid.gram import LagGram, lag_gram, turn_gram
 from okid.least_squares import ObserverCoefficients, solve
 from okid.markov import MarkovParameters, recover_arrays, recover_system
 from okid.record import Record
@@ -40,7 +43,9 @@ __all__ = [
     "FIRST_RIDGE",
     "GAIN",
     "LARGEST_PULSE",
+    "N_TURNS",
     "WITHIN",
+    "Folds",
     "Ground",
     "Stretch",
     "Trial",
@@ -102,19 +107,28 @@ def is_long(records: Sequence[Record]) -> bool:
     return sum(record.n_samples for record in records) > LONGEST_SCORED
 
 
-def folds_of(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
-    """[fold][record] held-out rows.
+Folds = Literal["blocks", "rows"]
+"""Hold out blocks of rows, or every third row: what is struck once has one answer, of which each fold needs a part."""
+N_TURNS = 3
+WHOLE = -1
+"""Stands for the fold that holds nothing out."""
+
+
+def folds_of(records: Sequence[Record], folds: Folds = "blocks") -> tuple[tuple[BoolArray, ...], ...]:
+    """[fold][record] held-out rows: every third one, or blocks.
 
     Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
     one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, or ten
     blocks a stretch where the records are long.
     """
     lengths = [record.n_samples for record in records]
+    if folds == "rows":
+        return tuple(tuple(np.arange(n) % N_TURNS == turn for n in lengths) for turn in range(N_TURNS))
     longest = max(lengths)
     if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
-        folds = whole_record_folds(records)
-        if _every_input_trains(records, folds):
-            return folds
+        whole = whole_record_folds(records)
+        if _every_input_trains(records, whole):
+            return whole
     if not is_long(records) or longest <= STRETCH:
         return interleaved_folds(records)
     n_stretches = -(-longest // STRETCH)
@@ -131,8 +145,8 @@ def _every_input_trains(records: Sequence[Record], folds: Sequence[Sequence[Bool
     )
 
 
-def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
-    """Whole records, or about `LONGEST_SCORED` samples of them in stretches spread evenly.
+def stretches_of(records: Sequence[Record], folds: Folds = "blocks") -> tuple[Stretch, ...]:
+    """Whole records, or about `LONGEST_SCORED` samples of them: in stretches spread evenly, or from the first events.
 
     Example:
         >>> record = Record([], np.zeros(95_000) + np.arange(95_000.0), 0.01)
@@ -141,6 +155,13 @@ def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
     """
     if not is_long(records):
         return tuple(Stretch(record=i, first=0, last=record.n_samples, n_lead=0) for i, record in enumerate(records))
+    if folds == "rows":
+        share = max(STRETCH // BLOCKS, LONGEST_SCORED // len(records))
+        starts = [max(0, _first_event(record) - share // BLOCKS) for record in records]
+        return tuple(
+            Stretch(record=i, first=first, last=min(record.n_samples, first + share), n_lead=0)
+            for i, (record, first) in enumerate(zip(records, starts, strict=True))
+        )
     pieces = []
     for i, record in enumerate(records):
         n_pieces = max(1, -(-record.n_samples // STRETCH))
@@ -154,6 +175,12 @@ def stretches_of(records: Sequence[Record]) -> tuple[Stretch, ...]:
     return tuple(pieces[i] for i in kept)
 
 
+def _first_event(record: Record) -> int:
+    """Row at which an input first has half of its size."""
+    size = np.abs(record.inputs)
+    return int((size >= 0.5 * size.max(axis=0)).any(axis=1).argmax())
+
+
 WITHIN = 1.02
 """Take the smaller of two models where its error is at most this many times that of the larger."""
 GAIN = 0.99
@@ -164,19 +191,21 @@ LARGEST_PULSE = 1e4
 """A recovered pulse response (scaled channels) that grows beyond this has diverged and is not realised."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Ground:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Ground(Displayed):
     """What every candidate is fitted to and scored on."""
 
     scaled: tuple[Record, ...]  # the stretches that are run freely, gaps bridged
     held_out: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that count
     trained: tuple[tuple[BoolArray, ...], ...]  # [fold][stretch] complete rows that the initial state may look at
     blocks: tuple[tuple[list[tuple[int, int]], ...], ...]  # [fold][stretch] (first, one past last) row
+    first_rows: tuple[int, ...]  # of each stretch in its record
     records: tuple[Record, ...]
     scaling: ChannelScaling
     folds: tuple[tuple[BoolArray, ...], ...]  # [fold][record] rows held out
     power: FloatArray
     n_lags: int
+    by: Folds
     # what was computed so far, so that a search may ask for the same again
     grams: dict[tuple[int, int], LagGram]  # [observer order, fold]
     decompositions: dict[tuple[int, float, int], tuple[int, HankelDecomposition] | None]  # [observer, ridge, fold]
@@ -188,14 +217,14 @@ def markov_lags(n_inputs: int, n_outputs: int) -> int:
     return int(np.clip(800 / np.sqrt(max(1, n_inputs) * n_outputs), 120, 400))
 
 
-def prepare_ground(records: Sequence[Record]) -> Ground:
+def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
     """Folds, scaled channels and bridged gaps, once for all candidates; `records` are of one system, means removed."""
     scaling = channel_scaling(records)
-    folds = folds_of(records)
+    folds = folds_of(records, by)
     whole = tuple(scaled_record(record, scaling) for record in filled(records))
     if not records[0].n_inputs:
         whole = tuple(driven_by_outputs(record) for record in whole)
-    stretches = stretches_of(records)
+    stretches = stretches_of(records, by)
     scaled = tuple(whole[one.record].samples(one.first, one.last) for one in stretches)
     complete = [records[one.record].complete_rows()[one.first : one.last] for one in stretches]
     counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
@@ -204,7 +233,12 @@ def prepare_ground(records: Sequence[Record]) -> Ground:
         scaled=scaled,
         held_out=held_out,
         trained=tuple(tuple(~rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted),
-        blocks=tuple(tuple(runs_of(rows) for rows in fold) for fold in counted),
+        blocks=tuple(
+            tuple(parts_of(rows.size, len(fold)) if by == "rows" else runs_of(rows) for rows in fold)
+            for fold in counted
+        ),
+        first_rows=tuple(one.first for one in stretches),
+        by=by,
         records=tuple(records),
         scaling=scaling,
         folds=folds,
@@ -214,6 +248,11 @@ def prepare_ground(records: Sequence[Record]) -> Ground:
         decompositions={},
         scores={},
     )
+
+
+def _blocks(rows: BoolArray, n_records: int, by: Folds) -> list[tuple[int, int]]:
+    """Where the errors of held-out rows are kept apart: runs of them, or parts of the record where they take turns."""
+    return parts_of(rows.size, n_records) if by == "rows" else runs_of(rows)
 
 
 def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
@@ -252,8 +291,15 @@ def training_gram(ground: Ground, observer_order: int, fold: int) -> LagGram:
     would save but a quarter of the work.
     """
     if (observer_order, fold) not in ground.grams:
-        rows = [~held_out for held_out in ground.folds[fold]]
-        ground.grams[observer_order, fold] = lag_gram(ground.records, observer_order, scaling=ground.scaling, rows=rows)
+        if ground.by == "rows":
+            if (observer_order, WHOLE) not in ground.grams:
+                ground.grams[observer_order, WHOLE] = lag_gram(ground.records, observer_order, scaling=ground.scaling)
+            held_out = turn_gram(ground.records, observer_order, scaling=ground.scaling, n_turns=N_TURNS, turn=fold)
+            made = ground.grams[observer_order, WHOLE] - held_out
+        else:
+            rows = [~held_out for held_out in ground.folds[fold]]
+            made = lag_gram(ground.records, observer_order, scaling=ground.scaling, rows=rows)
+        ground.grams[observer_order, fold] = made
     return ground.grams[observer_order, fold]
 
 
@@ -318,8 +364,8 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
     return a * n_outputs, b * n_channels
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Trial:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Trial(Displayed):
     """One candidate that was fitted and scored.
 
     Attributes:

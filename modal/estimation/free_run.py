@@ -45,8 +45,10 @@ __all__ = [
     "run_from_rest",
 ]
 
-TrainingPattern = tuple[npt.NDArray[np.int64], Sequence[tuple[int, int]]]
-"""Outputs, and the runs (first, one past last) of the rows on which these outputs train."""
+TrainingPattern = tuple[npt.NDArray[np.int64], Sequence[tuple[int, int]], int]
+"""Outputs, and the runs (first, one past last) of the rows on which these outputs train, every so-manieth of a run."""
+MANY_RUNS = 64
+"""Ask whether rows take turns where they make more runs than this."""
 STATE_REGULARISATION = 1e-9
 """Of each free response's energy over the whole record: keeps a response that no training row shows from growing."""
 
@@ -78,13 +80,14 @@ def fit_initial_state(
     to_level = np.empty((n_poles, n_outputs), dtype=np.complex128)
     n_rows = np.empty(n_outputs)
     same, crossed = np.outer(poles, poles), np.outer(poles.conj(), poles)
-    for outputs, runs in patterns:
+    for outputs, runs, step in patterns:
         edges = np.array(runs, dtype=np.int64).reshape(-1, 2)
-        own, n_trained = shapes[outputs], float((edges[:, 1] - edges[:, 0]).sum())
+        own, n_trained = shapes[outputs], float((edges[:, 1] - edges[:, 0]).sum() // step)
         first, last = poles[:, np.newaxis] ** edges[:, 0], poles[:, np.newaxis] ** edges[:, 1]
-        plain += _series(first @ first.T - last @ last.T, same, n_trained) * (own.T @ own)
-        conjugate += _series(first.conj() @ first.T - last.conj() @ last.T, crossed, n_trained) * (own.conj().T @ own)
-        to_level[:, outputs] = _series((first - last).sum(axis=1), poles, n_trained)[:, np.newaxis] * own.T
+        ends, crossed_ends = first @ first.T - last @ last.T, first.conj() @ first.T - last.conj() @ last.T
+        plain += _series(ends, same**step, n_trained) * (own.T @ own)
+        conjugate += _series(crossed_ends, crossed**step, n_trained) * (own.conj().T @ own)
+        to_level[:, outputs] = _series((first - last).sum(axis=1), poles**step, n_trained)[:, np.newaxis] * own.T
         n_rows[outputs] = max(1.0, n_trained)
 
     size = 2 * n_poles + n_outputs
@@ -398,7 +401,8 @@ def _start_and_level(
     """Initial state and level of each output from what the run from rest leaves, which is overwritten."""
     n_samples, n_outputs = left.shape
     patterns = _patterns(training, n_outputs)
-    if len(patterns) == 1:
+    training = training if training.ndim == 2 else np.broadcast_to(training[:, np.newaxis], left.shape)
+    if len(patterns) == 1 and len(patterns[0][1]) <= MANY_RUNS and patterns[0][2] == 1:
         edges = [0, *(edge for run in patterns[0][1] for edge in run), n_samples]
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             left[first:last] = 0.0
@@ -441,11 +445,21 @@ def _patterns(training: BoolArray, n_outputs: int) -> list[TrainingPattern]:
     """Outputs that train on the same rows, and the runs of these rows."""
     if training.ndim == 1 or training.all():
         rows = training if training.ndim == 1 else training[:, 0]
-        return [(np.arange(n_outputs), runs_of(rows))]
+        return [(np.arange(n_outputs), *_runs(rows))]
     together: dict[bytes, list[int]] = {}
     for i, samples in enumerate(training.T):
         together.setdefault(np.packbits(samples).tobytes(), []).append(i)
-    return [(np.array(outputs), runs_of(training[:, outputs[0]])) for outputs in together.values()]
+    return [(np.array(outputs), *_runs(training[:, outputs[0]])) for outputs in together.values()]
+
+
+def _runs(rows: BoolArray) -> tuple[list[tuple[int, int]], int]:
+    """Runs of rows, and 1; of rows that take turns one run for each turn that trains, and the number of turns."""
+    runs = runs_of(rows)
+    for step in (2, 3) if len(runs) > MANY_RUNS else ():
+        if np.array_equal(rows[step:], rows[:-step]):
+            turns = np.flatnonzero(rows[:step]).tolist()
+            return [(turn, turn + step * (1 + (rows.size - 1 - turn) // step)) for turn in turns], step
+    return runs, 1
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:

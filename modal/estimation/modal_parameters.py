@@ -30,7 +30,7 @@ from okid.least_squares import solve
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["errors_of", "in_units", "starting_parameters", "with_weak_mode"]
+__all__ = ["errors_of", "in_data_states", "in_units", "real_modal_form", "starting_parameters", "with_weak_mode"]
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
@@ -38,9 +38,15 @@ WORST_COORDINATES = 1e8
 
 def in_units(step: RefinementStep, start: Realisation, scaling: ChannelScaling) -> Realisation:
     """The refined model in the units of the records and, where they fit, in the state coordinates of the data."""
-    A, B, C = _real_modal_form(step)
+    A, B, C = real_modal_form(step)
     n = step.layout.n_poles
     D = step.linear.coefficients[2 * n : 2 * n + step.layout.n_inputs].T
+    return in_data_states(Realisation(A, B, C, D, start.dt), start, scaling)
+
+
+def in_data_states(model: Realisation, start: Realisation, scaling: ChannelScaling) -> Realisation:
+    """A model of scaled channels in the units of the records and, where they fit, in the data's state coordinates."""
+    A, B, C, D, K = model.A, model.B, model.C, model.D, model.K
     factors = start.factors
     if factors is not None:
         coordinates = _data_coordinates(A, C * (scaling.output_scale / factors.output_scale)[:, np.newaxis], factors)
@@ -49,14 +55,22 @@ def in_units(step: RefinementStep, start: Realisation, scaling: ChannelScaling) 
         else:
             A, B = coordinates @ A @ np.linalg.inv(coordinates), coordinates @ B
             C = C @ np.linalg.inv(coordinates)
+            K = None if K is None else coordinates @ K
             factors = factors.truncated(A.shape[0])
     into, out = scaling.input_scale, scaling.output_scale[:, np.newaxis]
     return Realisation(
-        A, B / into, C * out, D * out / into, start.dt, singular_values=start.singular_values, factors=factors
+        A,
+        B / into,
+        C * out,
+        D * out / into,
+        start.dt,
+        K=None if K is None else K / scaling.output_scale,
+        singular_values=start.singular_values,
+        factors=factors,
     )
 
 
-def _real_modal_form(step: RefinementStep) -> tuple[FloatArray, FloatArray, FloatArray]:
+def real_modal_form(step: RefinementStep) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, B, C with one state for a real pole and two, real and imaginary part, for a pair."""
     parameters, c = step.parameters, step.linear.shapes
     order = int(np.where(parameters.is_pair, 2, 1).sum())
@@ -108,7 +122,7 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
     training = [rows.copy() for rows in data.rows]
     for block in data.blocks:
         if block.label == held_out:
-            training[block.record][block.first : block.last] = False
+            training[block.record][block.rows] = False
     states = [initial_state(form, record, rows) for record, rows in zip(data.records, training, strict=True)]
     start = ModalParameters(
         poles=form.poles,
@@ -140,7 +154,9 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
         data: that it was fitted to.
         held_out: rows with this label are not looked at.
     """
-    errors = errors_of(step, data, held_out=held_out)
+    # rows that take turns leave no past without a gap: what is held out helps to find a mode, not to keep it
+    seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
+    errors = errors_of(step, data, held_out=seen)
     records = tuple(replace(record, outputs=error) for record, error in zip(data.records, errors, strict=True))
     found = _model_of_error(records)
     if found is None:
@@ -162,10 +178,11 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
     """(n_samples, n_outputs) a record: errors of the free run, NaN on rows that do not count."""
     errors = []
     parameters, coefficients = step.parameters, step.linear.coefficients
-    n_states, n_linear = 2 * step.layout.n_poles, 2 * step.layout.n_poles + step.layout.n_inputs
-    recursion = ModalRecursion.of(
-        parameters.poles, parameters.inputs, step.linear.shapes, coefficients[n_states:n_linear].T
-    )
+    layout = step.layout
+    n_states, n_linear = 2 * layout.n_poles, 2 * layout.n_poles + layout.n_direct
+    direct = np.zeros((layout.n_outputs, layout.n_inputs))
+    direct[:, : layout.n_direct] = coefficients[n_states:n_linear].T
+    recursion = ModalRecursion.of(parameters.poles, parameters.inputs, step.linear.shapes, direct)
     for index, (record, state, rows) in enumerate(zip(data.records, parameters.states, data.rows, strict=True)):
         error = record.outputs - recursion.from_rest(record.inputs)
         n_alive = recursion.n_alive(record.n_samples)
@@ -174,7 +191,7 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
         error[~rows] = np.nan
         for block in data.blocks:
             if block.record == index and block.label == held_out:
-                error[block.first : block.last] = np.nan
+                error[block.rows] = np.nan
         errors.append(error)
     return errors
 

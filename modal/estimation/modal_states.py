@@ -16,8 +16,9 @@ each other: an identification took 42 s of processor time instead of 5 s on two 
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -31,12 +32,17 @@ __all__ = [
     "Block",
     "ModalParameters",
     "SignalLayout",
+    "blocks_by_turns",
     "blocks_of",
     "one_blas_thread",
+    "parts_of",
     "signal_grams",
+    "signals_of",
     "whole_gram",
 ]
 
+PARTS = 10
+"""Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
 IndexArray = npt.NDArray[np.intp]
 
 LONGEST_CHUNK = 8192
@@ -71,12 +77,19 @@ class Block:
         first: first row.
         last: one past the last row.
         label: the fold that holds these rows out, -1 for none.
+        step: between two of its rows; above 1 blocks of other folds have the rows between.
     """
 
     record: int
     first: int
     last: int
     label: int
+    step: int = 1
+
+    @property
+    def rows(self) -> slice:
+        """Its rows among those of its record."""
+        return slice(self.first, self.last, self.step)
 
 
 def blocks_of(records: Sequence[Record], held_out: Sequence[Sequence[Sequence[tuple[int, int]]]]) -> tuple[Block, ...]:
@@ -104,23 +117,60 @@ def blocks_of(records: Sequence[Record], held_out: Sequence[Sequence[Sequence[tu
     return tuple(blocks)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+def parts_of(n_samples: int, n_records: int) -> list[tuple[int, int]]:
+    """(first, one past last) row of the parts of one of so many records in which rows that take turns are summed.
+
+    Example:
+        >>> parts_of(40, 5)
+        [(0, 20), (20, 40)]
+    """
+    n_parts = min(-(-PARTS // n_records), max(1, n_samples // PARTS))
+    return list(pairwise(np.linspace(0, n_samples, n_parts + 1).round().astype(int).tolist()))
+
+
+def blocks_by_turns(
+    records: Sequence[Record], n_turns: int, *, first_rows: Sequence[int] | None = None
+) -> tuple[Block, ...]:
+    """The records in some parts of consecutive rows, of which row k goes to the fold k mod `n_turns`.
+
+    Args:
+        records: to be cut.
+        n_turns: number of folds.
+        first_rows: number that each record's first row has; 0 unless given.
+
+    Example:
+        >>> [(block.first, block.last, block.label) for block in blocks_by_turns([Record([], np.arange(5.0), 0.1)], 2)]
+        [(0, 5, 0), (1, 5, 1)]
+    """
+    blocks = []
+    for r, record in enumerate(records):
+        offset = 0 if first_rows is None else first_rows[r]
+        for first, last in parts_of(record.n_samples, len(records)):
+            for turn in range(n_turns):
+                start = first + (turn - offset - first) % n_turns
+                if start < last:
+                    blocks.append(Block(record=r, first=start, last=last, label=turn, step=n_turns))
+    return tuple(blocks)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SignalLayout:
     """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
 
-    Regressors of the linear part: states, inputs, one level a record. Sensitivities: to the poles, to the inputs'
-    participations, to the initial states. Last the outputs.
+    Regressors of the linear part: states, the first `n_direct` inputs, one level a record. Sensitivities: to the poles,
+    to the inputs' participations, to the initial states. Last the outputs.
     """
 
     n_poles: int
     n_inputs: int
     n_outputs: int
     n_records: int
+    n_direct: int
 
     @property
     def n_regressors(self) -> int:
         """States (real and imaginary part), inputs, levels."""
-        return 2 * self.n_poles + self.n_inputs + self.n_records
+        return 2 * self.n_poles + self.n_direct + self.n_records
 
     @property
     def n_sensitivities(self) -> int:
@@ -160,28 +210,33 @@ class SignalLayout:
     @property
     def alone(self) -> "SignalLayout":
         """Of the signals that one record has: its own level, its own initial states."""
-        return SignalLayout(n_poles=self.n_poles, n_inputs=self.n_inputs, n_outputs=self.n_outputs, n_records=1)
+        return replace(self, n_records=1)
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
-        return _places(self.n_poles, self.n_inputs, self.n_outputs, self.n_records, record)
+        return _places(self, record)
 
 
 @lru_cache(maxsize=1024)
-def _places(n_poles: int, n_inputs: int, n_outputs: int, n_records: int, record: int) -> IndexArray:
+def _places(layout: SignalLayout, record: int) -> IndexArray:
     """See `SignalLayout.places`: asked for at every step of a refinement, the same each time."""
-    regressors, shared = 2 * n_poles + n_inputs, n_poles * (1 + n_inputs)
-    n_sensitivities, real = shared + n_poles * n_records, regressors + n_records
+    n_poles, regressors = layout.n_poles, 2 * layout.n_poles + layout.n_direct
+    shared = n_poles * (1 + layout.n_inputs)
     own = np.r_[:shared, shared + n_poles * record : shared + n_poles * (record + 1)]
-    imaginary = real + n_sensitivities
-    outputs = imaginary + n_sensitivities + np.arange(n_outputs)
-    places = np.concatenate([np.arange(regressors), [regressors + record], real + own, imaginary + own, outputs])
+    real, imaginary = layout.real.start + own, layout.imaginary.start + own
+    outputs = layout.outputs.start + np.arange(layout.n_outputs)
+    places = np.concatenate([np.arange(regressors), [regressors + record], real, imaginary, outputs])
     places.flags.writeable = False
     return places
 
 
 def signal_grams(
-    parameters: ModalParameters, records: Sequence[Record], rows: Sequence[BoolArray], blocks: Sequence[Block]
+    parameters: ModalParameters,
+    records: Sequence[Record],
+    rows: Sequence[BoolArray],
+    blocks: Sequence[Block],
+    *,
+    n_direct: int,
 ) -> tuple[SignalLayout, FloatArray]:
     """Gram matrices of all signals over the counted rows of each block.
 
@@ -190,6 +245,7 @@ def signal_grams(
         records: without NaN in the inputs; outputs of rows that do not count may be anything finite.
         rows: (n_samples,) a record, True where a row counts.
         blocks: in the order of their rows, each record whole.
+        n_direct: the first so many inputs act on the outputs at once.
 
     Returns:
         Layout of all signals, and (n_blocks, alone.size, alone.size) Gram matrices of each block's own ones: the others
@@ -201,12 +257,14 @@ def signal_grams(
         n_inputs=first.n_inputs,
         n_outputs=first.n_outputs,
         n_records=len(records),
+        n_direct=n_direct,
     )
     size = layout.alone.size
     grams = np.zeros((len(blocks), size, size))
     for r, record in enumerate(records):
         own = [i for i, block in enumerate(blocks) if block.record == r]
-        _add_grams(grams[own[0] : own[-1] + 1], parameters, record, rows[r], [blocks[i] for i in own])
+        part = grams[own[0] : own[-1] + 1]
+        _add_grams(part, parameters, record, rows[r], [blocks[i] for i in own], n_direct=n_direct)
     return layout, grams
 
 
@@ -230,21 +288,30 @@ def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block],
 
 
 def _add_grams(
-    grams: FloatArray, parameters: ModalParameters, record: Record, rows: BoolArray, blocks: Sequence[Block]
+    grams: FloatArray,
+    parameters: ModalParameters,
+    record: Record,
+    rows: BoolArray,
+    blocks: Sequence[Block],
+    *,
+    n_direct: int,
 ) -> None:
     """Add one record's products to the Gram matrices of its blocks."""
     complete = bool(rows.all())
-    for start, signals in _signals(parameters, blocks[0].record, record):
+    for start, signals in signals_of(parameters, blocks[0].record, record, n_direct=n_direct):
         stop = start + signals.shape[0]
         for i, block in enumerate(blocks):
             first, last = max(start, block.first), min(stop, block.last)
+            first += (block.first - first) % block.step
             if first < last:
-                part = signals[first - start : last - start]
-                chosen = part if complete else part[rows[first:last]]
+                part = signals[first - start : last - start : block.step]
+                chosen = part if complete else part[rows[first : last : block.step]]
                 grams[i] += chosen.T @ chosen
 
 
-def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterator[tuple[int, FloatArray]]:
+def signals_of(
+    parameters: ModalParameters, index: int, record: Record, *, n_direct: int
+) -> Iterator[tuple[int, FloatArray]]:
     """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
     poles, n_inputs = parameters.poles, record.n_inputs
     n_poles = poles.size
@@ -275,7 +342,7 @@ def _signals(parameters: ModalParameters, index: int, record: Record) -> Iterato
         free_memory = free_memory * powers[n_rows - 1] * poles
         flat = s.reshape(-1, n_rows)
         one = np.ones((1, n_rows))
-        yield first, np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs.T]).T
+        yield first, np.vstack([state.real, state.imag, inputs[:n_direct], one, flat.real, flat.imag, outputs.T]).T
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

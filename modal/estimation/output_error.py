@@ -14,6 +14,7 @@ that b and c share is fixed by leaving the largest entry of each b alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import scipy
@@ -22,7 +23,18 @@ from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, 
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["LinearPart", "Normal", "OutputError", "RefinementStep", "linear_part", "refine", "step_equations"]
+__all__ = [
+    "Coordinates",
+    "LinearPart",
+    "Normal",
+    "OutputError",
+    "PolesAndParticipations",
+    "RefinementStep",
+    "linear_part",
+    "refine",
+    "step_at",
+    "step_equations",
+]
 
 NONE = -2
 """Label of no block: nothing is held out."""
@@ -48,11 +60,13 @@ class OutputError:
         records: channels of unit size, without NaN.
         rows: (n_samples,) a record, True where all channels were measured.
         blocks: all rows, with the fold that holds each block out.
+        n_direct: the first so many inputs act on the outputs at once; None for all of them.
     """
 
     records: tuple[Record, ...]
     rows: tuple[BoolArray, ...]
     blocks: tuple[Block, ...]
+    n_direct: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -63,13 +77,18 @@ class LinearPart:
         coefficients: (n_regressors, n_outputs) on real and imaginary parts of the states, inputs and levels.
         shapes: (n_outputs, n_poles) c, so that mode i gives Re(c_i x_i).
         inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
-        squared_errors: (n_outputs,) on the training rows.
+        error_products: (n_outputs, n_outputs) E'E of the errors on the training rows.
     """
 
     coefficients: FloatArray
     shapes: ComplexArray
     inverse_factor: FloatArray
-    squared_errors: FloatArray
+    error_products: FloatArray
+
+    @property
+    def squared_errors(self) -> FloatArray:
+        """(n_outputs,) of each output."""
+        return np.maximum(np.diag(self.error_products), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -79,12 +98,10 @@ class Normal:
     Attributes:
         matrix: (n_free, n_free) J'J.
         gradient: (n_free,) J'e.
-        free: indices into [real parts, imaginary parts] of all sensitivities.
     """
 
     matrix: FloatArray
     gradient: FloatArray
-    free: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -135,6 +152,7 @@ def refine(
     n_steps: int,
     least_gain: float = SMALLEST_GAIN,
     weights: FloatArray | None = None,
+    coordinates: "Coordinates | None" = None,
 ) -> list[RefinementStep]:
     """Models after 0, 1, ... at most `n_steps` accepted Levenberg-Marquardt steps.
 
@@ -144,26 +162,30 @@ def refine(
         held_out: blocks with this label do not count.
         n_steps: most steps.
         least_gain: relative decrease of the error by a step below which it is the last.
-        weights: (n_outputs,) of the squared errors; ones unless given.
+        weights: (n_outputs, n_outputs) W of the squared error e'We; the unit matrix unless given.
+        coordinates: that steps are made in; poles and participations unless given.
 
     References:
         Golub, Pereyra, SIAM Journal on Numerical Analysis 10(2), 1973, 413-432, doi 10.1137/0710036 (variable
         projection); Kaufman, BIT 15, 1975, 49-57, doi 10.1007/BF01932995; Marquardt, Journal of the Society for
         Industrial and Applied Mathematics 11(2), 1963, 431-441, doi 10.1137/0111030.
     """
-    weights = np.ones(data.records[0].n_outputs) if weights is None else weights
-    current = replace(start, error=float(weights @ start.linear.squared_errors))
+    weights = np.eye(data.records[0].n_outputs) if weights is None else weights
+    coordinates = PolesAndParticipations() if coordinates is None else coordinates
+    current = replace(start, error=float((weights * start.linear.error_products).sum()))
     done = [current]
     damping, growth = FIRST_DAMPING, 2.0
     while len(done) <= n_steps and damping < LARGEST_DAMPING:
-        normal = step_equations(current, data, held_out=held_out, weights=weights)
+        normal = step_equations(current, data, held_out=held_out, weights=weights, coordinates=coordinates)
         diagonal = np.maximum(np.diag(normal.matrix), 0.0)
         while damping < LARGEST_DAMPING:
             size = diagonal + ROUND_OFF * diagonal.max(initial=0.0) + np.finfo(np.float64).tiny
             step = _solve(normal.matrix, normal.gradient, damping * size)
-            trial = step_at(moved(current, normal.free, step), data, held_out=held_out, weights=weights)
             predicted = float(step @ (normal.gradient + damping * size * step))
-            gain = current.error - trial.error
+            there, gain = coordinates.moved(current.parameters, step), 0.0
+            if there is not None:
+                trial = step_at(there, data, held_out=held_out, weights=weights)
+                gain = current.error - trial.error
             if predicted > 0.0 and gain > 0.0:
                 damping *= max(1.0 / 5.0, 1.0 - (2.0 * gain / predicted - 1.0) ** 3)
                 growth = 2.0
@@ -185,8 +207,9 @@ def step_at(
     parameters: ModalParameters, data: OutputError, *, held_out: int = NONE, weights: FloatArray | None = None
 ) -> RefinementStep:
     """Run the model through the records and solve for its linear part."""
-    weights = np.ones(data.records[0].n_outputs) if weights is None else weights
-    layout, grams = signal_grams(parameters, data.records, data.rows, data.blocks)
+    weights = np.eye(data.records[0].n_outputs) if weights is None else weights
+    n_direct = data.records[0].n_inputs if data.n_direct is None else data.n_direct
+    layout, grams = signal_grams(parameters, data.records, data.rows, data.blocks, n_direct=n_direct)
     linear = linear_part(layout, gram_of_training(layout, grams, data.blocks, held_out))
     return RefinementStep(
         parameters=parameters,
@@ -194,7 +217,7 @@ def step_at(
         layout=layout,
         blocks=data.blocks,
         grams=grams,
-        error=float(weights @ linear.squared_errors),
+        error=float((weights * linear.error_products).sum()),
     )
 
 
@@ -224,12 +247,20 @@ def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
         coefficients=coefficients,
         shapes=(coefficients[:n] - 1j * coefficients[n : 2 * n]).T,
         inverse_factor=inverse_factor,
-        squared_errors=np.maximum(np.diag(gram[out, out]) - (projected**2).sum(axis=0), 0.0),
+        error_products=gram[out, out] - projected.T @ projected,
     )
 
 
-def step_equations(step: RefinementStep, data: OutputError, *, held_out: int, weights: FloatArray) -> Normal:
-    """J'J and J'e in the free parameters, the linear part projected out."""
+def step_equations(
+    step: RefinementStep,
+    data: OutputError,
+    *,
+    held_out: int,
+    weights: FloatArray,
+    coordinates: "Coordinates | None" = None,
+) -> Normal:
+    """J'WJ and J'We in the free parameters, the linear part projected out."""
+    coordinates = PolesAndParticipations() if coordinates is None else coordinates
     layout, linear = step.layout, step.linear
     gram = gram_of_training(layout, step.grams, data.blocks, held_out)
     n, phi, out = layout.n_sensitivities, layout.regressors, layout.outputs
@@ -242,50 +273,86 @@ def step_equations(step: RefinementStep, data: OutputError, *, held_out: int, we
     symmetric = (rr - ii) + 1j * (ri + ri.T)
     owners = layout.owners
     c = linear.shapes[:, owners]
-    weighted = weights[:, np.newaxis] * c
+    weighted = weights @ c
     first = (c.conj().T @ weighted) * hermitian
     second = (c.T @ weighted) * symmetric
     total, difference = 0.5 * (first + second), 0.5 * (first - second)
     matrix = np.block([[total.real, -total.imag], [difference.imag, difference.real]])
     slope = (weighted.T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
-    gradient = np.concatenate([slope.real, -slope.imag])
-    # the first parameter of a pole is the logarithm of its decay, not the decay itself
-    scale = np.ones(2 * n)
-    scale[: layout.n_poles] = np.log(np.abs(step.parameters.poles))
-    free = free_parameters(step.parameters)
-    matrix = (matrix * np.outer(scale, scale))[np.ix_(free, free)]
-    return Normal(matrix=0.5 * (matrix + matrix.T), gradient=(scale * gradient)[free], free=free)
+    matrix, gradient = coordinates.taken(step.parameters, matrix, np.concatenate([slope.real, -slope.imag]))
+    return Normal(matrix=0.5 * (matrix + matrix.T), gradient=gradient)
 
 
-def free_parameters(parameters: ModalParameters) -> np.ndarray:
-    """Which of [real, imaginary] parts of all sensitivities are parameters: none twice, none of no effect."""
-    n_poles, n_inputs = parameters.inputs.shape
-    n_records = parameters.states.shape[0]
-    moves = np.ones((1 + n_inputs + n_records, n_poles), dtype=np.bool_)
-    moves[1 + np.abs(parameters.inputs).argmax(axis=1), np.arange(n_poles)] = False
-    imaginary = moves & parameters.is_pair
-    return np.flatnonzero(np.concatenate([moves.ravel(), imaginary.ravel()]))
+class Coordinates(Protocol):
+    """What a step moves: a chart of the models around one of them."""
+
+    def slopes(self, parameters: ModalParameters) -> FloatArray:
+        """(2 n_sensitivities, n_free) change of real, imaginary parts of ln(poles), inputs and states by each one."""
+        ...
+
+    def taken(
+        self, parameters: ModalParameters, matrix: FloatArray, gradient: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """T'MT and T'g with T the slopes."""
+        ...
+
+    def moved(self, parameters: ModalParameters, change: FloatArray) -> ModalParameters | None:
+        """The parameters after a change; None where no model is there."""
+        ...
 
 
-def moved(step: RefinementStep, free: np.ndarray, change: FloatArray) -> ModalParameters:
-    """The parameters after a change, poles kept inside the unit circle and off the real axis."""
-    old, layout = step.parameters, step.layout
-    whole = np.zeros(2 * layout.n_sensitivities)
-    whole[free] = change
-    real, imaginary = whole.reshape(2, 1 + layout.n_inputs + layout.n_records, layout.n_poles)
-    decay = np.log(np.maximum(-np.log(np.abs(old.poles)), LEAST_DECAY)) + np.clip(real[0], -LARGEST_STEP, LARGEST_STEP)
-    angle = np.abs(np.angle(old.poles))
-    room = np.minimum(angle, np.pi - angle)
-    angle = angle + np.clip(imaginary[0], -LARGEST_STEP * room, LARGEST_STEP * room)
-    size = np.exp(-np.clip(np.exp(decay), LEAST_DECAY, MOST_DECAY))
-    poles = np.where(old.is_pair, size * np.exp(1j * angle), size * np.sign(old.poles.real))
-    others = real[1:] + 1j * imaginary[1:]
-    return ModalParameters(
-        poles=poles,
-        is_pair=old.is_pair,
-        inputs=old.inputs + others[: layout.n_inputs].T,
-        states=old.states + others[layout.n_inputs :],
-    )
+@dataclass(frozen=True, slots=True)
+class PolesAndParticipations:
+    """Logarithms of decays, angles, participations, initial states: no step leaves the unit circle."""
+
+    def slopes(self, parameters: ModalParameters) -> FloatArray:
+        """See `Coordinates`: one entry a column, the pole's own one scaled."""
+        free, scale = self._free(parameters)
+        matrix = np.zeros((scale.size, free.size))
+        matrix[free, np.arange(free.size)] = scale[free]
+        return matrix
+
+    def taken(
+        self, parameters: ModalParameters, matrix: FloatArray, gradient: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Coordinates`."""
+        free, scale = self._free(parameters)
+        return (matrix * np.outer(scale, scale))[np.ix_(free, free)], (scale * gradient)[free]
+
+    def moved(self, parameters: ModalParameters, change: FloatArray) -> ModalParameters:
+        """See `Coordinates`: poles kept inside the unit circle and off the real axis."""
+        old = parameters
+        free, scale = self._free(old)
+        whole = np.zeros(scale.size)
+        whole[free] = change
+        real, imaginary = whole.reshape(2, -1, old.poles.size)
+        decay = np.log(np.maximum(-np.log(np.abs(old.poles)), LEAST_DECAY))
+        decay += np.clip(real[0], -LARGEST_STEP, LARGEST_STEP)
+        angle = np.abs(np.angle(old.poles))
+        room = np.minimum(angle, np.pi - angle)
+        angle = angle + np.clip(imaginary[0], -LARGEST_STEP * room, LARGEST_STEP * room)
+        size = np.exp(-np.clip(np.exp(decay), LEAST_DECAY, MOST_DECAY))
+        poles = np.where(old.is_pair, size * np.exp(1j * angle), size * np.sign(old.poles.real))
+        others = real[1:] + 1j * imaginary[1:]
+        n_inputs = old.inputs.shape[1]
+        return ModalParameters(
+            poles=poles,
+            is_pair=old.is_pair,
+            inputs=old.inputs + others[:n_inputs].T,
+            states=old.states + others[n_inputs:],
+        )
+
+    @staticmethod
+    def _free(parameters: ModalParameters) -> tuple[np.ndarray, FloatArray]:
+        """Which of all entries are parameters, none twice, none of no effect, and the scale of each entry."""
+        n_poles, n_inputs = parameters.inputs.shape
+        moves = np.ones((1 + n_inputs + parameters.states.shape[0], n_poles), dtype=np.bool_)
+        moves[1 + np.abs(parameters.inputs).argmax(axis=1), np.arange(n_poles)] = False
+        free = np.flatnonzero(np.concatenate([moves.ravel(), (moves & parameters.is_pair).ravel()]))
+        # the first parameter of a pole is the logarithm of its decay, not the decay itself
+        scale = np.ones(2 * moves.size)
+        scale[:n_poles] = np.log(np.abs(parameters.poles))
+        return free, scale
 
 
 def _solve(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:

@@ -34,6 +34,7 @@ import numpy.typing as npt
 
 from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray, frozen
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 __all__ = [
@@ -253,8 +254,8 @@ FURTHEST: Final = 1e9
 """Refuse a larger coordinate [m]: beyond it, numbers are no positions of one structure."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Sensor:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Sensor(Displayed):
     """One channel's place and direction.
 
     Args:
@@ -285,8 +286,8 @@ class Sensor:
         object.__setattr__(self, "direction", frozen(scaled / np.linalg.norm(scaled), name="direction"))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Geometry:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Geometry(Displayed):
     """Nodes, lines and sensors of a structure.
 
     Args:

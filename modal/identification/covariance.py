@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.estimation.output_error import NONE, LinearPart, gram_of_training, step_equations
+from modal.estimation.output_error import NONE, LinearPart, PolesAndParticipations, gram_of_training, step_equations
 from modal.estimation.propagation import propagated
 from modal.identification.final_model import FinalModel
+from modal.identification.information import innovation_uncertainty
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode, Uncertainty
@@ -82,23 +83,23 @@ def output_error_uncertainty(model: RefinedModel, modes: Sequence[Mode], *, n_la
         shape_std=shapes[owner],
         markov_std=_markov_deviations(loadings, model, n_lags) * scale,
         degrees_of_freedom=loadings.degrees_of_freedom,
+        mass_std=_mass_deviations(loadings, model)[owner],
     )
 
 
 def _white(model: RefinedModel) -> _Loadings:
     step, data, weights = model.step, model.data, model.weights
-    n_rows = sum(int(rows.sum()) for rows in data.rows)
+    n_rows = model.n_rows
     normal = step_equations(step, data, held_out=NONE, weights=weights)
-    fitted = step.layout.n_regressors + normal.free.size / step.layout.n_outputs
+    fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
     variance = step.linear.squared_errors / max(1.0, n_rows - fitted)
-    meat = step_equations(step, data, held_out=NONE, weights=weights**2 * variance).matrix
+    meat = step_equations(step, data, held_out=NONE, weights=weights @ np.diag(variance) @ weights).matrix
     values, vectors = np.linalg.eigh(meat)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     theta = (_inverse(normal.matrix) @ root).T
-    coefficients = -np.einsum("st,tno->sno", theta, _slopes(model, normal.free))
+    coefficients = -np.einsum("st,tno->sno", theta, _slopes(model))
     return _loadings(
         model,
-        normal.free,
         theta,
         coefficients,
         own=step.linear.inverse_factor,
@@ -112,8 +113,8 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
     layout, linear = step.layout, step.linear
     normal = step_equations(step, data, held_out=NONE, weights=weights)
     inverse = linear.inverse_factor.T @ linear.inverse_factor
-    slopes = _slopes(model, normal.free)
-    scores = _scores(model, normal.free)
+    slopes = _slopes(model)
+    scores = _scores(model)
     n_blocks = step.grams.shape[0]
     left = np.array([step.block_products(block)[layout.regressors] for block in range(n_blocks)])
     inflate = np.sqrt(n_blocks / max(1, n_blocks - 1))
@@ -121,7 +122,6 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
     coefficients = inflate * (inverse @ left) - np.einsum("st,tno->sno", theta, slopes)
     return _loadings(
         model,
-        normal.free,
         theta,
         coefficients,
         own=np.zeros((0, layout.n_regressors)),
@@ -139,60 +139,49 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(size, size)
 
 
-def _directions(model: RefinedModel, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, FloatArray]:
-    """For each free parameter: its sensitivity's place, whether it is an imaginary part, and its scale."""
-    n = model.step.layout.n_sensitivities
-    place, imaginary = free % n, free >= n
-    decay = np.log(np.abs(model.step.parameters.poles))
-    scale = np.where((place < decay.size) & ~imaginary, np.resize(decay, n)[place], 1.0)
-    return place, imaginary, scale
-
-
-def _outputs_of(model: RefinedModel, free: np.ndarray, real: FloatArray, imag: FloatArray) -> FloatArray:
+def _outputs_of(model: RefinedModel, real: FloatArray, imag: FloatArray) -> FloatArray:
     """(n_free, ..., n_outputs) real part of shape times sensitivity, each parameter's change of the outputs.
 
     Args:
         model: with the shapes.
-        free: parameters.
         real: (n_sensitivities, ...) products with the sensitivities' real parts; last axis n_outputs or 1.
         imag: the same with the imaginary parts.
     """
-    place, imaginary, scale = _directions(model, free)
     layout = model.step.layout
-    c = model.step.linear.shapes.T[layout.owners[place]]
-    c = np.where(imaginary[:, np.newaxis], 1j * c, c) * scale[:, np.newaxis]
+    c = model.step.linear.shapes.T[layout.owners]
     c = c.reshape(c.shape[0], *([1] * (real.ndim - 2)), c.shape[1])
-    return c.real * real[place] - c.imag * imag[place]
+    raw = np.concatenate([c.real * real - c.imag * imag, -c.imag * real - c.real * imag])
+    products: FloatArray = np.tensordot(PolesAndParticipations().slopes(model.step.parameters).T, raw, axes=1)
+    return products
 
 
-def _slopes(model: RefinedModel, free: np.ndarray) -> FloatArray:
+def _slopes(model: RefinedModel) -> FloatArray:
     """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
     layout = model.step.layout
     gram = gram_of_training(layout, model.step.grams, model.data.blocks, NONE)
     phi = layout.regressors
     products = _outputs_of(
-        model, free, gram[layout.real, phi][:, :, np.newaxis], gram[layout.imaginary, phi][:, :, np.newaxis]
+        model, gram[layout.real, phi][:, :, np.newaxis], gram[layout.imaginary, phi][:, :, np.newaxis]
     )
     factor = model.step.linear.inverse_factor
     return np.einsum("nk,tko->tno", factor.T @ factor, products)
 
 
-def _scores(model: RefinedModel, free: np.ndarray) -> FloatArray:
+def _scores(model: RefinedModel) -> FloatArray:
     """(n_blocks, n_free) weighted gradient of each block, the linear part projected out."""
     step, layout = model.step, model.step.layout
-    slopes = _slopes(model, free)
-    scores = np.empty((step.grams.shape[0], free.size))
+    slopes = _slopes(model)
+    scores = np.empty((step.grams.shape[0], slopes.shape[0]))
     for block in range(scores.shape[0]):
-        products = step.block_products(block)
+        products = step.block_products(block) @ model.weights
         left = products[layout.regressors]
-        direct = _outputs_of(model, free, products[layout.real], products[layout.imaginary])
-        scores[block] = (direct - np.einsum("tno,no->to", slopes, left)) @ model.weights
+        direct = _outputs_of(model, products[layout.real], products[layout.imaginary])
+        scores[block] = (direct - np.einsum("tno,no->to", slopes, left)).sum(axis=1)
     return scores
 
 
 def _loadings(
     model: RefinedModel,
-    free: np.ndarray,
     theta: FloatArray,
     coefficients: FloatArray,
     *,
@@ -201,13 +190,13 @@ def _loadings(
     degrees_of_freedom: float,
 ) -> _Loadings:
     layout = model.step.layout
-    whole = np.zeros((theta.shape[0], 2 * layout.n_sensitivities))
-    whole[:, free] = theta
+    whole = theta @ PolesAndParticipations().slopes(model.step.parameters).T
+    decay = np.log(np.abs(model.step.parameters.poles))
     shape = (theta.shape[0], 2, 1 + layout.n_inputs + layout.n_records, layout.n_poles)
     real, imaginary = whole.reshape(shape).transpose(1, 0, 2, 3)
     inputs = real[:, 1 : 1 + layout.n_inputs] + 1j * imaginary[:, 1 : 1 + layout.n_inputs]
     return _Loadings(
-        log_decay=real[:, 0],
+        log_decay=real[:, 0] / decay,
         angle=imaginary[:, 0],
         inputs=inputs.transpose(0, 2, 1),
         coefficients=coefficients,
@@ -248,6 +237,28 @@ def _shape_deviations(
     return np.sqrt(variance)
 
 
+def _mass_deviations(loadings: _Loadings, model: RefinedModel) -> FloatArray:
+    """(n_poles, n_outputs, n_inputs) relative, of m ~ c_o / (c_l^2 b_i) with l the largest component of the shape.
+
+    The frequency in it is known far better than shape and participation, and left out.
+    """
+    n = model.step.parameters.poles.size
+    c, b = model.step.linear.shapes.T, model.step.parameters.inputs
+    moved = loadings.coefficients[:, :n] - 1j * loadings.coefficients[:, n : 2 * n]
+    own = loadings.own[:, :n] - 1j * loadings.own[:, n : 2 * n]
+    largest = np.arange(n), np.abs(c * model.scaling.output_scale).argmax(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen, fed = moved / c, loadings.inputs / b
+        change = (seen - 2.0 * seen[:, *largest][:, :, np.newaxis])[..., np.newaxis] - fed[:, :, np.newaxis]
+        # noise of each output on its own coefficients alone
+        alone = np.square((own[:, :, np.newaxis] / c).real).sum(axis=0) * loadings.noise**2
+    reference = alone[largest]
+    alone += 4.0 * reference[:, np.newaxis]
+    alone[largest] = reference
+    deviations: FloatArray = np.sqrt(np.square(change.real).sum(axis=0) + alone[:, :, np.newaxis])
+    return deviations
+
+
 def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) -> FloatArray:
     """(n_lags + 1, n_outputs, n_inputs) of D and of h_k = sum over poles of Re(c lambda^(k-1) b')."""
     step, layout = model.step, model.step.layout
@@ -273,16 +284,30 @@ def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) ->
     return deviations
 
 
-def with_deviations(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> tuple[ModalModel, Uncertainty]:
+NOT_UNDERSTOOD = 1.3
+"""Say that the noise is not understood where its colour moves a deviation by more: thrice the scatter of the blocks."""
+NO_INTERVAL = 3.0
+"""Give no interval beyond: what the blocks do not see of the colour may be as much again."""
+
+
+def with_deviations(
+    model: ModalModel, final: FinalModel, records: Sequence[Record]
+) -> tuple[ModalModel, Uncertainty, FloatArray]:
     """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
 
     Args:
         model: modes of the final model's realisation.
         final: the final model.
         records: that it was fitted to.
+
+    Returns:
+        The modes, their deviations, and (n_modes,) how many times larger those of a mode are than under white noise.
     """
-    if final.refined is not None:
-        known = output_error_uncertainty(final.refined, model.modes, n_lags=final.markov.n_lags)
+    inflation = np.ones(len(model))
+    if final.noise is not None:
+        known = innovation_uncertainty(final.noise, model.modes, n_lags=final.markov.n_lags)
+    elif final.refined is not None:
+        known, inflation = _judged(final.refined, model.modes, n_lags=final.markov.n_lags)
     else:
         known = _propagated(model, final, records)
     modes = tuple(
@@ -291,10 +316,32 @@ def with_deviations(model: ModalModel, final: FinalModel, records: Sequence[Reco
             frequency_std=float(known.frequency_std[i]),
             damping_ratio_std=float(known.damping_ratio_std[i]),
             shape_std=known.shape_std[i],
+            mass_std=None if known.mass_std is None else known.mass_std[i],
         )
         for i, mode in enumerate(model.modes)
     )
-    return replace(model, modes=modes), known
+    return replace(model, modes=modes), known, inflation
+
+
+def _judged(model: RefinedModel, modes: Sequence[Mode], *, n_lags: int) -> tuple[Uncertainty, FloatArray]:
+    """What the colour that is left does to the deviations: the larger ones, nan where it does too much."""
+    plain = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
+    if model.leaves_white_noise:
+        return plain, np.ones(len(modes))
+    blocks = output_error_uncertainty(model, modes, n_lags=n_lags)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by_frequency = blocks.frequency_std / plain.frequency_std
+        by_damping = blocks.damping_ratio_std / plain.damping_ratio_std
+    inflation = np.fmax(np.fmax(by_frequency, by_damping), 1.0)
+    lost = np.where(inflation > NO_INTERVAL, np.nan, 1.0)
+    known = replace(
+        blocks,
+        frequency_std=np.fmax(plain.frequency_std, blocks.frequency_std) * lost,
+        damping_ratio_std=np.fmax(plain.damping_ratio_std, blocks.damping_ratio_std) * lost,
+        shape_std=np.fmax(plain.shape_std, blocks.shape_std),
+        markov_std=np.fmax(plain.markov_std, blocks.markov_std),
+    )
+    return known, inflation
 
 
 def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:

@@ -4,22 +4,23 @@ Every candidate was stable on each fold, but a pole at the edge (an integrator, 
 side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Trial, hankel_limits, markov_lags
+from modal.estimation.cross_validation import Folds, Trial, hankel_limits, markov_lags
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
+from modal.identification.noise_model import NoiseModel, noise_model
 from modal.identification.order_search import Search
 from modal.identification.refined_search import RefinedModel, refined_model
 from modal.verdict.repeatability import ORDER_SHARES
-from okid.errors import IdentificationWarning, NumericalError
+from okid.errors import NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
@@ -44,8 +45,10 @@ class FinalModel:
         decomposition: of their block Hankel matrix.
         cut: the realisation of the chosen order.
         refined: the same refined by output error, None where no refinement was chosen.
-        gain: of the refined model, from its innovations; None where the model has the gain that it was cut with.
-        realisation: the refined one, its gain estimated from its innovations, else the one that was cut.
+        noise: the same with a model of its noise; None where white noise on the outputs is as likely.
+        why: in words, why there is a model of the noise or none.
+        gain: of the model, from its innovations; None where the model has the gain that it was cut with.
+        realisation: the likeliest, the refined one, its gain estimated from its innovations, or the one that was cut.
     """
 
     observer: ObserverFit
@@ -53,12 +56,33 @@ class FinalModel:
     decomposition: HankelDecomposition
     cut: Realisation
     refined: RefinedModel | None
+    noise: NoiseModel | None
+    why: str
     gain: GainEstimate | None
     realisation: Realisation
 
+    @property
+    def leaves_white_noise(self) -> bool:
+        """Whether white noise on the outputs is all there is."""
+        return self.noise is None and self.refined is not None and self.refined.leaves_white_noise
 
-def fit_all_rows(records: Sequence[Record], found: Search) -> tuple[Search, FinalModel]:
+
+def fit_all_rows(
+    records: Sequence[Record],
+    found: Search,
+    *,
+    n_rest: int = 0,
+    refinement: Literal["auto", "none"] = "auto",
+    feedback: bool = False,
+) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
+
+    Args:
+        records: that the search saw.
+        found: by the search.
+        n_rest: rows of rest among theirs, which hold no noise.
+        refinement: "none" leaves the model as OKID and ERA give it.
+        feedback: the outputs are fed back into the inputs.
 
     Returns:
         The search with the trial that was taken as its chosen one, and the model.
@@ -77,7 +101,12 @@ def fit_all_rows(records: Sequence[Record], found: Search) -> tuple[Search, Fina
         model = None if fitted is None else _stable(fitted.decomposition, trial.model_order - 2 * trial.weak_modes)
         if fitted is None or model is None:
             continue
-        made = replace(found, chosen=trial), _refined(records, fitted, model, trial)
+        made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
+        if refinement == "auto":
+            made = (
+                made[0],
+                _refined(records, fitted, model, trial, n_rest=n_rest, by=found.ground.by, feedback=feedback),
+            )
         if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
             return made
         fallback = fallback or made
@@ -105,9 +134,7 @@ def _keeps_promise(model: Realisation, records: Sequence[Record], trial: Trial) 
 
 
 def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
-    with warnings.catch_warnings():
-        # poor conditioning is told by the excitation check; what it does to the model, the free run has judged
-        warnings.simplefilter("ignore", IdentificationWarning)
+    with quiet():  # poor conditioning is told by the excitation check; what it does, the free run has judged
         observer = fit_observer(records, order=trial.observer_order, ridge=trial.ridge)
     try:
         markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
@@ -123,23 +150,50 @@ def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
         decomposition=decomposition,
         cut=nothing,
         refined=None,
+        noise=None,
+        why="",
         gain=None,
         realisation=nothing,
     )
 
 
-def _refined(records: Sequence[Record], fitted: FinalModel, model: Realisation, trial: Trial) -> FinalModel:
+def _refined(
+    records: Sequence[Record],
+    fitted: FinalModel,
+    model: Realisation,
+    trial: Trial,
+    *,
+    n_rest: int,
+    by: Folds,
+    feedback: bool,
+) -> FinalModel:
     refined = None
     if model.n_inputs:
         largest = min(trial.model_order, fitted.decomposition.rank, fitted.decomposition.max_order)
         evidence = realise_from(fitted.decomposition, largest)
-        refined = refined_model(records, model, trial.refinement_steps, weak_modes=trial.weak_modes, evidence=evidence)
-    if refined is None:
-        return replace(fitted, cut=model, realisation=model)
-    found = estimate_gain(refined.realisation, records)
-    return replace(
-        fitted, cut=model, refined=refined, gain=found, realisation=replace(refined.realisation, K=found.gain)
-    )
+        refined = refined_model(
+            records,
+            model,
+            trial.refinement_steps,
+            weak_modes=trial.weak_modes,
+            evidence=evidence,
+            n_rest=n_rest,
+            by=by,
+        )
+    gain = None if refined is None else estimate_gain(refined.realisation, records)
+    base = model if refined is None or gain is None else replace(refined.realisation, K=gain.gain)
+    made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base)
+    if base.K is None:
+        return made
+    if n_rest:
+        return replace(made, why="rows of rest, which hold no noise, stand before the record")
+    evidence = base if base.factors is not None else model
+    noise, why = noise_model(records, base, evidence=evidence, promised=1.0 - trial.error, feedback=feedback)
+    if noise is None:
+        return replace(made, why=why)
+    gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)
+    likeliest = noise.realisation if gain is None else replace(noise.realisation, K=gain.gain)
+    return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
 
 
 def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | None:

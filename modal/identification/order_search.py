@@ -16,9 +16,10 @@ from typing import Literal
 
 import numpy as np
 
-from modal.estimation.cross_validation import WITHIN, Ground, Trial, hankel_shape, make_trials, prepare_ground
+from modal.estimation.cross_validation import WITHIN, Folds, Ground, Trial, hankel_shape, make_trials, prepare_ground
 from modal.preparation.steps import checked_parts
 from okid.arrays import FloatArray, real_number, whole_number
+from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import as_records, check_enough_rows
@@ -43,8 +44,8 @@ LEAST_ROWS = 0.75
 """Share of the samples that an observer order must leave as rows; a short record among long ones does not limit it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SearchLimits:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class SearchLimits(Displayed):
     """Candidates that may be tried; a single value is a choice that the caller made."""
 
     observer_orders: tuple[int, ...]
@@ -105,8 +106,8 @@ ROUND_OFF = 1e-14
 """Relative squared errors below this are equal: noise-free data."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Search:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Search(Displayed):
     """Every trial on all folds, and the one that was chosen.
 
     Attributes:
@@ -125,7 +126,7 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OrderChoice:
+class OrderChoice(Displayed):
     """The orders by which records are fitted, and on which evidence.
 
     Attributes:
@@ -155,6 +156,7 @@ def choose_orders(
     observer_order: int | Literal["auto"] = "auto",
     ridge: float | Literal["auto"] = "auto",
     order: int | Literal["auto"] = "auto",
+    folds: Folds = "blocks",
     progress: Callable[[float], None] = lambda _: None,
 ) -> OrderChoice:
     """Choose observer order, ridge and model order together, by the error of a free run on held-out rows.
@@ -166,6 +168,7 @@ def choose_orders(
         observer_order: number of past samples that the observer uses, or "auto".
         ridge: relative to the unit diagonal of the Gram matrix of the scaled channels, or "auto".
         order: number of states, or "auto".
+        folds: "blocks" of rows are held out, or every third of the "rows" (where a few blows drive the records).
         progress: called with the share done.
 
     Raises:
@@ -186,7 +189,7 @@ def choose_orders(
     """
     given = given_orders(observer_order, ridge, order)
     parts = checked_parts(as_records(records))
-    found = search(parts, observer_order=given[0], ridge=given[1], model_order=given[2], progress=progress)
+    found = search(parts, observer_order=given[0], ridge=given[1], model_order=given[2], folds=folds, progress=progress)
     return OrderChoice(
         observer_order=found.chosen.observer_order,
         ridge=found.chosen.ridge,
@@ -223,6 +226,7 @@ def search(
     observer_order: int | None = None,
     ridge: float | None = None,
     model_order: int | None = None,
+    folds: Folds = "blocks",
     progress: Callable[[float], None] = lambda _: None,
 ) -> Search:
     """Choose observer order, ridge and model order together; a given one is kept.
@@ -232,6 +236,7 @@ def search(
         observer_order: the caller's choice, None to choose.
         ridge: likewise.
         model_order: likewise.
+        folds: which rows are held out.
         progress: called with the share done.
 
     Raises:
@@ -239,7 +244,7 @@ def search(
             stable model.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
-    ground = prepare_ground(records)
+    ground = prepare_ground(records, folds)
     if model_order is not None:
         _check_model_order(model_order, ground)
     every_fold = tuple(range(len(ground.folds)))

@@ -12,23 +12,40 @@ import numpy as np
 
 from era.kalman import check_innovations
 from era.realisation import Realisation
+from modal.estimation.cross_validation import Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.modal_states import one_blas_thread
 from modal.identification.covariance import with_deviations
-from modal.identification.final_model import fit_all_rows
+from modal.identification.feedback import FALSE_ALARMS, feedback_p_value, with_feedback
+from modal.identification.final_model import FinalModel, fit_all_rows
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
+from modal.identification.response_road import identify_response
 from modal.identification.result import Identification
-from modal.identification.words import explain_gain, explain_scoring, explain_search, order_evidence, warnings_in_words
+from modal.identification.set_ups import has_absent_outputs, identify_setups
+from modal.identification.words import (
+    explain_gain,
+    explain_noise,
+    explain_scoring,
+    explain_search,
+    noise_words,
+    order_evidence,
+    warnings_in_words,
+)
 from modal.modes.extraction import extract_modes
+from modal.preparation.band import missed_share
+from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
+from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
-from modal.verdict.excitation import driven_gain
+from modal.verdict.constancy import changing_modes, unsteady_drive
+from modal.verdict.excitation import between_lines, driven_gain
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from okid.arrays import whole_number
+from okid.arrays import FloatArray, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
+from okid.frequency_response import FrequencyResponse
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records
@@ -37,7 +54,7 @@ __all__ = ["identify"]
 
 
 def identify(
-    records: Record | Sequence[Record],
+    records: Record | Sequence[Record] | FrequencyResponse,
     *,
     observer_order: int | Literal["auto"] = "auto",
     ridge: float | Literal["auto"] = "auto",
@@ -48,6 +65,7 @@ def identify(
     integrators: int | Literal["auto"] = "auto",
     input_delay: int | Sequence[int] | Literal["auto"] = "auto",
     drift: int | Literal["auto", "none", "linear"] = "auto",
+    kind: GivenKind = "auto",
     progress: Callable[[str, float], None] | None = None,
 ) -> Identification:
     """Identify the modes of one system from one record or several; nothing needs to be chosen.
@@ -56,7 +74,9 @@ def identify(
     given as an argument is kept.
 
     Args:
-        records: one `Record` or several of one system (same channels, units and time step).
+        records: one `Record` or several of one system (same channels, units and time step; set-ups with other sensors
+            or hammers come from `okid.join_setups`), or one table of frequency responses (`okid.FrequencyResponse`): of
+            the other arguments only `order` and `progress` concern one.
         observer_order: number of past samples that the observer uses.
         ridge: regularisation relative to the unit diagonal of the Gram matrix of the scaled channels.
         order: number of states of the model.
@@ -69,13 +89,15 @@ def identify(
         input_delay: samples by which inputs act late, one number or one an input.
         drift: "none", "linear", or a number of slow functions taken off each channel (1 a line, 2 a parabola, more:
             half-waves).
+        kind: "driven" (inputs move throughout), "transient" (they act in short events), "decay" (no input, each record
+            rings down) or "ambient" (no input); "auto" lets the data say it.
         progress: called as `progress(what, share_done)` while it works.
 
     Returns:
         Every stage from the prepared records to the judged modes, and why each choice was made.
 
     Raises:
-        InvalidDataError: records that do not belong together, or an argument outside its range.
+        InvalidDataError: records that do not belong together or are not of one kind, or an argument outside its range.
         InsufficientDataError: a constant channel, or records too short to fit any observer.
 
     References:
@@ -93,12 +115,41 @@ def identify(
         >>> [f"{mode.frequency:.2f} Hz, {mode.verdict}" for mode in result.modes.system]
         ['5.00 Hz, system']
     """
+    if isinstance(records, FrequencyResponse):
+        if given_kind(kind) not in {"auto", "response"}:
+            raise InvalidDataError(
+                f'kind="{kind}" is for records in time, but frequency responses were given; leave it out.'
+            )
+        return identify_response(records, order=order, progress=progress)
     given_orders(observer_order, ridge, order)
     if refinement not in ("auto", "none"):
         raise InvalidDataError(f'refinement must be "auto" or "none", but is {refinement!r}.')
     if decimation != "auto":
         decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
     several = as_records(records)
+    if has_absent_outputs(several):
+
+        def again(parts: Sequence[Record], factor: int) -> Identification:
+            return identify(
+                parts,
+                observer_order=observer_order,
+                ridge=ridge,
+                order=order,
+                decimation=factor,
+                refinement=refinement,
+                missing=missing,
+                integrators=integrators,
+                input_delay=input_delay,
+                drift=drift,
+                kind=kind,
+            )
+
+        return identify_setups(several, again, decimation=None if decimation == "auto" else decimation)
+    kind_found = find_kind(several, given_kind(kind))
+    if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
+        several = released(several)
+        integrators, input_delay = 0, 0
+        drift = "none" if drift == "auto" else drift
     with one_blas_thread():
         tell = progress or (lambda _what, _share: None)
         tell("looking at the data", 0.0)
@@ -109,27 +160,41 @@ def identify(
             integrators=integrators,
             input_delay=input_delay,
             drift=drift,
+            kind=kind_found.kind,
         )
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
             ridge=ridge,
             order=order,
+            folds=_folds(kind_found),
             progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * done),
         ).evidence
         if refinement == "auto" and several[0].n_inputs:
             found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.35 + 0.35 * done))
-        return _identified(several, preparation, found, tell)
+        tell("fitting all rows", 0.7)
+        # a few blows are no stationary input, of which the test could be asked
+        fed_back = kind_found.kind == "driven" and feedback_p_value(several) < FALSE_ALARMS
+        taken, final = fit_all_rows(
+            preparation.records, found, n_rest=sum(preparation.n_rest), refinement=refinement, feedback=fed_back
+        )
+        result = _identified(several, kind_found, preparation, taken, final=final, wanted=found.chosen, tell=tell)
+        return with_feedback(result, unbiased=final.noise is not None) if fed_back else result
 
 
 def _identified(
-    records: Sequence[Record], preparation: Preparation, found: Search, tell: Callable[[str, float], None]
+    records: Sequence[Record],
+    kind: KindFound,
+    preparation: Preparation,
+    found: Search,
+    *,
+    final: FinalModel,
+    wanted: Trial,
+    tell: Callable[[str, float], None],
 ) -> Identification:
-    """All rows fitted by what was chosen, the modes judged, and all of it said in words."""
+    """The modes of the final model judged, and all of it said in words."""
     prepared = preparation.records
-    tell("fitting all rows", 0.7)
-    wanted = found.chosen
-    found, final = fit_all_rows(prepared, found)
+    n_rest = preparation.n_rest
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
     fit = measure_fit(found.chosen, found.power, runs)
@@ -142,27 +207,35 @@ def _identified(
         model_order=model.order,
         decomposition=decomposition,
         refinement_steps=0 if final.refined is None else found.chosen.refinement_steps,
+        folds=_folds(kind),
+        refined=final.realisation,
     )
-    unjudged, uncertainty = with_deviations(extract_modes(model), final, prepared)
+    unjudged, uncertainty, inflation = with_deviations(extract_modes(model), final, prepared)
     left = runs.left
+    lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
+    missed = missed_share(prepared, left)
     modes = judge(
         unjudged,
         reruns,
         gain=driven_gain(unjudged, prepared, left, output_scale=reruns.output_scale),
-        n_values=sum(int(np.isfinite(errors).all(axis=1).sum()) for errors in left) * model.n_outputs,
+        lines=lines,
+        n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
+        * model.n_outputs,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
-        fit=fit.mean,
+        fit=np.nan if prepared[0].n_inputs else fit.mean,
+        missed=missed,
         observer_order=observer.order,
         ridge=observer.ridge,
         refinement_steps=found.chosen.refinement_steps,
-        duration=max(record.duration for record in prepared),
+        duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if prepared[0].n_inputs else None,
     )
     tell("checking residuals", 0.9)
     residuals = check_residuals(observer, prepared)
     result = Identification(
         records=tuple(
-            replace(run, inputs=came.inputs) for run, came in zip(runs.records, preparation.as_measured, strict=True)
+            replace(run, inputs=came.inputs).samples(n)
+            for run, came, n in zip(runs.records, preparation.as_measured, n_rest, strict=True)
         ),
         excitation=excitation,
         observer=observer,
@@ -170,27 +243,62 @@ def _identified(
         markov=final.markov,
         realisation=preparation.complete(model),
         fitted_model=model,
-        modes=modes,
+        modes=replace(
+            modes,
+            output_names=prepared[0].output_names,
+            output_units=prepared[0].output_units,
+            input_names=prepared[0].input_names,
+            input_units=prepared[0].input_units,
+            input_hold=prepared[0].input_hold,
+        ),
         order_evidence=order_evidence(decomposition, model.order, found, reruns=reruns),
         choices=(
+            kind.choice,
+            *((RELEASED,) if kind.kind == "decay" else ()),
             *preparation.choices,
-            *explain_scoring(prepared),
+            *explain_scoring(prepared, _folds(kind)),
             *explain_search(found, wanted=wanted),
+            *(() if final.leaves_white_noise else explain_noise(final.noise, final.why)),
             *explain_gain(final.gain),
         ),
         fit=fit,
-        simulated=runs.simulated,
-        predicted=runs.predicted,
+        simulated=tuple(run.samples(n) for run, n in zip(runs.simulated, n_rest, strict=True)),
+        predicted=tuple(run.samples(n) for run, n in zip(runs.predicted, n_rest, strict=True)),
         warnings=(
+            *kind.warnings,
             *preparation.warnings,
-            *warnings_in_words(prepared, fit=fit, modes=modes, excitation=excitation, residuals=residuals, found=found),
+            *(unsteady_drive(prepared, left) if kind.kind == "ambient" else ()),
+            *(changing_modes(modes, prepared, left, output_scale=reruns.output_scale) if kind.kind == "driven" else ()),
+            *warnings_in_words(
+                prepared,
+                fit=fit,
+                missed=missed,
+                lines=lines,
+                modes=modes,
+                excitation=excitation,
+                residuals=residuals,
+                found=found,
+            ),
+            *noise_words(modes, inflation),
         ),
+        record_kind=kind.kind,
         uncertainty=uncertainty,
         innovations=_innovations(model, runs.records),
-        innovation_covariance=None if final.gain is None else final.gain.innovation_covariance,
+        innovation_covariance=_covariance(final),
     )
     tell("done", 1.0)
     return result
+
+
+def _covariance(final: FinalModel) -> FloatArray | None:
+    if final.gain is not None:
+        return final.gain.innovation_covariance
+    return None if final.noise is None else final.noise.covariance
+
+
+def _folds(kind: KindFound) -> Folds:
+    """What is struck a few times is held out row by row: a block holds a blow or none."""
+    return "rows" if kind.kind in ("transient", "decay") else "blocks"
 
 
 def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck | None:

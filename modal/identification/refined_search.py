@@ -22,6 +22,8 @@ import numpy as np
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
     GAIN,
+    N_TURNS,
+    Folds,
     Ground,
     Trial,
     corner,
@@ -32,7 +34,7 @@ from modal.estimation.cross_validation import (
 )
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
-from modal.estimation.modal_states import blocks_of
+from modal.estimation.modal_states import blocks_by_turns, blocks_of
 from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
@@ -76,7 +78,11 @@ class _Workshop:
 def output_error_data(ground: Ground) -> OutputError:
     """The scored stretches with their complete rows, cut into the blocks of the folds."""
     rows = tuple(held_out | trained for held_out, trained in zip(ground.held_out[0], ground.trained[0], strict=True))
-    return OutputError(records=ground.scaled, rows=rows, blocks=blocks_of(ground.scaled, ground.blocks))
+    if ground.by == "rows":
+        blocks = blocks_by_turns(ground.scaled, N_TURNS, first_rows=ground.first_rows)
+    else:
+        blocks = blocks_of(ground.scaled, ground.blocks)
+    return OutputError(records=ground.scaled, rows=rows, blocks=blocks)
 
 
 def refined_search(found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
@@ -117,6 +123,8 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
         grown = _grown(shop, chosen)
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
         chosen = grown[-1] if grown else chosen
+    if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
+        chosen = replace(chosen, refinement_steps=MOST_STEPS)
     progress(1.0)
     return replace(found, trials=tuple(everything), chosen=chosen)
 
@@ -273,8 +281,10 @@ class RefinedModel:
         step: the last one, scaled channels.
         data: what it was fitted to.
         scaling: of the channels.
-        weights: (n_outputs,) of the squared errors.
+        weights: (n_outputs, n_outputs) of the squared errors.
         whiteness_ratio: of what the free run leaves; nan where it leaves nothing.
+        n_rows: whole rows that were measured.
+        by: whether blocks of rows can tell the colour of what is left; "rows" cannot.
     """
 
     realisation: Realisation
@@ -283,11 +293,13 @@ class RefinedModel:
     scaling: ChannelScaling
     weights: FloatArray
     whiteness_ratio: float
+    n_rows: int
+    by: Folds
 
     @property
     def leaves_white_noise(self) -> bool:
-        """Whether what the free run leaves is white."""
-        return self.whiteness_ratio <= WHITE
+        """Whether what the free run leaves is white, or has to be taken for it."""
+        return self.whiteness_ratio <= WHITE or self.by == "rows"
 
 
 def refined_model(
@@ -298,6 +310,8 @@ def refined_model(
     weak_modes: int = 0,
     evidence: Realisation | None = None,
     least_gain: float = SMALLEST_GAIN,
+    n_rest: int = 0,
+    by: Folds = "blocks",
 ) -> RefinedModel | None:
     """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
 
@@ -309,6 +323,9 @@ def refined_model(
         evidence: realisation of the order that includes them, whose Hankel factors the result keeps; `start` unless
             given.
         least_gain: relative decrease of the error by a step below which it is the last.
+        n_rest: rows of rest among those of the records, which hold no noise.
+        by: "rows" where a few blows drive the records: a block of rows holds too little of their answer for a
+            covariance of its own, so what is left counts as white.
     """
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -320,7 +337,7 @@ def refined_model(
     power = sum(float(np.square(record.outputs[there]).sum()) for record, there in zip(scaled, rows, strict=True))
     if first.error <= NOISE_FREE**2 * power:
         return None
-    weights = np.ones(start.n_outputs)
+    weights = np.eye(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1]
     for _ in range(weak_modes):
@@ -330,11 +347,18 @@ def refined_model(
     if n_steps == MOST_STEPS and start.n_outputs > 1:
         likeliest, own = _weighted(last, data, least_gain)
         own_ratio = _whiteness_ratio(likeliest, data)
-        if own_ratio <= WHITE:
+        if own_ratio <= WHITE or by == "rows":
             last, weights, ratio = likeliest, own, own_ratio
     realisation = in_units(last, start if evidence is None else evidence, scaling)
     return RefinedModel(
-        realisation=realisation, step=last, data=data, scaling=scaling, weights=weights, whiteness_ratio=ratio
+        realisation=realisation,
+        step=last,
+        data=data,
+        scaling=scaling,
+        weights=weights,
+        whiteness_ratio=ratio,
+        n_rows=sum(int(there.sum()) for there in rows) - n_rest,
+        by=by,
     )
 
 
@@ -355,13 +379,13 @@ def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tup
     An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
     the weights come before the test for whiteness.
     """
-    weights = np.ones(step.layout.n_outputs)
+    weights = np.eye(step.layout.n_outputs)
     for _ in range(WEIGHTINGS):
         variance = step.linear.squared_errors
         largest = variance.max()
         if largest == 0.0:
             break
-        weights = largest / np.maximum(variance, SMALLEST_NOISE**2 * largest)
+        weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
         step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
     return step, weights
 

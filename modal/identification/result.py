@@ -24,13 +24,18 @@ import numpy.typing as npt
 
 from era.realisation import Realisation
 from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Uncertainty
+from modal.modes.mode import ModalModel, Uncertainty, numbered
+from modal.preparation.kind import RecordKind
 from modal.verdict.stabilisation import StabilisationPoint
+from modal.wording.numbers import fit_text
 from okid.arrays import FloatArray, frozen_with_gaps
+from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.excitation import Excitation
+from okid.frequency_response import FrequencyResponse
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
+from okid.readers.guard import foreign, sound_archive
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
@@ -46,8 +51,8 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OrderEvidence:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class OrderEvidence(Displayed):
     """What the model order was decided on.
 
     Attributes:
@@ -71,16 +76,17 @@ class OrderEvidence:
             object.__setattr__(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=(None,)))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Identification:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Identification(Displayed):
     """The result of `modal.identify`.
 
     Attributes:
         records: as used: means removed, decimated to the band (see `choices`); the realisation has their time step.
-        excitation: what the inputs allow to be identified, before the fit.
-        observer: the observer fit.
-        residuals: whiteness and input correlation of its residuals.
-        markov: Markov parameters recovered from it.
+            Empty where frequency responses were identified.
+        excitation: what the inputs allow to be identified, before the fit; None for responses.
+        observer: the observer fit; None for responses.
+        residuals: whiteness and input correlation of its residuals; None for responses.
+        markov: Markov parameters recovered from it, or the pulse response of a table.
         realisation: state-space model in the units of the records, refined by output error where that paid.
         modes: every mode with its indicators and its verdict.
         order_evidence: what the model order was decided on.
@@ -97,12 +103,15 @@ class Identification:
         fitted_model: the model that observer, Markov parameters and modes belong to: the realisation without the states
             that stand for input delays and integrators.
         innovation_covariance: (n_outputs, n_outputs) of these errors, for `era.forecast`; None without refinement.
+        record_kind: "driven", "transient", "decay", "ambient" or "response" (`choices` says why); None in a file that
+            was saved before there were any.
+        response: the table of frequency responses that was identified, None where it was records.
     """
 
     records: tuple[Record, ...]
-    excitation: Excitation
-    observer: ObserverFit
-    residuals: ResidualCheck
+    excitation: Excitation | None
+    observer: ObserverFit | None
+    residuals: ResidualCheck | None
     markov: MarkovParameters
     realisation: Realisation
     modes: ModalModel
@@ -116,6 +125,30 @@ class Identification:
     innovations: ResidualCheck | None = None
     innovation_covariance: FloatArray | None = None
     fitted_model: Realisation | None = None
+    record_kind: RecordKind | None = None
+    response: FrequencyResponse | None = None
+
+    def display_rows(self) -> list[tuple[str, str]]:
+        """The records, the fits, the modes of the system, and what the reader must know."""
+        several = f"{len(self.records)}, {'' if len(self.records) == 1 else 'the first '}{self.channels}"
+        rows = [
+            ("records", several) if self.response is None else ("responses", f"{self.response}"),
+            ("kind", f"{self.record_kind}"),
+            ("fit", f"{fit_text(self.fit.mean)} of the motion on held-out rows"),
+            ("modes", self.modes.display_title().removeprefix("ModalModel of ")),
+        ]
+        rows += [("warning", text) for text in self.warnings]
+        return rows + [(f"mode {number}", mode.in_words()) for number, mode in numbered(self.modes.system)]
+
+    @property
+    def source(self) -> tuple[Record, ...] | FrequencyResponse:
+        """What was identified: the records, or the table of frequency responses."""
+        return self.records if self.response is None else self.response
+
+    @property
+    def channels(self) -> Record | FrequencyResponse:
+        """What knows the names and units of inputs and outputs: the first record, or the table."""
+        return self.records[0] if self.response is None else self.response
 
     def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
         """Write all of it into one file without pickle; `modal.load` reads it back bit for bit.
@@ -143,18 +176,6 @@ _TEXT = "result.json"
 _MOST_TEXT = 1 << 27
 """Bytes of JSON text that are read at most: 128 MiB, some hundred times a large result's."""
 _DTYPES = {np.dtype(name) for name in ("bool", "int32", "int64", "float64", "complex128")}
-_DAMAGE = (
-    zipfile.BadZipFile,
-    KeyError,
-    ValueError,
-    TypeError,
-    EOFError,
-    OSError,
-    NotImplementedError,
-    OverflowError,
-    RecursionError,
-)
-"""What zipfile, json, numpy and our own types raise at bytes that are not what they say."""
 
 
 def save(identification: Identification, path: str | Path, *, existing: Existing = "refuse") -> Path:
@@ -224,17 +245,11 @@ def read_part(path: str | Path, name: str, kind: type[Any]) -> Any:
     if not path.is_file():
         raise UnreadableFileError(f"there is no file {path}; give the path of a saved identification.")
     part = None
-    try:
-        with zipfile.ZipFile(path) as archive:
-            document = json.loads(_member(archive, _TEXT, most=_MOST_TEXT))
-            version = document["schema"]
-            if version == SCHEMA_VERSION and name in document:
-                part = _decode(document[name], kind, archive, {})
-    except _DAMAGE as error:
-        words = " ".join(str(error).split()).rstrip(".")
-        raise UnreadableFileError(
-            f"{path} is damaged or no saved identification ({words or type(error).__name__}); save it again."
-        ) from error
+    with foreign(path, "saved identification"), sound_archive(path) as archive:
+        document = json.loads(_member(archive, _TEXT, most=_MOST_TEXT))
+        version = document["schema"]
+        if version == SCHEMA_VERSION and name in document:
+            part = _decode(document[name], kind, archive, {})
     if version != SCHEMA_VERSION:
         raise UnreadableFileError(
             f"{path} has schema version {version}, this program reads {SCHEMA_VERSION}; identify again or use the "

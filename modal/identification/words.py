@@ -17,16 +17,21 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
-from modal.estimation.cross_validation import WITHIN, Trial, is_long, stretches_of
+from modal.estimation.cross_validation import WITHIN, Folds, Trial, is_long, stretches_of
+from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD
+from modal.identification.noise_model import NoiseModel
 from modal.identification.order_search import Search
 from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.choice import Choice, Fit
 from modal.modes.mode import ModalModel, Mode
+from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import Reruns
+from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.names import shorten
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, fit_text, hertz, ratio_text, with_interval
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, counted, fit_text, hertz, ratio_text, with_interval
+from okid.arrays import FloatArray
 from okid.excitation import Excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck
@@ -40,10 +45,12 @@ __all__ = [
     "damping_text",
     "doubtful_sentence",
     "explain_gain",
+    "explain_noise",
     "explain_scoring",
     "explain_search",
     "fit_sentence",
     "frequency_text",
+    "noise_words",
     "order_evidence",
     "trust_of",
     "warnings_in_words",
@@ -145,11 +152,23 @@ def _refinement(found: Search) -> tuple[Choice, ...]:
     compared = f"held-out fit {1.0 - chosen.error:.3f}, the best without refinement {max(without):.3f}"
     if chosen.refinement_steps == 0:
         value, why = "none", f"held-out rows gain nothing by it: {compared}"
+    elif found.ground.by == "rows":
+        value, why = "until it stands still", f"output error; few blows hold too little for an early stop: {compared}"
     elif chosen.refinement_steps == MOST_STEPS:
         value, why = "until it stands still", f"output error, held-out rows do not lose by any step: {compared}"
     else:
         value, why = f"{chosen.refinement_steps} steps", f"output error, stopped where held-out rows lose: {compared}"
     return (Choice(what="refinement", value=value, reason=why),)
+
+
+def explain_noise(noise: NoiseModel | None, why: str) -> tuple[Choice, ...]:
+    """Whether the noise has a model of its own, and why; nothing where it is white or none was tried."""
+    if not why:
+        return ()
+    value = "white on the outputs"
+    if noise is not None:
+        value = "innovation form" + (f" with {noise.n_noise} states of the noise" if noise.n_noise else "")
+    return (Choice(what="noise", value=value, reason=why),)
 
 
 def explain_gain(gain: GainEstimate | None) -> tuple[Choice, ...]:
@@ -169,11 +188,11 @@ def _runners_up(trials: Sequence[Trial], name: str) -> str:
     return f"best fits by {name.replace('_', ' ')}: {', '.join(shown)}" if len(shown) > 1 else "no other came close"
 
 
-def explain_scoring(records: Sequence[Record]) -> tuple[Choice, ...]:
+def explain_scoring(records: Sequence[Record], folds: Folds = "blocks") -> tuple[Choice, ...]:
     """What was scored where the records are too long to be run whole for each candidate."""
     if not is_long(records):
         return ()
-    stretches = stretches_of(records)
+    stretches = stretches_of(records, folds)
     n_scored = sum(one.last - one.first for one in stretches)
     n_samples = sum(record.n_samples for record in records)
     return (
@@ -189,6 +208,8 @@ def warnings_in_words(
     records: Sequence[Record],
     *,
     fit: Fit,
+    missed: float,
+    lines: BetweenLines | None,
     modes: ModalModel,
     excitation: Excitation,
     residuals: ResidualCheck,
@@ -197,13 +218,18 @@ def warnings_in_words(
     """What the user must read before believing a number; empty when all is well."""
     words = []
     driven = records[0].n_inputs > 0
-    if fit.mean < EXPLAINS:
+    if fit.mean < EXPLAINS or missed > MOST_MISSED:
         share = max(0, int(np.floor(100 * fit.mean)))
         what = "a free run of the model" if driven else "one-step prediction"
-        words.append(
-            f"The model does not explain the data: {what} explains {share} % of the outputs' motion on held-out rows, "
-            "so no mode is certain."
-        )
+        how = f"{what} explains {share} % of the outputs' motion on held-out rows"
+        if missed > MOST_MISSED or not driven or not modes.system:
+            much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
+            words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
+        else:
+            words.append(
+                f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
+                "does not follow the inputs. Low fit is no error: each mode is judged by itself."
+            )
     else:
         poor = [
             f"{name} ({value:.2f})"
@@ -217,6 +243,11 @@ def warnings_in_words(
         words.append(
             f"Parts of the data fit very differently ({fit.folds.min():.2f} to {fit.folds.max():.2f} over the folds): "
             "the system is not linear, changes in time, or something that was not measured drives it."
+        )
+    if lines is not None:
+        words.append(
+            f"The inputs are hardly more than {lines.shown}: they fix the response there and nowhere else, so only a "
+            "mode that shows beside them is accepted; drive the structure with a broad band."
         )
     if not driven:
         words.append(
@@ -237,6 +268,30 @@ def warnings_in_words(
             "answers for longer than the observer looks back, so expect damping ratios to be off."
         )
     return (*words, *(_excitation_words(excitation) if driven else ()))
+
+
+def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
+    """What the colour that no model of the noise explains does to the intervals of the system's modes.
+
+    Args:
+        modes: judged.
+        inflation: (n_modes,) of each one's deviations, over those under white noise.
+    """
+    own = [(mode, times) for mode, times in zip(modes, inflation.tolist(), strict=True) if mode.verdict == "system"]
+    larger = [times for _, times in own if NOT_UNDERSTOOD < times <= NO_INTERVAL]
+    lost = ", ".join(hertz(mode.frequency) for mode, times in own if times > NO_INTERVAL)
+    words = []
+    if larger:
+        words.append(
+            "Noise not understood: what the model leaves makes the deviations of frequency and damping up to "
+            f"{max(larger):.1f} times those under white noise; the larger ones are stated."
+        )
+    if lost:
+        words.append(
+            f"Noise not understood: what the model leaves makes the deviations at {lost} Hz more than "
+            f"{NO_INTERVAL:.0f} times those under white noise, so no interval is given there."
+        )
+    return tuple(words)
 
 
 def _wants_a_longer_observer(found: Search) -> bool:
@@ -271,8 +326,8 @@ class Judgement:
     """How far the result as a whole can be trusted.
 
     Attributes:
-        trust: "not carried" when the fit is below 0.5 or no mode belongs to the system; "with care" when it is
-            between 0.5 and 0.8, a fit is not known, or there are warnings; otherwise "carried".
+        trust: "not carried" when no mode belongs to the system; "with care" when the fit is below 0.8 or not known, or
+            there are warnings; otherwise "carried".
         label: the same in two or three words.
         reasons: sentences, the weightiest first.
     """
@@ -292,7 +347,7 @@ def trust_of(result: Identification) -> Judgement:
     if n_system and (damping := damping_sentence(result)):
         reasons.append(damping)
     reasons += [sentence for sentence in (doubtful_sentence(result), caution_sentence(result)) if sentence]
-    if fit < LEAST_FIT or not n_system:
+    if not n_system:
         return Judgement(trust="not carried", label="The data do not carry it", reasons=tuple(reasons))
     if result.warnings or not fit >= GOOD_FIT:
         return Judgement(trust="with care", label="To be used with care", reasons=tuple(reasons))
@@ -305,15 +360,22 @@ def fit_sentence(result: Identification) -> str:
     if not math.isfinite(fit):
         return "No fit on held-out data is known, so nothing here has been tested against data the model had not seen."
     if fit < LEAST_FIT:
-        return (
-            f"The model does not explain the record: its fit on rows that it was not fitted to is {fit_text(fit)}, "
-            f"below {LEAST_FIT}, so no mode of it is certain."
-        )
-    names = result.records[0].output_names
+        poor = f"its fit on rows that it was not fitted to is {fit_text(fit)}, below {LEAST_FIT}"
+        if result.modes.system:
+            return f"The model explains the lesser part of the record, {poor}; the rest is noise or other forces."
+        return f"The model does not explain the record: {poor}."
+    names = result.channels.output_names
     fits = result.fit.cross_validated
     worst = int(fits.argmin())
     word = "well" if fit >= GOOD_FIT else "in the main"
-    how = "Fed with the inputs alone" if result.records[0].n_inputs else "No input was measured; one step ahead"
+    if result.response is not None:
+        least, mean = fit_text(fits[worst]), fit_text(fit)
+        return (
+            f"Held against responses of the other half of the averages, the model repeats them {word}: its fit, each "
+            f"line in its standard deviations, is {mean} (least for {shorten(names[worst], LONGEST_NAME)}: {least})."
+        )
+    how = "Fed with the inputs alone" if result.channels.n_inputs else "No input was measured; one step ahead"
+    how = "From the start of each record alone" if result.record_kind == "decay" else how
     least, mean = fit_text(fits[worst]), fit_text(fit)
     sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {mean}"
     return sentence + (f" (least for {shorten(names[worst], LONGEST_NAME)}: {least})." if least != mean else ".")
@@ -382,7 +444,7 @@ def damping_shown(mode: Mode) -> str:
 
 
 def frequency_text(mode: Mode) -> str:
-    """Frequency in Hz, with its 95 % interval where that is known."""
-    if not math.isfinite(mode.frequency_std):
+    """Frequency in Hz, with its 95 % interval where that is known and smaller than the frequency."""
+    if not NINETY_FIVE * mode.frequency_std < mode.frequency:
         return hertz(mode.frequency)
-    return with_interval(mode.frequency, 1.96 * mode.frequency_std)
+    return with_interval(mode.frequency, NINETY_FIVE * mode.frequency_std)

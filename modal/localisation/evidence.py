@@ -16,12 +16,13 @@ from modal.localisation.words import agreement, disagreement, mode_statements
 from modal.simulation.tolerances import AT_FLOOR
 from modal.wording.numbers import Statement
 from okid.arrays import BoolArray, FloatArray
+from okid.display import Displayed
 
 __all__ = ["Location", "locate"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Location:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Location(Displayed):
     """What is known of the gap before any candidate is fitted.
 
     Attributes:

@@ -30,7 +30,8 @@ from modal.identification.covariance import output_error_uncertainty
 from modal.identification.refined_search import MOST_STEPS, STANDS_STILL, RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode
-from modal.modes.shape_comparison import IndexArray, assurance, pair_greatest_first
+from modal.modes.shape_comparison import IndexArray, pair_greatest_first
+from modal.modes.shape_sets import assurance
 from modal.preparation.filling import fill_where_needed
 from modal.preparation.quick_model import observer_markov
 from okid.arrays import FloatArray

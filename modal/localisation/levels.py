@@ -19,9 +19,11 @@ from modal.estimation.modal_states import one_blas_thread
 from modal.localisation.gap import BEYOND_CHANCE, excitation_levels
 from modal.localisation.level_fits import LevelFit, decay_start, decay_windows, driven_start, follow_levels, partners
 from modal.modes.mode import Mode, ModeKind
-from modal.modes.shape_comparison import IndexArray, assurance
+from modal.modes.shape_comparison import IndexArray
+from modal.modes.shape_sets import assurance
 from modal.preparation.steps import split_at_input_gaps
 from okid.arrays import FloatArray
+from okid.display import Displayed
 from okid.errors import IdentificationError
 from okid.record import Record
 from okid.rows import as_records
@@ -45,8 +47,8 @@ KNOWN_TO = 0.05
 """Call a mode not found at a level where its frequency has a larger relative deviation."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LevelMode:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class LevelMode(Displayed):
     """One mode at every level, nan where it was not found.
 
     Attributes:
@@ -72,8 +74,8 @@ class LevelMode:
     damping_tendency: Tendency
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LevelModes:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class LevelModes(Displayed):
     """The modes of the best linear model of each level.
 
     Attributes:

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 from okid.arrays import FloatArray, frozen_with_gaps
+from okid.display import Displayed
 
 __all__ = ["Choice", "Fit"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Choice:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Choice(Displayed):
     """One decision: what was chosen, and why, in words with numbers.
 
     Attributes:
@@ -22,8 +23,8 @@ class Choice:
     reason: str
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Fit(Displayed):
     """How well the model, fed with the inputs alone, repeats the outputs: 1 - |y - y_sim| / |y - mean(y)|.
 
     Attributes:

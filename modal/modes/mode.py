@@ -10,13 +10,19 @@ One number a mode, the same on every page: in the report, in the recording, in t
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import scipy
 
+from modal.wording.numbers import NINETY_FIVE, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray, frozen_with_gaps
+from okid.display import Displayed
 from okid.errors import InvalidDataError
+from okid.record import InputHold
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = ["ModalModel", "Mode", "ModeKind", "Uncertainty", "UncertaintyMethod", "Verdict", "numbered"]
 
@@ -24,8 +30,8 @@ ModeKind = Literal["oscillatory", "real", "nyquist", "unstable"]
 Verdict = Literal["system", "doubtful", "noise"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Mode:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Mode(Displayed):
     """A pole of the realisation (one of a conjugate pair) with its shape and every indicator; nan means not known.
 
     Attributes:
@@ -37,6 +43,8 @@ class Mode:
         frequency_std: standard deviation of the frequency [Hz].
         damping_ratio_std: standard deviation of the damping ratio.
         shape_std: (n_outputs,) root mean square distance of each complex component from its own mean; None: not known.
+        mass_std: (n_outputs, n_inputs) relative standard deviation of the modal mass with that output and input as
+            driving point; None: not known.
         shape: (n_outputs,) complex, output units; largest component 1.
         participation: (n_inputs,) complex; the residue matrix of the pulse response is outer(shape, participation), so
             system[k] = 2 Re(shape participation' lambda^(k-1)) for a pair (without the 2 Re for a real pole).
@@ -65,6 +73,7 @@ class Mode:
     frequency_std: float = np.nan
     damping_ratio_std: float = np.nan
     shape_std: FloatArray | None = None
+    mass_std: FloatArray | None = None
     amplitude_coherence: float = np.nan
     phase_collinearity: float = np.nan
     emac_output: float = np.nan
@@ -80,9 +89,18 @@ class Mode:
     damping_resolved: bool = True
     reason: str = ""
 
+    def __repr__(self) -> str:
+        return f"Mode({self.in_words()})"
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModalModel:
+    def in_words(self) -> str:
+        """One line: frequency and damping ratio with their 95 % intervals, verdict and probability."""
+        frequency = with_interval(self.frequency, NINETY_FIVE * self.frequency_std)
+        damping = ratio_text(self.damping_ratio, self.damping_ratio_std)
+        return f"{frequency} Hz, damping {damping}, {self.verdict}, probability {self.probability:.2f}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ModalModel(Displayed):
     """All modes of one realisation, by frequency.
 
     Attributes:
@@ -91,12 +109,32 @@ class ModalModel:
         indicator_caution: n / (p q): model order over observer order times number of outputs. Above about 0.3 the
             indicators test how well a mode repeats the observer rather than the data.
         indicators_missing: why the indicators are nan, "" when they are not.
+        output_names: of the channels of the shapes; empty where only a realisation is known.
+        output_units: likewise.
+        input_names: of the channels of the participations; empty without inputs.
+        input_units: likewise.
+        input_hold: what the inputs did between samples; "zero_order" where only a realisation is known.
     """
 
     modes: tuple[Mode, ...]
     dt: float
     indicator_caution: float
     indicators_missing: str = ""
+    output_names: tuple[str, ...] = ()
+    output_units: tuple[str, ...] = ()
+    input_names: tuple[str, ...] = ()
+    input_units: tuple[str, ...] = ()
+    input_hold: InputHold = "zero_order"
+
+    def display_rows(self) -> list[tuple[str, str]]:
+        """Every mode with its number."""
+        return [(f"mode {number}", mode.in_words()) for number, mode in numbered(self.modes)]
+
+    def display_title(self) -> str:
+        """How many modes there are of each verdict."""
+        verdicts = [mode.verdict for mode in self.modes]
+        counts = ", ".join(f"{verdicts.count(each)} {each}" for each in get_args(Verdict))
+        return f"ModalModel of {counts}"
 
     def __iter__(self) -> Iterator[Mode]:
         return iter(self.modes)
@@ -126,12 +164,38 @@ class ModalModel:
         columns = [mode.shape for mode in self.system]
         return np.array(columns, dtype=np.complex128).reshape(len(columns), n_outputs).T
 
+    def to_table(self) -> "pa.Table":
+        """Every mode as a row, for pandas, polars or a file: `.to_pandas()`, `polars.from_arrow(table)`.
+
+        Returns:
+            Columns mode (its number), frequency [Hz], damping_ratio, their standard deviations, probability, verdict,
+            kind, the indicators, reason, and shape: a list of {real, imaginary}, one a channel in the order of
+            `output_names`, which stand in the metadata of the column.
+        """
+        import pyarrow as pa
+
+        rows = numbered(self.modes)
+        columns: dict[str, Any] = {"mode": [number for number, _ in rows]}
+        columns |= {name: [getattr(mode, name) for _, mode in rows] for name in TABLE_COLUMNS}
+        pair = pa.struct([("real", pa.float64()), ("imaginary", pa.float64())])
+        shapes = [[{"real": z.real, "imaginary": z.imag} for z in mode.shape.tolist()] for _, mode in rows]
+        table = pa.table(columns)
+        names = pa.field("shape", pa.list_(pair), metadata={"output_names": "\n".join(self.output_names)})
+        return table.append_column(names, pa.array(shapes, pa.list_(pair)))
+
+
+TABLE_COLUMNS = (
+    *("frequency", "frequency_std", "damping_ratio", "damping_ratio_std", "probability", "verdict", "kind"),
+    *("damping_resolved", "repeatability", "gain", "amplitude_coherence", "phase_collinearity", "emac", "cmi", "msv"),
+    *("mpd", "reason"),
+)
+"""Fields of a mode that are columns of its table."""
 
 UncertaintyMethod = Literal["output error", "propagation"]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Uncertainty:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Uncertainty(Displayed):
     """Standard deviations of modes and Markov parameters; nan where one is not known.
 
     Attributes:
@@ -143,6 +207,8 @@ class Uncertainty:
         markov_std: (n_lags + 1, n_outputs, n_inputs) of the system Markov parameters, in their unit.
         degrees_of_freedom: of the residuals that the noise was estimated from; infinite where it is known.
         found: (n_modes,) share of replicas in which the mode was found again; 1 for methods without replicas.
+        mass_std: (n_modes, n_outputs, n_inputs) relative, of modal masses with that output and input as driving point,
+            of the shape whose largest component is 1; None where not known.
 
     Raises:
         InvalidDataError: arrays that do not fit together, or no positive number of degrees of freedom.
@@ -161,6 +227,7 @@ class Uncertainty:
     markov_std: FloatArray
     degrees_of_freedom: float = np.inf
     found: FloatArray = None  # type: ignore[assignment]  # ones once constructed
+    mass_std: FloatArray | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -174,6 +241,8 @@ class Uncertainty:
         for name, shape in shapes.items():
             set_(self, name, frozen_with_gaps(getattr(self, name), name=name, shape=shape))
         set_(self, "found", _found(self.found, n_modes))
+        if self.mass_std is not None:
+            set_(self, "mass_std", frozen_with_gaps(self.mass_std, name="mass_std", shape=(n_modes, None, None)))
         if not self.degrees_of_freedom > 0:
             raise InvalidDataError(f"degrees_of_freedom must be positive, but is {self.degrees_of_freedom}.")
 

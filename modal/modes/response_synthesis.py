@@ -16,24 +16,27 @@ from era.realisation import Realisation
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode
 from okid.arrays import ComplexArray, FloatArray, whole_number
+from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.record import Record
+from okid.frequency_response import (
+    AveragedSpectra,
+    FrequencyResponse,
+    averaged_spectra,
+    coherent_response,
+    segment_length,
+)
+from okid.record import InputHold, Record
 from okid.rows import as_records, runs_of
 
 __all__ = [
-    "AveragedSpectra",
     "MeasuredFrf",
-    "averaged_spectra",
     "continuous_residue",
     "frf",
     "measured_frf",
     "measured_frf_of",
     "modal_frf",
-    "segment_length",
+    "tabled_frf",
 ]
-
-FEWEST_AVERAGES = 8
-"""Independent segments that the automatic segment length leaves, about: coherence needs several to mean something."""
 
 
 def frf(realisation: Realisation, frequencies: npt.ArrayLike) -> ComplexArray:
@@ -91,26 +94,30 @@ def modal_frf(modes: Sequence[Mode], frequencies: npt.ArrayLike, *, dt: float) -
     return direct + np.where(is_pair[:, np.newaxis, np.newaxis, np.newaxis], mirrored, 0.0)
 
 
-def continuous_residue(mode: Mode, dt: float) -> ComplexArray:
-    """Residue R of the continuous frequency response R / (s - s_r), for an input held over each sample.
+def continuous_residue(mode: Mode, dt: float, *, hold: InputHold = "zero_order") -> ComplexArray:
+    """Residue R of the continuous frequency response R / (s - s_r).
 
-    R = shape participation' s_r / (lambda - 1), which goes to 1 / dt for a slow pole; leaving the factor at 1 / dt
-    turns the phase of a residue by half a sample.
+    The pulse response of the samples is shape participation' lambda^(k-1). An input held over each sample makes it
+    R (lambda - 1) / s_r, straight lines R (lambda - 1)^2 / (s_r^2 dt), and a band-limited input R lambda dt, as the
+    responses of the samples and of time agree at the pole. All go to R dt for a slow pole; taking that for the factor
+    turns the phase of a residue by up to a sample.
 
     Args:
         mode: of a realisation with time step dt.
         dt: time step [s].
+        hold: what the inputs did between samples.
 
     Returns:
         (n_outputs, n_inputs).
     """
     exponent = mode.pole * dt
-    factor = 1 / dt if exponent == 0 else mode.pole / np.expm1(exponent)
-    return cast("ComplexArray", np.outer(mode.shape, mode.participation) * factor)
+    held = 1.0 if exponent == 0 else np.expm1(exponent) / exponent
+    factor = {"zero_order": held, "linear": held**2, "band_limited": np.exp(exponent)}[hold] * dt
+    return cast("ComplexArray", np.outer(mode.shape, mode.participation) / factor)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class MeasuredFrf:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class MeasuredFrf(Displayed):
     """Frequency response as the records show it, without a model.
 
     Attributes:
@@ -150,11 +157,11 @@ def measured_frf(records: Record | Sequence[Record], *, n_per_segment: int | Non
     n_inputs = several[0].n_inputs
     if n_inputs == 0:
         raise InvalidDataError("a measured frequency response needs records with at least one input; these have none.")
-    runs = [run for record in several for run in _complete_runs(record)]
+    runs = [run for record in several for run in runs_of(record.complete_rows())]
     length = (
         segment_length(several) if n_per_segment is None else whole_number(n_per_segment, name="n_per_segment", least=2)
     )
-    n_segments = sum(max(0, (stop - start - length) // max(1, length // 2) + 1) for _, start, stop in runs)
+    n_segments = sum(max(0, (stop - start - length) // max(1, length // 2) + 1) for start, stop in runs)
     if n_segments < n_inputs + 1:
         raise InsufficientDataError(
             f"a measured frequency response of {n_inputs} inputs needs at least {n_inputs + 1} segments; the records "
@@ -163,100 +170,30 @@ def measured_frf(records: Record | Sequence[Record], *, n_per_segment: int | Non
     return measured_frf_of(averaged_spectra(several, n_per_segment=length))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AveragedSpectra:
-    """Sums over half-overlapping Hann segments; the spectra of inputs with everything, of outputs with themselves.
-
-    Attributes:
-        frequencies: (n_frequencies,) [Hz].
-        inputs: (n_frequencies, n_inputs, n_inputs).
-        cross: (n_frequencies, n_outputs, n_inputs) of outputs with inputs.
-        power: (n_frequencies, n_inputs + n_outputs) of each channel with itself.
-        n_averages: number of segments.
-        to_density: factor that makes a power spectral density [unit^2/Hz] of `power`.
-    """
-
-    frequencies: FloatArray
-    inputs: ComplexArray
-    cross: ComplexArray
-    power: FloatArray
-    n_averages: int
-    to_density: float
-
-
-def averaged_spectra(records: Record | Sequence[Record], *, n_per_segment: int) -> AveragedSpectra:
-    """Welch's sums, one segment in memory at a time; a segment never spans two records or a missing sample.
-
-    Args:
-        records: of one system.
-        n_per_segment: samples a segment.
-    """
-    several = as_records(records)
-    length, n_inputs, dt = n_per_segment, several[0].n_inputs, several[0].dt
-    window = np.hanning(length + 1)[:length]
-    n_lines = length // 2 + 1
-    inputs = np.zeros((n_inputs, n_inputs, n_lines), dtype=np.complex128)
-    cross = np.zeros((several[0].n_outputs, n_inputs, n_lines), dtype=np.complex128)
-    power = np.zeros((n_inputs + several[0].n_outputs, n_lines))
-    n_averages = 0
-    for record, start, stop in [run for each in several for run in _complete_runs(each)]:
-        for first in range(start, stop - length + 1, max(1, length // 2)):
-            rows = slice(first, first + length)
-            segment = np.concatenate([record.inputs[rows].T, record.outputs[rows].T])
-            spectrum: ComplexArray = np.fft.rfft(window * (segment - segment.mean(axis=1, keepdims=True)))
-            power += spectrum.real**2 + spectrum.imag**2
-            for i in range(n_inputs):
-                against = spectrum[i].conj()
-                inputs[:, i] += spectrum[:n_inputs] * against
-                cross[:, i] += spectrum[n_inputs:] * against
-            n_averages += 1
-    return AveragedSpectra(
-        frequencies=np.arange(n_lines) / (length * dt),
-        inputs=inputs.transpose(2, 0, 1),
-        cross=cross.transpose(2, 0, 1),
-        power=power.T,
-        n_averages=n_averages,
-        to_density=2.0 * dt / (float(np.square(window).sum()) * max(1, n_averages)),
+def tabled_frf(response: FrequencyResponse) -> MeasuredFrf:
+    """A table of responses in the form of those that are measured here; coherence is nan where it is not known."""
+    coherence, shape = response.coherence, response.response.shape
+    single = np.full(shape, np.nan) if coherence is None or coherence.ndim == 2 else coherence
+    multiple = np.full(shape[:2], np.nan) if coherence is None else coherence
+    return MeasuredFrf(
+        frequencies=response.frequencies,
+        frf=response.response,
+        ordinary_coherence=single,
+        multiple_coherence=multiple if multiple.ndim == 2 else multiple.min(axis=2),
+        n_averages=response.n_averages or 0,
     )
 
 
 def measured_frf_of(spectra: AveragedSpectra) -> MeasuredFrf:
     """H1 estimate and coherences of spectra that were summed already; as `measured_frf`."""
-    n_inputs = spectra.inputs.shape[1]
-    power = spectra.power
-    input_power, output_power = power[:, :n_inputs], power[:, n_inputs:]
-    # Unit diagonal first, so that a rank test does not depend on units; a line without power gives nan below.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        unit = 1 / np.sqrt(input_power)
-        uu = spectra.inputs * unit[:, :, np.newaxis] * unit[:, np.newaxis]
-        yu = spectra.cross * unit[:, np.newaxis]
-        ordinary = np.abs(yu) ** 2 / output_power[:, :, np.newaxis]
-        response = np.full(yu.shape, np.nan + 0j)
-        lines = np.flatnonzero(
-            np.isfinite(uu).all(axis=(1, 2)) & (input_power > 1e-24 * power.max(axis=0)[:n_inputs]).all(1)
-        )
-        lines = lines[np.linalg.eigvalsh(uu[lines])[:, 0] > 1e-10] if lines.size else lines
-        response[lines] = np.linalg.solve(uu[lines].transpose(0, 2, 1), yu[lines].transpose(0, 2, 1)).transpose(0, 2, 1)
-        multiple = np.einsum("fqm,fqm->fq", response, yu.conj()).real / output_power
-        response = response * unit[:, np.newaxis]
+    response, ordinary, multiple = coherent_response(spectra)
     return MeasuredFrf(
         frequencies=spectra.frequencies,
-        frf=np.asarray(response, dtype=np.complex128),
-        ordinary_coherence=np.clip(ordinary, 0.0, 1.0),
-        multiple_coherence=np.clip(multiple, 0.0, 1.0),
+        frf=response,
+        ordinary_coherence=ordinary,
+        multiple_coherence=multiple,
         n_averages=spectra.n_averages,
     )
-
-
-def _complete_runs(record: Record) -> list[tuple[Record, int, int]]:
-    return [(record, start, stop) for start, stop in runs_of(record.complete_rows())]
-
-
-def segment_length(records: Sequence[Record], *, averages: int = FEWEST_AVERAGES) -> int:
-    """Samples a segment: the power of two, 16 at least, that leaves so many segments without overlap, about."""
-    lengths = [stop - start for record in records for _, start, stop in _complete_runs(record)]
-    n_rows, longest = sum(lengths), max(lengths, default=0)
-    return int(max(16, 2 ** int(np.log2(max(16, min(n_rows // averages, longest))))))
 
 
 def _on_circle(frequencies: npt.ArrayLike, dt: float) -> ComplexArray:

@@ -1,8 +1,4 @@
-"""Assurance: how alike two sets of mode shapes are, whatever their scaling.
-
-The field calls it MAC, and calls the amplitude coherence of a single mode MAC too; here each has its own name.
-
-Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
+"""Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
 
 The pulse response of a mode with residue R = c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and
 R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a real pole,
@@ -26,12 +22,10 @@ import numpy.typing as npt
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
-from okid.errors import InvalidDataError
 
 __all__ = [
     "Pulses",
     "Repeatability",
-    "assurance",
     "energies",
     "inner_products",
     "overlap_matrix",
@@ -39,41 +33,6 @@ __all__ = [
     "pulses",
     "repeatability",
 ]
-
-
-def assurance(first: ComplexArray, second: ComplexArray) -> FloatArray:
-    """Modal assurance |a^H b|^2 / (a^H a b^H b) of every shape of one set with every shape of another.
-
-    Args:
-        first: (n_outputs, n_first) shapes, one a column; real or complex.
-        second: (n_outputs, n_second).
-
-    Returns:
-        (n_first, n_second) in [0, 1]; 0 for a shape of zeros.
-
-    Raises:
-        InvalidDataError: not two-dimensional, or different numbers of outputs.
-
-    References:
-        Allemang, Brown, A correlation coefficient for modal vector analysis, 1st International Modal Analysis
-        Conference, 1982.
-
-    Example:
-        >>> assurance(np.array([[1.0], [1.0]]), np.array([[2.0, 1.0], [2.0, -1.0]])).round(12).tolist()
-        [[1.0, 0.0]]
-    """
-    first, second = np.asarray(first), np.asarray(second)
-    if first.ndim != 2 or second.ndim != 2 or first.shape[0] != second.shape[0]:
-        raise InvalidDataError(
-            f"shapes must stand in columns over the same outputs, but have shapes {first.shape} and {second.shape}; "
-            "pass (n_outputs, n_modes) twice."
-        )
-    return cast("FloatArray", np.abs(_unit(first).conj().T @ _unit(second)) ** 2)
-
-
-def _unit(shapes: ComplexArray) -> ComplexArray:
-    length = np.linalg.norm(shapes, axis=0)
-    return shapes / np.where(length > 0, length, 1.0)
 
 
 IndexArray = npt.NDArray[np.intp]

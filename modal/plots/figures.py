@@ -57,7 +57,18 @@ def figure_of(chart: Chart, *, axes: "Axes | Sequence[Axes] | None" = None) -> "
         figure.suptitle(chart.title, fontsize=STYLE.head)
     if chart.key is not None:
         keyed = given[chart.panels.index(chart.key.panel)]
-        keyed.legend(title=chart.key.title or None, fontsize=STYLE.tick, title_fontsize=STYLE.tick)
+        handles, names = keyed.get_legend_handles_labels()
+        figure.legend(
+            handles,
+            names,
+            loc="lower center" if chart.key.below else "upper right",
+            ncols=len(names),
+            borderaxespad=0.0,
+            frameon=False,
+            title=chart.key.title or None,
+            fontsize=STYLE.tick,
+            title_fontsize=STYLE.tick,
+        )
     return figure
 
 
@@ -76,13 +87,15 @@ def _draw(panel: Panel, axes: "Axes") -> None:
     for side in sides:
         axis, ticks = (panel.x, panel.x_ticks()) if side == "x" else (panel.y, panel.y_ticks())
         scale = "log" if axis.log else "linear"
-        axes.set(**{f"{side}scale": scale, f"{side}lim": axis.limits, f"{side}label": axis.label})
+        axes.set(**{f"{side}scale": scale, f"{side}lim": axis.limits})
+        (axes.set_xlabel if side == "x" else axes.set_ylabel)(axis.label, fontsize=STYLE.label, labelpad=1)
         texts = [text if axis.labelled else "" for _, text in ticks]
         numbers = axes.xaxis if side == "x" else axes.yaxis
         numbers.set_ticks([place for place, _ in ticks], texts, rotation=90 if axis.upright else 0)
         numbers.set_ticks([], minor=True)
-        axes.tick_params(axis=side, labelsize=STYLE.tick, labelcolor=COLOURS[axis.role])
-        axes.grid(visible=axis.grid, axis=side, color=COLOURS["grid"])
+        axes.tick_params(axis=side, pad=2, labelsize=STYLE.tick, labelcolor=COLOURS[axis.role])
+        if axis.grid:
+            axes.grid(visible=True, axis=side, color=COLOURS["grid"])
     axes.set_axisbelow(True)
     axes.set_aspect("equal" if panel.equal else "auto")
     axes.set_title(panel.head, loc="center" if panel.centred else "left", fontsize=STYLE.head)

@@ -14,7 +14,7 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-__all__ = ["density_label", "frequency_responses", "markov_parameters", "model_grid", "output_spectra"]
+__all__ = ["density_label", "markov_parameters", "model_grid", "output_spectra", "response_chart"]
 
 N_GRID = 900
 """Synthesise a response at so many frequencies."""
@@ -23,7 +23,7 @@ LEAST_COHERENCE = 0.5
 """Draw a measured response pale where the multiple coherence is lower."""
 
 
-def frequency_responses(
+def response_chart(
     measured: MeasuredFrf,
     realisation: Realisation,
     *,
@@ -95,7 +95,7 @@ def _pairs_with_coherence(n_pairs: int) -> tuple[Chart, list[tuple[Panel, Panel]
 def _draw_response(panel: Panel, measured: MeasuredFrf, output: int, input_: int) -> None:
     """The measured magnitude, pale where the coherence says that it is not to be trusted."""
     values = np.abs(measured.frf)[1:, output, input_]
-    trusted = np.nan_to_num(measured.multiple_coherence[1:, output]) >= LEAST_COHERENCE
+    trusted = np.nan_to_num(measured.multiple_coherence[1:, output], nan=1.0) >= LEAST_COHERENCE
     frequencies = measured.frequencies[1:]
     panel.line(
         frequencies,

@@ -5,14 +5,14 @@ decimated to that band, inputs and outputs through the same filter.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from okid.arrays import ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["Band", "coherent_band"]
+__all__ = ["Band", "coherent_band", "missed_share"]
 
 COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
@@ -91,6 +91,36 @@ def coherent_band(records: Sequence[Record]) -> Band:
     return Band(upper_frequency=upper, factor=factor, frequencies=frequencies, coherence=coherence, reason=reason)
 
 
+def missed_share(records: Sequence[Record], left: Sequence[FloatArray]) -> float:
+    """Share of what the inputs explain of the outputs that a model of them leaves, nan where it cannot be told.
+
+    What still follows the inputs (multiple coherence) over that and what the model explains; each output counts alike.
+
+    Args:
+        records: with inputs.
+        left: (n_samples, n_outputs) a record: what the model's free run leaves, NaN where an output is missing.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force, noise = rng.standard_normal((2, 4000, 1))
+        >>> record = Record(force, force + 3.0 * noise, 0.01)
+        >>> round(missed_share([record], [3.0 * noise]), 1), round(missed_share([record], [record.outputs]), 1)
+        (0.0, 1.0)
+    """
+    remains = [replace(record, outputs=errors) for record, errors in zip(records, left, strict=True)]
+    spectra, n_averages = _spectra(remains, _segment_length(records))
+    n_inputs = records[0].n_inputs
+    if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
+        return float("nan")
+    power = np.einsum("foo->fo", spectra[:, n_inputs:, n_inputs:]).real
+    follows = (power * _multiple_coherence(spectra, n_inputs, n_averages, clip=False)).sum(axis=0) / power.sum(axis=0)
+    whole = np.sum([np.nansum(np.square(record.outputs), axis=0) for record in records], axis=0)
+    errors = np.sum([np.nansum(np.square(part), axis=0) for part in left], axis=0)
+    missed = np.maximum(0.0, follows) * errors / whole
+    explained = np.maximum(0.0, 1.0 - errors / whole)
+    return float(missed.sum() / max(missed.sum() + explained.sum(), np.finfo(float).tiny))
+
+
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:
     """Below it lies `COHERENT_POWER` of every output's coherent power; None when no output follows any input."""
     best = coherence.max(axis=1)
@@ -137,8 +167,11 @@ def _spectra(records: Sequence[Record], n_segment: int) -> tuple[ComplexArray, i
     return total / max(1, n_averages), n_averages
 
 
-def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int) -> FloatArray:
-    """Share of each output's power that the inputs explain, less what noise alone would seem to explain."""
+def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int, *, clip: bool = True) -> FloatArray:
+    """Share of each output's power that the inputs explain, less what noise alone would seem to explain.
+
+    Not clipped it may be negative, and a sum over frequencies is zero on the mean where nothing is explained.
+    """
     into, out = slice(0, n_inputs), slice(n_inputs, None)
     input_spectra = spectra[:, into, into]
     floor = 1e-9 * np.trace(input_spectra, axis1=1, axis2=2).real / n_inputs
@@ -149,5 +182,5 @@ def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int) -
     power = np.maximum(np.einsum("foo->fo", spectra[:, out, out]).real, tiny)
     # half-overlapping Hann segments are worth about 0.95 of their number in averages
     bias = min(1.0, n_inputs / max(1.0, 0.95 * n_averages))
-    coherence: FloatArray = np.clip((explained / power - bias) / max(1e-9, 1.0 - bias), 0.0, 1.0)
-    return coherence
+    coherence: FloatArray = (explained / power - bias) / max(1e-9, 1.0 - bias)
+    return np.clip(coherence, 0.0, 1.0) if clip else coherence

@@ -33,6 +33,9 @@ CHANCE = 1e-4
 """Probability that the leading lags of an input that acts at once look as empty as they may."""
 LEAST_DELAY = 2
 """A single empty lag is what sampling does to any system without direct feedthrough."""
+EXCITED = 0.5
+"""Look for no delay where an input has less than this share of its power at one lag as at another: rows that hold a
+hit at late lags only say nothing about early ones."""
 EMPTY = 0.05
 """Part of the largest pulse response that the empty lags cannot exceed (two standard deviations): noise hides none."""
 
@@ -208,7 +211,11 @@ def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
     bounds = scipy.special.chdtri(n_outputs * (lags + 1), CHANCE)
     empty = np.zeros(n_inputs, dtype=int)
     for j in range(n_inputs):
-        own = inverse[np.ix_(_places(gram, j), _places(gram, j))]
+        places = _places(gram, j)
+        power = np.diag(gram.matrix)[_with_outputs(gram, places)]
+        if power.min() < EXCITED * power.max():
+            continue  # a lag at which the input hardly moved looks empty whatever the system does
+        own = inverse[np.ix_(places, places)]
         leading = coefficients[:, :, j]
         reduced = scipy.linalg.solve_triangular(np.linalg.cholesky(own), leading, lower=True)
         statistic = np.cumsum(np.einsum("ko,op,kp->k", reduced, weight, reduced))
@@ -226,6 +233,11 @@ def _places(gram: LagGram, channel: int) -> np.ndarray:
     n_inputs, n_outputs = gram.n_inputs, gram.n_outputs
     later = 1 + n_inputs + (n_inputs + n_outputs) * np.arange(gram.order) + channel
     return np.concatenate([[1 + channel], later])
+
+
+def _with_outputs(gram: LagGram, places: np.ndarray) -> np.ndarray:
+    """The same regressors in the Gram matrix, which has the outputs at lag 0 after the inputs there."""
+    return np.where(places > gram.n_inputs, places + gram.n_outputs, places)
 
 
 def _inverse(gram: LagGram) -> FloatArray:

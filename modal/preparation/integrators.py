@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.realisation import Realisation
+from modal.estimation.cross_validation import WITHIN
 from modal.modes.choice import Choice
 from modal.preparation.drift import (
     SIGNIFICANT,
@@ -22,6 +23,7 @@ from modal.preparation.drift import (
     held_out_squares,
     is_significant,
     lasting_share,
+    slow_motion,
 )
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError
@@ -78,19 +80,21 @@ def choose_integrators(records: Sequence[Record], *, trials: FreedTrials | None 
         for number in range(1, MOST + 1):
             with_one = _slow_error(trials, number, number)
             without = _slow_error(trials, chosen, number)
-            if with_one is None or (without is not None and not _much_better(with_one, without)):
+            if without is None:  # no stable model at all: an integrator must do better than nothing
+                outputs = [record.outputs for record in trials.freed(0, number)]
+                without = held_out_squares(slow_motion(outputs), number)
+            if with_one is None or not _much_better(with_one, without) or not _no_worse(trials, number, chosen):
                 continue
             if drift > number and beside_drift is not None and with_one.sum() > AS_GOOD * beside_drift.sum():
                 continue
-            chosen, before = number, np.inf if without is None else 1.0 - with_one.sum() / without.sum()
+            chosen, before = number, 1.0 - with_one.sum() / without.sum()
     if chosen == 0:
         return _explained(0, "sums of the inputs explain no slow motion that a stable model does not explain")
-    how = (
-        f"leaves {100 * before:.3g} % less slow motion on held-out rows than one with fewer sums"
-        if np.isfinite(before)
-        else "is stable and one with fewer sums is not"
+    return _explained(
+        chosen,
+        f"a model of the summed inputs leaves {100 * before:.3g} % less slow motion on held-out rows than one of fewer "
+        "sums, and no more of the whole: the response to a pulse does not die out",
     )
-    return _explained(chosen, f"a model of the summed inputs {how}: the response to a pulse does not die out")
 
 
 def given_integrators(number: int) -> Integrators:
@@ -140,6 +144,12 @@ def _slow_error(trials: FreedTrials, number: int, n_functions: int) -> FloatArra
     """Squared slow remainder of a quick model beside slow functions, group by group; None where there is no model."""
     left = trials.left(number, n_functions)
     return None if left is None else held_out_squares(left, n_functions)
+
+
+def _no_worse(trials: FreedTrials, number: int, than: int) -> bool:
+    """Whether the model with more sums leaves no more of the whole motion, which is what modes are made of."""
+    more, fewer = trials.model(number, number), trials.model(than, number)
+    return fewer is None or (more is not None and more.error <= WITHIN * fewer.error)
 
 
 def _much_better(error: FloatArray, than: FloatArray) -> bool:

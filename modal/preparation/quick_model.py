@@ -34,6 +34,8 @@ MOST_UNKNOWNS = 600
 """Give an output's equation no more unknowns, so that many channels cost no more than few,"""
 ROWS_PER_UNKNOWN = 4
 """and each unknown at least so many rows."""
+RIDGES = (FIRST_RIDGE, 10 * FIRST_RIDGE, 100 * FIRST_RIDGE)
+"""Try a larger ridge where no model is stable with the smaller ones: to be unstable proves nothing about the system."""
 MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 40)
 
 
@@ -64,8 +66,12 @@ def quick_model(records: Sequence[Record]) -> QuickModel | None:
         >>> quick_model([Record(force, np.convolve(force, [0.0, 1.0, 0.5])[:600], 0.01)]).error < 0.01
         True
     """
-    markov = observer_markov(records)
-    return None if markov is None else best_model(markov, records)
+    for ridge in RIDGES:
+        markov = observer_markov(records, ridge=ridge)
+        model = None if markov is None else best_model(markov, records)
+        if model is not None:
+            return model
+    return None
 
 
 def observer_order(records: Sequence[Record]) -> int:
@@ -76,7 +82,7 @@ def observer_order(records: Sequence[Record]) -> int:
     return max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
 
 
-def observer_markov(records: Sequence[Record]) -> MarkovParameters | None:
+def observer_markov(records: Sequence[Record], *, ridge: float = FIRST_RIDGE) -> MarkovParameters | None:
     """Markov parameters of one observer; None where they diverge or too few rows are whole."""
     order = observer_order(records)
     scaling = channel_scaling(records)
@@ -85,7 +91,7 @@ def observer_markov(records: Sequence[Record]) -> MarkovParameters | None:
     gram = lag_gram(records, order, scaling=scaling)
     if gram.n_rows <= gram.matrix.shape[0]:
         return None
-    fit = solve(gram, FIRST_RIDGE)
+    fit = solve(gram, ridge)
     n_lags = markov_lags(records[0].n_inputs, records[0].n_outputs)
     with np.errstate(over="ignore", invalid="ignore"):
         pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, n_lags)

@@ -18,11 +18,15 @@ from modal.preparation.drift import (
     summed_inputs,
     without_drift,
 )
+from modal.preparation.faults import mended
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
+from modal.preparation.kind import RecordKind
+from modal.preparation.lines import MachineLines, machine_lines
+from modal.preparation.rest import with_rest
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.record import Record
+from okid.record import Record, filter_half_length
 from okid.rows import runs_of
 
 __all__ = ["Preparation", "checked_parts", "prepare", "split_at_input_gaps"]
@@ -48,6 +52,7 @@ class Preparation:
         n_slow_functions: what was taken off each channel besides its mean.
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
+        n_rest: rows of rest in front of each of the records, which were not measured.
     """
 
     records: tuple[Record, ...]
@@ -57,6 +62,7 @@ class Preparation:
     n_slow_functions: int
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
+    n_rest: tuple[int, ...]
 
     def complete(self, realisation: Realisation) -> Realisation:
         """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
@@ -74,6 +80,7 @@ def prepare(
     integrators: int | Literal["auto"] = "auto",
     input_delay: int | Sequence[int] | Literal["auto"] = "auto",
     drift: int | Literal["auto", "none", "linear"] = "auto",
+    kind: RecordKind = "driven",
 ) -> Preparation:
     """Everything that is done to records before a model is fitted to them, chosen by the data and explained.
 
@@ -84,6 +91,7 @@ def prepare(
         integrators: number of times that the system sums its inputs (0, 1 or 2).
         input_delay: samples of the records given by which inputs act late, one number or one an input.
         drift: "none", "linear", or a number of slow functions (1 a line, 2 a parabola, more: half-waves).
+        kind: of the records; what was struck gets its level from rest, and rows of rest in front.
 
     Raises:
         InsufficientDataError: an output that never moves in some record, an input that moves in none, or records too
@@ -102,12 +110,24 @@ def prepare(
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
     _check_words(missing, input_delay)
-    centred, gaps = _centred_parts(records)
-    filling = _filling(centred, missing)
+    mend = mended(records)
+    parts, gaps = _parts(mend.records)
+    rested = with_rest(parts) if kind in ("transient", "decay") else None
+    centred = tuple(one.detrended() for one in parts) if rested is None else rested.records
+    lines = machine_lines(centred) if rested is None else MachineLines(records=centred, frequencies=np.empty(0))
+    filling = _filling(lines.records, missing)
     trials = FreedTrials.of(filling.records)
     integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
     banded, factor, band = _to_band(filling.records, decimation, number)
+    n_rest: tuple[int, ...]
+    if rested is None:
+        banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
+        centring, n_rest = _MEAN, (0,) * len(banded)
+    else:
+        lost = filter_half_length(factor) if factor > 1 else 0
+        n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in rested.n_rest)
+        centring = rested.choice
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
     else:
@@ -120,7 +140,8 @@ def prepare(
     else:
         same = factor == 1 and not any(delay.samples)
         drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
-    freed = tuple(without_drift(record, drifting.n_functions) for record in summed)
+    slow = drifting.n_functions
+    freed = tuple(without_drift(record, slow) if slow else record for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     longest = max(delay.samples, default=0)
     return Preparation(
@@ -129,9 +150,29 @@ def prepare(
         input_delay=delay.samples,
         n_integrators=number,
         n_slow_functions=drifting.n_functions,
-        choices=(*gaps, *filling.choices, _MEAN, band, integrating.choice, delay.choice, drifting.choice),
-        warnings=(*filling.warnings, *([drifting.warning] if drifting.warning else [])),
+        choices=(
+            *gaps,
+            *lines.choices,
+            *filling.choices,
+            centring,
+            band,
+            integrating.choice,
+            delay.choice,
+            drifting.choice,
+        ),
+        warnings=(
+            *mend.warnings,
+            *_gap_warnings(gaps),
+            *lines.warnings,
+            *filling.warnings,
+            *([drifting.warning] if drifting.warning else []),
+        ),
+        n_rest=tuple(max(0, n - longest) for n in n_rest),
     )
+
+
+def _gap_warnings(gaps: tuple[Choice, ...]) -> tuple[str, ...]:
+    return tuple(f"Input gaps: {gap.value}, since {gap.reason}." for gap in gaps)
 
 
 def checked_parts(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -146,18 +187,17 @@ def checked_parts(records: Sequence[Record]) -> tuple[Record, ...]:
     return tuple(part for record in records for part in split_at_input_gaps(record))
 
 
-def _centred_parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
-    """Records cut where an input is missing, means off."""
+def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+    """Records cut where an input is missing."""
     parts = checked_parts(records)
-    centred = tuple(record.detrended() for record in parts)
     if len(parts) == len(records):
-        return centred, ()
+        return parts, ()
     gaps = Choice(
         what="input gaps",
         value=f"{len(parts)} records from {len(records)}",
         reason="where an input is missing the state is lost: what follows starts a record of its own",
     )
-    return centred, (gaps,)
+    return parts, (gaps,)
 
 
 def _to_band(
@@ -171,7 +211,7 @@ def _to_band(
     else:
         factor, reason = decimation, "given as an argument"
     if factor > 1:
-        records = tuple(record.decimated(factor).detrended() for record in records)
+        records = tuple(record.decimated(factor) for record in records)
     nyquist = 0.5 / records[0].dt
     return tuple(records), factor, Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
 
@@ -235,7 +275,9 @@ def split_at_input_gaps(record: Record) -> tuple[Record, ...]:
     runs = runs_of(~missing)
     least = max(SHORTEST, SHORTEST_SHARE * max((last - first for first, last in runs), default=0))
     stretches = [(first, last) for first, last in runs if last - first >= least]
-    whole = [(first, last) for first, last in stretches if np.isfinite(record.outputs[first:last]).any(axis=0).all()]
+    measured = np.isfinite(record.outputs).any(axis=0)
+    there = np.isfinite(record.outputs[:, measured])
+    whole = [(first, last) for first, last in stretches if there[first:last].any(axis=0).all()]
     if not whole:
         raise InsufficientDataError(
             f"inputs are missing in {int(missing.sum())} of {record.n_samples} samples, which leaves no stretch of "
@@ -257,9 +299,17 @@ def _check_long_enough(records: Sequence[Record]) -> None:
 
 
 def _check_channels_move(records: Sequence[Record]) -> None:
-    """An output that rests in one record has failed there; an input may rest in some records, but not in all."""
-    for record in records:
-        _refuse_constant("output", record.outputs, record.output_names, record)
+    """An output that rests in one record has failed there; an input may rest in some records, but not in all.
+
+    An output may be absent in some records (set-ups), but not in all.
+    """
+    seen = np.array([np.isfinite(record.outputs).any(axis=0) for record in records])
+    for name, measured in zip(records[0].output_names, seen.T, strict=True):
+        if not measured.any():
+            raise InsufficientDataError(f"output {name!r} holds no number in any record; leave it out.")
+    for record, there in zip(records, seen, strict=True):
+        names = [name for name, measured in zip(record.output_names, there, strict=True) if measured]
+        _refuse_constant("output", record.outputs[:, there], names, record)
     for i, name in enumerate(records[0].input_names):
         if all(np.nanmin(record.inputs[:, i]) == np.nanmax(record.inputs[:, i]) for record in records):
             _refuse_constant("input", records[0].inputs[:, [i]], (name,), records[0])

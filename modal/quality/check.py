@@ -5,14 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.modes.response_synthesis import (
-    AveragedSpectra,
-    MeasuredFrf,
-    averaged_spectra,
-    measured_frf_of,
-    segment_length,
-)
-from modal.quality.amplitude import (
+from modal.modes.response_synthesis import MeasuredFrf, measured_frf_of
+from modal.preparation.amplitude import (
     clipping_findings,
     constant_findings,
     repeat_findings,
@@ -20,18 +14,10 @@ from modal.quality.amplitude import (
     resolution_of,
     stuck_findings,
 )
+from modal.preparation.channel import BLOCK, LEVELS, NEARLY_ALL, Channel, Finding, channels_of
+from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.findings import (
-    BLOCK,
-    LEVELS,
-    NEARLY_ALL,
-    Channel,
-    ChannelQuality,
-    ChannelStatistics,
-    DataQuality,
-    Finding,
-    channels_of,
-)
+from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.quality.inputs import (
     copy_findings,
     excitation_findings,
@@ -39,7 +25,6 @@ from modal.quality.inputs import (
     together_findings,
 )
 from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
-from modal.quality.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality.spectrum import (
     HumLines,
     alias_findings,
@@ -50,11 +35,12 @@ from modal.quality.spectrum import (
     white_findings,
 )
 from okid.arrays import BoolArray, FloatArray
+from okid.frequency_response import AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["check_quality", "spoiled_channels"]
+__all__ = ["check_quality"]
 
 AVERAGES = 32
 """Make the coherence of so many segments without overlap, about: chance then gives 2 % an input."""
@@ -142,26 +128,6 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         frequencies=spectra.frequencies,
         densities=densities,
     )
-
-
-def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
-    """What `check_quality` finds of dead, clipped and spiked channels, without the price of spectra.
-
-    Args:
-        records: one record or several of one system.
-    """
-    several = as_records(records)
-    n = len(several)
-    sharp = tuple(np.zeros(record.n_samples, dtype=np.bool_) for record in several)
-    findings: list[Finding] = []
-    for channel in channels_of(several, channel_scaling(several)):
-        resolution = resolution_of(channel)
-        findings += [*constant_findings(channel, n), *clipping_findings(channel, n)]
-        findings += spike_findings(channel, resolution, sharp, n)
-        if channel.role == "input":
-            own = sharp_samples(channel, resolution)
-            sharp = tuple(mask | more for mask, more in zip(sharp, own, strict=True))
-    return tuple(sorted(findings, key=lambda finding: LEVELS.index(finding.level)))
 
 
 def _channel_findings(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
-from modal.quality.findings import FITTED_ROWS, HARDLY, MOSTLY, NEARLY_ALL, NOTABLE, Finding, Level, named, spoken
+from modal.preparation.channel import FITTED_ROWS, HARDLY, MOSTLY, NEARLY_ALL, NOTABLE, Finding, Level, named, spoken
 from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError

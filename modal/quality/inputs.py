@@ -11,24 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.modes.response_synthesis import AveragedSpectra, MeasuredFrf
+from modal.modes.response_synthesis import MeasuredFrf
+from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, ROUNDING, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay
 from modal.quality.coherence import FEWEST_AVERAGES
-from modal.quality.findings import (
-    FITTED_ROWS,
-    MOST_ROWS,
-    MOSTLY,
-    ROUNDING,
-    SERIOUS,
-    Finding,
-    Level,
-    named,
-    spoken,
-)
 from modal.wording.numbers import percent
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
+from okid.frequency_response import AveragedSpectra
 from okid.record import Record
 from okid.rows import complete_rows
 

@@ -10,6 +10,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modal.preparation.channel import (
+    FEWEST_ROWS,
+    FITTED_ROWS,
+    MOSTLY,
+    NOTABLE,
+    Channel,
+    Finding,
+    named,
+    spoken,
+    where_found,
+)
 from modal.preparation.drift import (
     CANDIDATES,
     LEAST_GAIN,
@@ -23,17 +34,6 @@ from modal.preparation.drift import (
     without_drift,
 )
 from modal.quality.coherence import best_pulse, predicted_outputs
-from modal.quality.findings import (
-    FEWEST_ROWS,
-    FITTED_ROWS,
-    MOSTLY,
-    NOTABLE,
-    Channel,
-    Finding,
-    named,
-    spoken,
-    where_found,
-)
 from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError

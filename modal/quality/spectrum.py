@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.quality.findings import (
+from modal.preparation.channel import (
     BLOCK,
     FALSE_ALARM,
     HARDLY,

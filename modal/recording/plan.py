@@ -17,7 +17,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
-from modal.modes.response_synthesis import FEWEST_AVERAGES, MeasuredFrf, frf, measured_frf
+from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
 from modal.recording.figure import drawable
@@ -25,6 +25,7 @@ from modal.recording.series import StoredStretch, laid_out, row_budget, stored_l
 from modal.wording.names import escape_markdown, shorten, visible
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
+from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -199,11 +200,11 @@ def planned(identification: Identification, geometry: "Geometry | None" = None) 
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """
-    records = identification.records
+    records = identification.records or (_time_alone(identification),)
     first = records[0]
     n_entities = first.n_inputs + ENTITIES_PER_OUTPUT * first.n_outputs
     budget = row_budget(n_entities, first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
-    around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated, strict=True))
+    around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated or records, strict=True))
     data = planned_data(records, budget=budget, around=around)
     modes = tuple(mode for _, mode in numbered(identification.modes.modes))
     return Plan(
@@ -214,6 +215,13 @@ def planned(identification: Identification, geometry: "Geometry | None" = None) 
         window=_window(modes, first.dt, data.stop - data.start),
         geometry=geometry,
     )
+
+
+def _time_alone(identification: Identification) -> Record:
+    """A record of nothing as long as the pulse response, for the time in which shapes and orders play."""
+    names, n_rows = identification.channels.output_names, identification.markov.n_lags + 1
+    nothing = np.zeros((max(n_rows, len(names)), len(names)))
+    return Record(nothing[:, :0], nothing, identification.realisation.dt, output_names=names)
 
 
 def planned_data(
@@ -347,11 +355,13 @@ def _model_density(identification: Identification, frequencies: FloatArray) -> F
         Ljung, System Identification, 2nd edition, 1999, section 2.3 (spectra of innovations models).
     """
     model = identification.realisation
-    if identification.records[0].n_inputs or model.K is None or not frequencies.size:
+    if identification.channels.n_inputs or model.K is None or not frequencies.size:
         return np.zeros((0, 0))
     covariance = identification.innovation_covariance
-    if covariance is None:
+    if covariance is None and identification.observer is not None:
         covariance = identification.observer.residual_covariance
+    if covariance is None:
+        return np.zeros((0, 0))
     noise = Realisation(model.A, model.K, model.C, np.eye(model.C.shape[0]), model.dt)
     with np.errstate(divide="ignore", invalid="ignore"):
         response = frf(noise, frequencies)

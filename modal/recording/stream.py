@@ -37,6 +37,7 @@ from modal.recording.identification.fit import fit_page, log_fit_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
+from modal.recording.identification.response import log_response_page, response_page
 from modal.recording.identification.shapes import PERIODS
 from modal.recording.identification.validation import log_validation_page, validation_page
 from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
@@ -315,6 +316,14 @@ def log_identification(
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
     with strict_errors():
         plan = planned(identification, geometry)
+        if identification.response is not None:
+            log_response_page(identification, identification.response, recording)
+            log_order_page(identification, recording, plan)
+            log_modes_page(identification, recording, plan)
+            if layout == "send":
+                pages = [response_page(), _order_page(identification), modes_page(identification, plan)]
+                recording.send_blueprint(whole_blueprint(pages, plan))
+            return
         evidence = gather(identification, quality)
         log_record_page(identification.records, recording, plan.data, evidence.quality)
         log_fit_page(identification, recording, plan)
@@ -415,7 +424,7 @@ def _identity(result: Identification | Diagnosis) -> tuple[str, str]:
     """The identity of the recording, and the name of its first record."""
     if isinstance(result, Diagnosis):
         return diagnosis_id(result), result.held_out[0].name
-    return content_id(result), result.records[0].name
+    return content_id(result), result.channels.name
 
 
 def content_id(identification: Identification) -> str:
@@ -425,6 +434,10 @@ def content_id(identification: Identification) -> str:
     for matrix in (model.A, model.B, model.C, model.D, identification.fit.cross_validated):
         digest.update(matrix.tobytes())
     _digest_records(digest, identification.records)
+    if identification.response is not None:
+        table = identification.response
+        digest.update(repr((table.name, table.input_names, table.output_names)).encode("utf-8", "backslashreplace"))
+        digest.update(table.frequencies.tobytes() + table.response.tobytes())
     return digest.hexdigest()
 
 

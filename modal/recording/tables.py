@@ -91,7 +91,7 @@ LISTED_STRETCHES: Final = 6
 def fit_page_text(identification: Identification, plan: Plan) -> str:
     """What was found in one line, what must be read first, how well the outputs are repeated, and what is left over."""
     fit = identification.fit
-    first = identification.records[0]
+    first = identification.channels
     parts = [f"### {modes_headline(identification)}"]
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
@@ -114,7 +114,8 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
     if first.n_outputs > SHOWN_OUTPUTS:
         parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
     parts.append(_observer_line(identification))
-    parts += bullets(data_sentences(identification), identification.residuals.messages)
+    residuals = identification.residuals
+    parts += bullets(data_sentences(identification), () if residuals is None else residuals.messages)
     if len(identification.records) > 1:
         parts.append(_records_table(identification, plan))
     parts += _levels_lines(identification, plan)
@@ -131,6 +132,8 @@ def choices_text(identification: Identification) -> str:
 
 def _observer_line(identification: Identification) -> str:
     observer, residuals = identification.observer, identification.residuals
+    if observer is None or residuals is None:
+        return ""
     first = identification.records[0]
     n_samples = sum(record.n_samples for record in identification.records)
     correlation = f"; correlation with the input: {_number(residuals.input_correlation_ratio, 2)}" * bool(

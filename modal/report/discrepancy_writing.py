@@ -177,6 +177,7 @@ def write_diagnosis(
         names,
         lambda made: _write_all(diagnosis, DiagnosisFiles.in_folder(made, model=model), source),
         existing=existing,
+        gone=("report.pdf",),
     )
     return DiagnosisFiles.in_folder(target, model=model)
 

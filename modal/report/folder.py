@@ -1,62 +1,45 @@
-"""All files of a report or none: they are made in a folder of their own beside the target and moved when complete.
+"""All files of a report or none: they are made in a folder of their own, which takes the target's place when complete.
 
-Stopping on request: Ctrl-C, a polite kill and a closed terminal all stop the work, and none leaves it half done.
+No request to stop is answered in the middle of that step.
 """
 
 import contextlib
+import ctypes
 import errno
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Literal
+
+if sys.platform != "win32":  # there, a rename onto what is there fails by itself
+    import fcntl
 
 from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 
 __all__ = [
+    "STOPS",
     "Existing",
+    "clear_away",
     "recording_written",
     "refuse_names",
-    "stop_no_more",
-    "stop_politely",
+    "scratch_folder",
     "uninterrupted",
     "write_folder",
 ]
 
-_STOPS = tuple(
+STOPS = tuple(
     number
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     if (number := getattr(signal, name, None)) is not None
 )
-_AGAIN_AFTER = 3.0
-"""Seconds within which a second request is taken for the same one: it must not stop the clearing up."""
-
-
-def stop_politely() -> None:
-    """Let every request to stop raise KeyboardInterrupt, so that what is half done is cleared away."""
-    last = [-_AGAIN_AFTER]
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        now = time.monotonic()
-        if now - last[0] >= _AGAIN_AFTER:
-            last[0] = now
-            raise KeyboardInterrupt
-
-    for number in _STOPS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-            signal.signal(number, stop)
-
-
-def stop_no_more() -> None:
-    """Ignore requests to stop from here on: the work has stopped and is cleared away, only the exit status is left."""
-    for number in _STOPS:
-        signal.signal(number, signal.SIG_IGN)
+"""Requests to stop, where the system has them."""
 
 
 @contextlib.contextmanager
@@ -71,7 +54,7 @@ def uninterrupted() -> Iterator[None]:
         yield  # Python hands signals to the main thread alone
         return
     asked: list[tuple[int, FrameType | None]] = []
-    before = {number: signal.getsignal(number) for number in _STOPS}
+    before = {number: signal.getsignal(number) for number in STOPS}
     handled = {number: handler for number, handler in before.items() if handler is not None}
     for number in handled:
         signal.signal(number, lambda number, frame: asked.append((number, frame)))
@@ -94,34 +77,118 @@ Existing = Literal["refuse", "replace"]
 """What to do with files of a report that are already there."""
 
 
-def write_folder(target: Path, names: Iterable[str], write: Callable[[Path], None], *, existing: Existing) -> None:
+def write_folder(
+    target: Path,
+    names: Iterable[str],
+    write: Callable[[Path], None],
+    *,
+    existing: Existing,
+    gone: Sequence[str] = (),
+) -> None:
     """Let `write` fill a folder; it appears as `target` once it is complete, and nothing is left behind otherwise.
+
+    Of two that write into one folder at a time, the first to be complete has it, and the other is refused.
 
     Args:
         target: made if it does not exist; other files in it stay.
         names: of the files that will be written.
         write: writes them into the folder that it is given.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
+        gone: names of files that go with those that are replaced, for the new ones do not go with them.
 
     Raises:
         InvalidDataError: a file of that name exists already, or the folder cannot be written.
     """
+    names = list(names)
     refuse_names(target, names, existing)
     made = _make_parents(target)
-    temporary: Path | None = None
+    _MADE[:0] = made
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=".modal-report-", dir=target.parent))
-        write(temporary)
-        _move(temporary, target)
+        with scratch_folder(target.absolute().parent) as temporary:
+            write(temporary)
+            _commit(temporary, target, names, existing, gone)
     except BaseException as error:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
-        for parent in made:
-            with contextlib.suppress(OSError):
-                parent.rmdir()
+        _remove(made)
         if isinstance(error, OSError):
             raise _cannot_write(target, error) from error
         raise
+
+
+# --- folders that are being made -------------------------------------------------------------------------------------
+
+PREFIX = ".modal-report-"
+_OPEN: set[Path] = set()
+_MADE: list[Path] = []
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """A folder to work in, gone when the block ends; those that dead runs have left beside it go first.
+
+    Who works in a folder holds a lock on it, which the system lets go when the process ends in whatever way.
+
+    Args:
+        parent: where to make it.
+    """
+    sweep(parent)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
+        lock = _locked(folder, wait=True)
+        if folder.exists():  # swept away between the two lines
+            break
+        _unlocked(lock)
+    _OPEN.add(folder)
+    try:
+        yield folder
+    finally:
+        _OPEN.discard(folder)
+        shutil.rmtree(folder, ignore_errors=True)
+        _unlocked(lock)
+
+
+def sweep(parent: Path) -> None:
+    """Remove the folders that runs which are dead have left in `parent`; those of running ones are locked."""
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):
+        for folder in parent.glob(f"{PREFIX}*"):
+            lock = _locked(folder, wait=False) if folder.is_dir() and not folder.is_symlink() else None
+            if lock is not None:
+                shutil.rmtree(folder, ignore_errors=True)
+                _unlocked(lock)
+
+
+def clear_away() -> None:
+    """Remove what this process is making, for one that ends at once."""
+    for folder in tuple(_OPEN):
+        shutil.rmtree(folder, ignore_errors=True)
+    _remove(_MADE)
+
+
+def _remove(parents: list[Path]) -> None:
+    """Remove folders that were made for a target, the innermost first; those that hold something stay."""
+    for parent in parents:
+        with contextlib.suppress(OSError):
+            parent.rmdir()
+
+
+def _locked(folder: Path, *, wait: bool) -> int | None:
+    """A lock on a folder; None where somebody else has it, or where the system has none."""
+    if sys.platform == "win32":
+        return None
+    lock = None
+    try:
+        lock = os.open(folder, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        _unlocked(lock)
+        return None
+    return lock
+
+
+def _unlocked(lock: int | None) -> None:
+    if lock is not None:
+        os.close(lock)
 
 
 def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None:
@@ -191,26 +258,83 @@ def _make_parents(target: Path) -> list[Path]:
     return missing
 
 
-def _move(temporary: Path, target: Path) -> None:
-    """One rename for a new folder; file by file, each at once, into one that exists.
+def _commit(temporary: Path, target: Path, names: list[str], existing: Existing, gone: Sequence[str]) -> None:
+    """The one step in which the folder appears: a rename for a new one, an exchange for one that is there.
+
+    Both are one step of the file system: a process that dies leaves the old folder or the new one. Other files of the
+    old folder are linked into the new one before.
+    """
+    for path in temporary.rglob("*"):
+        if path.is_file():
+            _to_disk(path)
+    lock = _locked(target.absolute().parent, wait=True)
+    try:
+        refuse_names(target, names, existing)  # another run may have been faster
+        if not target.exists():
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o777 & ~mask)
+            temporary.rename(target)
+            return
+        with uninterrupted():
+            replaced = {*names, *gone} if existing == "replace" else set()
+            if not _exchanged(temporary, target.resolve(), replaced):
+                _replace_each(temporary, target, replaced)
+    finally:
+        _unlocked(lock)
+
+
+def _to_disk(path: Path) -> None:
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
+
+
+def _exchanged(temporary: Path, target: Path, replaced: set[str]) -> bool:
+    """Exchange two folders in one step; False where that cannot be done.
+
+    It cannot where the system has no such step, where somebody would stand in the old folder (this process, or what is
+    mounted there), or where it holds folders, which cannot be linked.
+    """
+    kept = [path for path in target.iterdir() if path.name not in replaced]
+    here = target in (Path.cwd(), *Path.cwd().parents)
+    if here or any(path.is_dir() or path.is_symlink() for path in kept) or not _swaps():
+        return False
+    try:
+        for path in kept:
+            os.link(path, temporary / path.name)
+        shutil.copymode(target, temporary)
+        return _swap(temporary, target)
+    except OSError:
+        for path in kept:
+            (temporary / path.name).unlink(missing_ok=True)
+        return False
+
+
+def _swaps() -> bool:
+    return sys.platform == "linux" and hasattr(ctypes.CDLL(None), "renameat2")
+
+
+def _swap(one: Path, other: Path) -> bool:
+    """renameat2(2) with RENAME_EXCHANGE; relative paths are of the working folder (AT_FDCWD)."""
+    here, exchange = -100, 2
+    status = ctypes.CDLL(None).renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange)
+    return bool(status == 0)
+
+
+def _replace_each(temporary: Path, target: Path, replaced: set[str]) -> None:
+    """File by file, each at once.
 
     Where open files are locked (Windows), renaming one to its own name fails, and so does the whole before anything
     is replaced; elsewhere that does nothing.
     """
-    if not target.exists():
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        temporary.rename(target)
-        return
-    with uninterrupted():  # stopped half-way, it would leave files of two reports side by side
-        files = sorted(temporary.iterdir())
-        for there in (target / path.name for path in files):
-            if there.exists():
-                there.replace(there)
-        for path in files:
-            path.replace(target / path.name)
-        temporary.rmdir()
+    files = sorted(temporary.iterdir())
+    for there in (target / path.name for path in files):
+        if there.exists():
+            there.replace(there)
+    for path in files:
+        path.replace(target / path.name)
+    for name in replaced - {path.name for path in files}:
+        (target / name).unlink(missing_ok=True)
 
 
 def _cannot_write(target: Path, error: OSError) -> InvalidDataError:

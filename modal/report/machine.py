@@ -27,6 +27,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.identification.words import trust_of
 from modal.modes.choice import Choice, Fit
 from modal.modes.mode import Mode, numbered
+from modal.preparation.kind import RecordKind
 from modal.sections.provenance import Provenance, SourceFile, installed_version
 from modal.wording.names import csv_cell
 from okid.excitation import Excitation
@@ -188,14 +189,17 @@ def document_schema() -> dict[str, Any]:
         "words": {"description": "why, in sentences", **texts},
         "warnings": {"description": "sentences that the user must read", **texts},
         "records": {"description": "as used, without their samples", "type": "array", "items": record_schema()},
+        "record_kind": _nullable(
+            {"description": "as the data or the caller said it", "enum": list(get_args(RecordKind))}
+        ),
         "choices": type_schema(tuple[Choice, ...]),
-        "excitation": described(Excitation),
+        "excitation": _nullable(described(Excitation)),
         "fit": described(Fit, more={"mean": {"description": "cross-validated fit, mean over outputs", **NUMBER}}),
         "modes": _modes(),
         "uncertainty": {"description": "null where it is not known", **_nullable(_uncertainty())},
         "order_evidence": described(OrderEvidence),
-        "residuals": described(ResidualCheck),
-        "observer": described(ObserverFit, leave_out=("dt",), more={"order": {"type": "integer"}}),
+        "residuals": _nullable(described(ResidualCheck)),
+        "observer": _nullable(described(ObserverFit, leave_out=("dt",), more={"order": {"type": "integer"}})),
         "markov": described(MarkovParameters),
         "realisation": described(Realisation, leave_out=("factors",)),
     }
@@ -264,7 +268,7 @@ def _object(properties: dict[str, Any]) -> dict[str, Any]:
 _MODE_NUMBERS = tuple(
     field.name
     for field in fields(Mode)
-    if field.name not in ("pole", "kind", "shape", "shape_std", "participation", "verdict", "reason")
+    if field.name not in ("pole", "kind", "shape", "shape_std", "mass_std", "participation", "verdict", "reason")
 )
 
 
@@ -290,6 +294,7 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
         "words": judgement.reasons,
         "warnings": result.warnings,
         "records": [record_document(record) for record in result.records],
+        "record_kind": result.record_kind,
         "choices": result.choices,
         "excitation": result.excitation,
         "fit": {"mean": result.fit.mean, **_members(result.fit)},
@@ -301,7 +306,9 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
         "uncertainty": _uncertainty_document(result),
         "order_evidence": result.order_evidence,
         "residuals": result.residuals,
-        "observer": {"order": result.observer.order, **_members(result.observer, leave_out=("dt",))},
+        "observer": None
+        if result.observer is None
+        else {"order": result.observer.order, **_members(result.observer, leave_out=("dt",))},
         "markov": result.markov,
         "realisation": _members(result.realisation, leave_out=("factors",)),
     }
@@ -310,7 +317,7 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
 
 def csv_text(result: Identification) -> str:
     """One row a mode in the order of its number; shapes in columns of their own, empty cells for what is not known."""
-    outputs, inputs = result.records[0].output_names, result.records[0].input_names
+    outputs, inputs = result.channels.output_names, result.channels.input_names
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     header = ["mode", "verdict", "kind", *_MODE_NUMBERS, "pole_real", "pole_imaginary", "reason"]

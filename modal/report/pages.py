@@ -18,7 +18,8 @@ from modal.geometry.placement import Placement, placed
 from modal.identification.result import Identification
 from modal.identification.words import caution_sentence, damping_shown, damping_text, frequency_text, trust_of
 from modal.modes.mode import numbered
-from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting, shape_assurance
+from modal.plots.results import shape_assurance
+from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting
 from modal.sections import words
 from modal.sections.columns import INDICATORS, shown
 from modal.sections.provenance import Provenance, installed_version
@@ -72,7 +73,7 @@ SWING = 0.22
 
 def placement_of(result: Identification, setting: Setting) -> Placement:
     """The outputs on the geometry, or in a row without one."""
-    record = result.records[0]
+    record = result.channels
     return placed(setting.geometry, record.output_names, record.output_units)
 
 
@@ -284,7 +285,7 @@ def _context(result: Identification, provenance: Provenance, setting: Setting, b
 
 
 def _verdict_values(result: Identification) -> dict[str, object]:
-    record = result.records[0]
+    record = result.records[0] if result.records else None
     return {
         "title": _title(result),
         "headline": words.modes_headline(result),
@@ -292,10 +293,11 @@ def _verdict_values(result: Identification) -> dict[str, object]:
         "fit_word": words.fit_word(result.fit.mean),
         "result": result,
         "record": record,
+        "names": result.channels,
         "n_samples": sum(each.n_samples for each in result.records),
         "n_missing": sum(int(each.n_samples - each.complete_rows().sum()) for each in result.records),
         "duration": sum(each.duration for each in result.records),
-        "hold": hold_text(record.input_hold),
+        "hold": "" if record is None else hold_text(record.input_hold),
     }
 
 
@@ -360,12 +362,21 @@ def hold_text(hold: InputHold) -> str:
 
 
 def _title(result: Identification) -> str:
-    names = [record.name for record in result.records if record.name]
+    sources = result.records or (result.channels,)
+    names = [source.name for source in sources if source.name]
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "") or "Unnamed record"
 
 
 def _snippet(result: Identification, provenance: Provenance) -> str:
     """Python that makes the result again; names are written as Python literals of ASCII."""
+    if result.observer is None or not result.records:
+        table = "...  # the frequency responses of this result"
+        if provenance.sources:
+            table = f"okid.read_response({provenance.sources[0]!a})"
+        return (
+            f"import modal\nimport okid\n\ntable = {table}\nresult = modal.identify(table)\n"
+            'modal.write_report(result, "report")'
+        )
     record = result.records[0]
     reading = "...  # the records of this result"
     if provenance.sources:
@@ -383,9 +394,10 @@ def _snippet(result: Identification, provenance: Provenance) -> str:
         ("observer order", f"observer_order={result.observer.order}"),
         ("ridge", f"ridge={result.observer.ridge!r}"),
         ("model order", f"order={order}"),
+        ("record kind", f"kind={result.record_kind!a}"),
     )
     arguments = ", ".join(["records", *(text for what, text in settings if what in given)])
-    chosen = ", ".join(text for what, text in settings if what not in given)
+    chosen = ", ".join(text for what, text in settings if what not in given and what != "record kind")
     return (
         "import modal\nimport okid\n\n"
         f"records = {reading}\n"

@@ -14,9 +14,9 @@ import os
 import re
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 
+from modal.report.folder import scratch_folder
 from okid.errors import IdentificationError, InvalidDataError
 
 __all__ = ["BROWSERS", "NoBrowserError", "find_browser", "write_pdf"]
@@ -89,8 +89,8 @@ def write_pdf(html: str | os.PathLike[str], pdf: str | os.PathLike[str]) -> Path
             f"{BROWSER_VARIABLE}); open {page.name} in any browser and print it to a file instead."
         )
     try:
-        with tempfile.TemporaryDirectory(prefix=".modal-report-", dir=target.absolute().parent) as folder:
-            printed = Path(folder) / "report.pdf"
+        with scratch_folder(target.absolute().parent) as folder:
+            printed = folder / "report.pdf"
             _print(browser, page, printed)
             printed.write_bytes(_without_clock(printed.read_bytes()))
             printed.replace(target)

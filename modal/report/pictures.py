@@ -9,16 +9,22 @@ import numpy as np
 from era.realisation import Realisation
 from modal import plots
 from modal.acceptance.check import check_limits
-from modal.geometry.scene import comparable_shapes, comparison_words
+from modal.geometry.scene import comparison_words
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf
-from modal.modes.shape_comparison import assurance
+from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
 from modal.plots.layout import Chart
 from modal.plots.order import colour_measure, pole_classes
-from modal.plots.responses import frequency_responses, model_grid
+from modal.plots.results import (
+    MOST_SHOWN,
+    fit_chart,
+    least_fitted,
+    measured_responses,
+    shape_assurance,
+    synthesised_alone,
+)
 from modal.plots.vector import Notes, chart_text, svg_text
 from modal.quality import check_quality
-from okid.arrays import ComplexArray, FloatArray
+from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 
 if TYPE_CHECKING:
@@ -36,8 +42,6 @@ __all__ = [
     "readable",
     "response_pictures",
     "setting_of",
-    "shape_assurance",
-    "synthesised_alone",
 ]
 
 
@@ -74,34 +78,22 @@ def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Note
     return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))
 
 
-MOST_PAIRS = 6
-
-
 def response_pictures(result: Identification) -> dict[str, Picture]:
     """The picture "responses", or none where the records are too short for a measured response."""
-    record = result.records[0]
+    record = result.channels
     try:
-        measured = measured_frf(result.records)
+        measured = measured_frf(result.records) if result.response is None else tabled_frf(result.response)
     except InsufficientDataError:
         return {}
     n_pairs = record.n_inputs * record.n_outputs
-    which = "" if n_pairs <= MOST_PAIRS else f" The {MOST_PAIRS} strongest of {n_pairs} are shown."
+    which = "" if n_pairs <= MOST_SHOWN else f" The {MOST_SHOWN} strongest of {n_pairs} are shown."
     alone = synthesised_alone(result, measured)
     dashed = "" if alone is None else " Dashed: the modes of the system alone, without the poles that are not believed."
-    figure = frequency_responses(
-        measured,
-        result.realisation,
-        modes=alone,
-        output_names=record.output_names,
-        input_names=record.input_names,
-        n_pairs=MOST_PAIRS,
-    )
     return {
         "responses": readable(
-            figure,
+            measured_responses(result, measured),
             "responses",
-            "Frequency responses: quotient of measured spectra (mean of "
-            f"{measured.n_averages} segments, so sharp peaks are smeared) and synthesised from the model.{dashed} "
+            f"Frequency responses: {_measured_words(result, measured)} and synthesised from the model.{dashed} "
             "Below each, the coherence of the output with all inputs; where it is below 0.5 the measured response is "
             "pale."
             f"{which}",
@@ -109,16 +101,10 @@ def response_pictures(result: Identification) -> dict[str, Picture]:
     }
 
 
-def synthesised_alone(result: Identification, measured: MeasuredFrf) -> ComplexArray | None:
-    """(N_GRID, n_outputs, n_inputs) response of the modes of the system and the feedthrough, without any other pole.
-
-    None without such modes, and where states for delays or integrators stand between the modes and the outputs.
-    """
-    model = result.fitted_model or result.realisation
-    modes = result.modes.system
-    if not modes or model.order != result.realisation.order:
-        return None
-    return np.asarray(modal_frf(modes, model_grid(measured), dt=model.dt).sum(axis=0) + model.D)
+def _measured_words(result: Identification, measured: MeasuredFrf) -> str:
+    if result.response is None:
+        return f"quotient of measured spectra (mean of {measured.n_averages} segments, so sharp peaks are smeared)"
+    return "as they were given (through the window of their blocks, so sharp peaks are smeared)"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -163,13 +149,12 @@ def setting_of(
     return Setting(
         specification=specification,
         geometry=known,
-        quality=quality if quality is not None else check_quality(result.records),
+        quality=check_quality(result.records) if quality is None and result.records else quality,
         quality_of="as used" if quality is None else "as read",
         outcomes=() if specification is None else check_limits(result, specification),
     )
 
 
-MOST_OUTPUTS = 6
 MOST_SHAPES = 12
 MOST_PIECES = 9000
 """Pieces of lines and surfaces in all shapes together."""
@@ -188,17 +173,10 @@ def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) ->
     }
 
 
-def shape_assurance(result: Identification) -> FloatArray:
-    """(n_system, n_system) modal assurance of the system modes; outputs of several units are made alike if they can."""
-    first = result.records[0]
-    shapes = comparable_shapes(result.modes.system, first.output_names, first.output_units)
-    return assurance(shapes, shapes)
-
-
 def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:
     if setting.geometry is None:
         return {}
-    figure = plots.geometry_picture(setting.geometry, output_names=result.records[0].output_names)
+    figure = plots.geometry_picture(setting.geometry, output_names=result.channels.output_names)
     return {
         "geometry": drawn(figure, "geometry", "The structure as the geometry describes it; arrows are the sensors.")
     }
@@ -256,19 +234,16 @@ def _colour_words(evidence: OrderEvidence) -> str:
 
 
 def _fit_pictures(result: Identification) -> dict[str, Picture]:
-    record, simulated = result.records[0], result.simulated[0]
-    shown = _worst_outputs(result)
+    if result.residuals is None or not result.records:
+        return {**response_pictures(result), **_markov_picture(result)}
+    record = result.records[0]
+    shown = least_fitted(result)
     which = "" if len(shown) == record.n_outputs else f" The {len(shown)} outputs with the least fit are shown."
     first = "" if len(result.records) == 1 else f" Record 1 of {len(result.records)}."
-    slowest = next((mode.frequency for mode in result.modes.system if mode.frequency > 0), None)  # an integrator has 0
-    detail = None if slowest is None else 10.0 / slowest
     modelled = "simulated from the inputs alone" if record.n_inputs else "predicted one step ahead"
-    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, MOST_LAGS))
     pictures = {
         "histories": drawn(
-            plots.measured_against_simulated(
-                record, simulated, outputs=shown, fits=result.fit.cross_validated, detail=detail
-            ),
+            fit_chart(result),
             "histories",
             f"Measured (blue) and {modelled} (orange), by the model of all rows; the fit beside each name is that on "
             f"held-out rows.{first}{which}",
@@ -287,22 +262,26 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
         ),
     }
     if result.markov.n_inputs:
-        pictures |= response_pictures(result)
-        pictures["markov"] = readable(
-            plots.markov_parameters(
-                result.markov, pulse, output_names=record.output_names, input_names=record.input_names
-            ),
-            "markov",
-            "Response to a pulse of one sample: as recovered from the observer, and as the chosen model has it.",
-        )
+        pictures |= {**response_pictures(result), **_markov_picture(result)}
     return pictures
+
+
+def _markov_picture(result: Identification) -> dict[str, Picture]:
+    names = result.channels
+    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, MOST_LAGS))
+    figure = plots.markov_parameters(
+        result.markov, pulse, output_names=names.output_names, input_names=names.input_names
+    )
+    source = "recovered from the observer" if result.response is None else "the table gives it, its window divided out"
+    words = f"Response to a pulse of one sample: as {source}, and as the chosen model has it."
+    return {"markov": readable(figure, "markov", words)}
 
 
 def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Picture]:
     system = result.modes.system
     if not system:
         return {}
-    record = result.records[0]
+    record = result.channels
     drawn_on, shown = system[: _n_drawn(setting)], system[:MOST_SHAPES]
     mixed = ""
     if len(set(record.output_units)) > 1:
@@ -356,11 +335,6 @@ def _shape_words(setting: Setting, mixed: str) -> str:
         "Shapes of the modes of the system: sensors in the order of the record, greatest component 1, without the "
         f"geometry of the structure; dotted, the imaginary part where it exceeds 0.05.{mixed}"
     )
-
-
-def _worst_outputs(result: Identification) -> list[int]:
-    fits = np.nan_to_num(result.fit.cross_validated, nan=-np.inf)
-    return sorted(np.argsort(fits, kind="stable")[:MOST_OUTPUTS].tolist())
 
 
 def _pulse_response(realisation: Realisation, n_lags: int) -> FloatArray:

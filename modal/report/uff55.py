@@ -173,7 +173,7 @@ def uff55_text(result: Identification, geometry: "Geometry | None" = None, *, fo
     """
     if form not in get_args(Form):
         raise InvalidDataError(f"form must be complex or normal, but is {form!r}.")
-    record = result.records[0]
+    record = result.channels
     plan = node_plan(record.output_names, geometry)
     quantity = _quantity(record.output_units)
     parts = [] if geometry is None else geometry_datasets(geometry, plan)

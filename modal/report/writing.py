@@ -191,6 +191,7 @@ def write_report(
         [path.name for path in files],
         lambda made: _write_all(result, ReportFiles.in_folder(made), source, setting),
         existing=existing,
+        gone=("report.pdf",),
     )
     return files
 

@@ -10,7 +10,6 @@ from modal.effects.catalogue import effect_name
 from modal.wording.numbers import NINETY_FIVE, listed, number
 
 __all__ = [
-    "CLOSE_COMPANY",
     "NAMED_WITHIN",
     "beside_text",
     "closed_share",
@@ -34,9 +33,6 @@ __all__ = [
 NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
 of `modal.discrepancy.selection.decision.NEAR_FLOOR`, which is in mean squares."""
-
-CLOSE_COMPANY = 30.0
-"""2 ln L below which a lead is no lead, that of `modal.discrepancy.selection.decision`."""
 
 MOST_DECIMALS = 6
 """More of them stand after a power of ten."""

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.results import Diagnosis, Finding, Step, unexplained_outputs
+from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, unexplained_outputs
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
 from modal.sections.discrepancy_values import (
-    CLOSE_COMPANY,
     NAMED_WITHIN,
     closed_share,
     effect_text,
@@ -126,8 +125,8 @@ def runner_up_sentence(finding: Finding) -> str:
     margin = finding.evidence.margin
     if not math.isfinite(margin):
         return f"Runner-up: {other}, which {levels_in_words(finding.runner_up)}."
-    if margin < CLOSE_COMPANY:
-        lead = f"2 ln L is {margin:.3g} apart, below {CLOSE_COMPANY:g}: too little to tell the two apart"
+    if margin < EVEN:
+        lead = f"2 ln L is {margin:.3g} apart, below {EVEN:g}: too little to tell the two apart"
     else:
         lead = f"the finding leads by 2 ln L = {margin:.0f}"
     return f"Runner-up: {other}, which {levels_in_words(finding.runner_up)}; {lead}."
@@ -144,7 +143,7 @@ def ambiguity_sentence(finding: Finding) -> str:
     if others:
         said.append(f"{name} cannot be told from {one_of(others)} in these data.")
     if by_level:
-        led = finding.evidence.margin >= CLOSE_COMPANY and finding.runner_up is not None
+        led = finding.evidence.margin >= EVEN and finding.runner_up is not None
         fits = ", although it fits these better" if led else ""
         said.append(f"{name} is easily taken for {one_of(by_level)} in records of one level{fits}.")
     return " ".join(said)

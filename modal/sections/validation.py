@@ -34,8 +34,15 @@ COHERENT = 0.8
 
 def validation_sentences(result: Identification) -> tuple[str, ...]:
     """How the fit on held-out rows was found, and how far it lies below that on all rows."""
+    if result.response is not None:
+        halves = (
+            "Tested on halves of the averages: responses plus and minus an error drawn as theirs is are two tables, as "
+            "two halves of the blocks would have given them; the model of each was held against the other, every line "
+            "in its standard deviations."
+        )
+        return (halves,)
     n_folds = int(np.size(result.fit.folds))
-    inputs = result.records[0].n_inputs
+    inputs = result.channels.n_inputs
     run = "a free run from the inputs alone" if inputs else "a prediction one step ahead, because no input was measured"
     sentences = [
         f"Tested by {run}: in {_folds(n_folds)} the model was fitted to the other rows and run over those held out."
@@ -57,12 +64,12 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
             )
     low = [
         name
-        for name, fit in zip(result.records[0].output_names, result.fit.cross_validated, strict=True)
+        for name, fit in zip(result.channels.output_names, result.fit.cross_validated, strict=True)
         if fit < LEAST_FIT
     ]
     if low:
         sentences.append(
-            f"{len(low)} of {result.records[0].n_outputs} outputs {'has' if len(low) == 1 else 'have'} a fit below "
+            f"{len(low)} of {result.channels.n_outputs} outputs {'has' if len(low) == 1 else 'have'} a fit below "
             f"{LEAST_FIT}: what the modes say about {'it' if len(low) == 1 else 'them'} is not proved."
         )
     return tuple(sentences)
@@ -85,7 +92,9 @@ def coherence_sentence(quality: "DataQuality | None") -> str:
 
 def gap_sentence(result: Identification) -> str:
     """That no simulation was compared, and what it takes."""
-    if not result.records[0].n_inputs:
+    if result.response is not None:
+        return "No simulation was compared: that takes the records themselves, and these are frequency responses."
+    if not result.channels.n_inputs:
         return (
             "No simulation was compared with these records, and none can be: without a measured input there is nothing "
             "to drive it with."
@@ -103,9 +112,9 @@ def gap_sentence(result: Identification) -> str:
 
 def gap_command(result: Identification, provenance: Provenance) -> str:
     """The command that compares a simulation with the files of this result; "" where there is no input."""
-    record = result.records[0]
-    if not record.n_inputs:
+    if result.response is not None or not result.channels.n_inputs:
         return ""
+    record = result.records[0]
     files = list(provenance.sources) or ["FIRST.csv"]
     one_each = len(files) == len(result.records) > 1  # else the files are the channels of one record
     fit, held_out = (files[:-1], files[-1:]) if one_each else (files, ["SECOND.csv"])
@@ -125,6 +134,10 @@ WHITE_RATIO = 2.0
 """Whiteness statistic over its degrees of freedom above which residuals are not white."""
 
 _RESTS_ON = {
+    "responses": (
+        "They rest on how sharply the misfit of the responses rises when a pole is moved, and on the noise that "
+        "coherence (where it is known) and the scatter about the model show, with what finite blocks leave over."
+    ),
     "output error": (
         "They rest on how sharply the free-run error of the refined model rises when a parameter is moved, and on the "
         "noise that this model leaves."
@@ -144,13 +157,15 @@ def has_intervals(result: Identification) -> bool:
 def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
     """What the intervals are, what they rest on, and what they leave out; one sentence where there are none."""
     known = result.uncertainty
-    if known is None or not has_intervals(result):
+    if (known is None and result.response is None) or not has_intervals(result):
         return ("No standard deviations are known for this result, so no interval is given.",)
     meaning = (
         f"± is half of a 95 % interval, {NINETY_FIVE} standard deviations: if the test were repeated with other "
         "noise, about 95 of 100 such intervals would hold the true value, as long as the model has the form of the "
         "system."
     )
+    if known is None:
+        return meaning, _RESTS_ON["responses"], _left_out(result)
     sentences = [meaning, _RESTS_ON[known.method]]
     factor = known.interval_factor(0.95)
     if factor > FEW_FACTOR:
@@ -242,9 +257,10 @@ def sensor_columns(specification: "Specification | None") -> tuple[str, ...]:
 
 def channel_rows(result: Identification, specification: "Specification | None") -> tuple[ChannelRow, ...]:
     """Inputs, then outputs, each with what is known of its sensor."""
-    record, used = result.records[0], _used(specification)
+    record, used = result.channels, _used(specification)
     notes = {} if specification is None else {note.channel: note for note in specification.sensors}
-    bands = [_bands_text(bands) for bands in result.excitation.excited_bands] or [""] * record.n_inputs
+    excited = () if result.excitation is None else result.excitation.excited_bands
+    bands = [_bands_text(bands) for bands in excited] or [""] * record.n_inputs
     return tuple(
         ChannelRow(
             name=name,

@@ -44,8 +44,10 @@ def fit_word(fit: float) -> str:
 
 
 def data_sentences(result: Identification) -> tuple[str, ...]:
-    """What the inputs cannot show, as far as it is not among the warnings already."""
-    return tuple(message for message in result.excitation.messages if message not in result.warnings)
+    """What kind of record it is, and what the inputs cannot show, as far as it is not among the warnings already."""
+    kind = tuple(f"Record kind: {c.value} ({c.reason})." for c in result.choices if c.what == "record kind")
+    messages = () if result.excitation is None else result.excitation.messages
+    return (*kind, *(message for message in messages if message not in result.warnings))
 
 
 LONGEST_LIMIT = 60

@@ -16,7 +16,7 @@ import numpy as np
 
 from modal.effects.effect import Effect, ForceEffect, InputEffect, SensorEffect
 from modal.simulation.drive import Drive
-from modal.simulation.plant import Plant, Port
+from modal.simulation.plant import Plant, Port, plant_matrices
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "assemble",
     "drive_inputs",
     "initial_unknowns",
+    "per_row",
     "per_time",
     "place_effect",
 ]
@@ -66,7 +67,7 @@ class EffectPlacement:
     @property
     def n_memory(self) -> int:
         """Number of states of the effect itself."""
-        return self.effect.n_memory if isinstance(self.effect, ForceEffect) else 0
+        return self.effect.n_memory
 
     @property
     def force_and_port(self) -> tuple[ForceEffect, Port]:
@@ -108,8 +109,8 @@ class Assembly:
 
     @property
     def forces(self) -> tuple[int, ...]:
-        """Indices of the placements that are forces."""
-        return tuple(i for i, item in enumerate(self.placements) if isinstance(item.effect, ForceEffect))
+        """Indices of the placements that are forces, or sensors that remember."""
+        return tuple(i for i, item in enumerate(self.placements) if item.port is not None)
 
     @property
     def inputs(self) -> tuple[int, ...]:
@@ -118,8 +119,10 @@ class Assembly:
 
     @property
     def sensors(self) -> tuple[int, ...]:
-        """Indices of the placements that change an output."""
-        return tuple(i for i, item in enumerate(self.placements) if isinstance(item.effect, SensorEffect))
+        """Indices of the placements that change an output at once."""
+        return tuple(
+            i for i, item in enumerate(self.placements) if isinstance(item.effect, SensorEffect) and item.port is None
+        )
 
     @property
     def n_memory(self) -> int:
@@ -198,11 +201,17 @@ class Assembly:
         return centre, deviation
 
     def local_deviation(self) -> FloatArray:
-        """Standard deviation (n_local,) of the weak priors about zero: an effect's initial memory has the motion's."""
+        """Standard deviation (n_local,) of the weak priors about zero: an effect's initial memory has the motion's.
+
+        A hysteretic link starts unloaded. Were its slip free in each record, a link that never gives way would be a
+        free constant force in each, the held-out ones too, and would explain a sensor whose zero moves.
+        """
         deviation = np.full(self.n_local, np.inf)
         for i, item in enumerate(self.placements):
             first = self.own_of(i).start
             scales = (item.displacement_scale, *[item.velocity_scale] * max(item.n_memory - 1, 0))
+            if item.effect.rate_independent:
+                scales = tuple(UNLOADED * scale for scale in scales)
             deviation[first : first + item.n_memory] = scales[: item.n_memory]
         return deviation
 
@@ -250,13 +259,31 @@ def place_effect(
         names = plant.input_names if isinstance(effect, InputEffect) else plant.output_names
         if where not in names:
             raise KeyError(where)
-        return EffectPlacement(effect=effect, where=where, channel=names.index(where))
+        channel = names.index(where)
+        port = _output_port(plant, channel) if isinstance(effect, SensorEffect) and effect.n_memory else None
+        return EffectPlacement(
+            effect=effect, where=where, port=port, channel=channel, displacement_scale=displacement_scale
+        )
     return EffectPlacement(
         effect=effect,
         where=where,
         port=plant.port(where),
         displacement_scale=displacement_scale,
         velocity_scale=velocity_scale,
+    )
+
+
+def _output_port(plant: Plant, channel: int) -> Port:
+    """An output as the place of a sensor that remembers: its displacement is the output."""
+    matrices = plant_matrices(plant, plant.nominal)
+    return Port(
+        name=plant.output_names[channel],
+        displacement=np.concatenate([matrices.C[channel], matrices.D[channel]]),
+        velocity=None,
+        columns=(0,),
+        length_unit=plant.output_units[channel],
+        force_unit=plant.output_units[channel],
+        accepts=frozenset(),
     )
 
 
@@ -272,6 +299,8 @@ def initial_unknowns(assembly: Assembly, n_records: int) -> Unknowns:
     return Unknowns(common=common, local=np.zeros((n_records, assembly.n_local)))
 
 
+UNLOADED = 1e-4
+"""Let the slip of a hysteretic link at the start of a record deviate from none by this share of the motion."""
 STILL = 0.01
 """Take a drive that starts below this share of its root mean square for none before."""
 MOST = 10
@@ -283,6 +312,11 @@ def per_time(value: FloatArray, drive: Drive) -> FloatArray:
     if np.ndim(value) == 0:
         return value
     return np.repeat(value, np.diff(drive.firsts))
+
+
+def per_row(value: FloatArray, drive: Drive) -> FloatArray:
+    """Likewise at every measured row."""
+    return value if np.ndim(value) == 0 else np.repeat(value, np.diff(drive.row_firsts))
 
 
 def drive_inputs(assembly: Assembly, unknowns: Unknowns, drive: Drive, *, first: int = 0) -> Drive:

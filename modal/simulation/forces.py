@@ -162,6 +162,12 @@ class ForceLine:
     by_after: FloatArray
     lift: Heard | None = None
 
+    @staticmethod
+    def none(n_coordinates: int, n_parameters: int, n_times: int) -> "ForceLine":
+        """That of what puts no force on the structure."""
+        still, slope, by = np.zeros(n_times), np.zeros((n_times, n_parameters)), np.zeros((n_coordinates, 2, n_times))
+        return ForceLine(start=still, end=still, start_slope=slope, end_slope=slope, by_before=by, by_after=by)
+
     def flow(self, column_start: FloatArray, column_end: FloatArray) -> FloatArray:
         """What the force adds to each step (n_times, n_states), entering in these columns."""
         return np.asarray(self.start[:, None] * column_start + self.end[:, None] * column_end)
@@ -384,18 +390,30 @@ def acting_forces(
             mobility=mobility,
             step_compliance=step_compliance(assembly.plant, port, direction, drive.dt),
         )
+        rows, E0, E1, G = port_rows(port, n, n_all, span), scheme.E0, scheme.E1, scheme.G
+        enters = [matrix[:, columns] @ direction for matrix in (E0, E1, G)]
+        if item.channel >= 0:  # a sensor that remembers, of the output as the model has it now
+            rows[0, :n] = scheme.C[item.channel]
+            motion = replace(
+                motion, displacement=states[:, :n] @ scheme.C[item.channel] + drive.sample @ scheme.D[item.channel]
+            )
+            enters = [np.zeros(n), np.zeros(n), np.eye(len(G))[item.channel]]
         after = one_on(motion)
         force = effect.force(values, motion)
+        if item.channel >= 0:
+            line = ForceLine.none(len(rows), len(values), drive.n_times)
+        else:
+            line = force_line(effect, values, port, motion, after, force=force, dt=drive.dt)
         found.append(
             ActingForce(
-                rows=port_rows(port, n, n_all, span),
+                rows=rows,
                 span=span,
                 force=force,
-                line=force_line(effect, values, port, motion, after, force=force, dt=drive.dt),
+                line=line,
                 memory=effect.advance(values, motion, after, drive.dt) if effect.n_memory else None,
-                E0=scheme.E0[:, columns] @ direction,
-                E1=scheme.E1[:, columns] @ direction,
-                G=scheme.G[:, columns] @ direction,
+                E0=enters[0],
+                E1=enters[1],
+                G=enters[2],
             )
         )
     return tuple(found)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.simulation.assembly import Assembly, Unknowns, per_time
+from modal.simulation.assembly import Assembly, Unknowns, per_row
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import ActingForce, Heard, acting_forces
 from modal.simulation.scheme import Scheme
@@ -292,8 +292,7 @@ def _sensed(assembly: Assembly, unknowns: Unknowns, drive: Drive, free: FloatArr
     factors = np.ones_like(free)
     for i in assembly.sensors:
         item = assembly.placements[i]
-        values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
-        values = [value if np.ndim(value) == 0 else value[drive.rows] for value in values]
+        values = [per_row(value, drive) for value in unknowns.values(assembly, i)]
         factor, offset = item.sensor_effect.gain(values), item.sensor_effect.offset(values, drive.time[drive.rows])
         outputs[:, item.channel] = factor * outputs[:, item.channel] + offset
         factors[:, item.channel] *= factor

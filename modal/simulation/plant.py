@@ -3,17 +3,31 @@
     x' = A x + B u + E w        y = C x + D u + G w
 
 A port is a place where a force can act. An effect gives the force `w` from the motion at its port; nothing else of the
-model is nonlinear. The whole matrix [[A, B, E], [C, D, G]] is affine in the linear parameters that may be wrong
-(stiffness and damping of each element, or the real modal form of a state space), so that every sensitivity is exact.
+model is nonlinear. Where masses stand on the left-hand side, the rows above are M x' = F [x; u; w] and
+y = H [x; u; w] + R x'; M, F and H are affine in the linear parameters that may be wrong (stiffness and damping of each
+element, a mass, or the real modal form of a state space).
+
+A mass is taken as right until it is released: then it is a linear parameter like the others.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from okid.arrays import FloatArray, frozen
 
-__all__ = ["LinearParameter", "Plant", "PlantMatrices", "Port", "plant_matrices", "split_matrices"]
+__all__ = [
+    "LinearParameter",
+    "Mass",
+    "Plant",
+    "PlantMatrices",
+    "Port",
+    "plant_matrices",
+    "released_masses",
+    "split_matrices",
+    "with_masses",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,6 +49,21 @@ class LinearParameter:
     deviation: float
     lower: float
     upper: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Mass:
+    """A mass that is taken as right until it is released.
+
+    Attributes:
+        parameter: As it is once it is released.
+        system: Derivative of `Plant.system` by it, of the shape of `Plant.system[0]`.
+        inertia: (n_states, n_states) derivative of `Plant.inertia` by it.
+    """
+
+    parameter: LinearParameter
+    system: FloatArray
+    inertia: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -94,7 +123,7 @@ class Plant:
 
     Attributes:
         system: (1 + n_parameters, n_states + n_outputs, n_states + n_inputs + n_forces): the constant part of
-            [[A, B, E], [C, D, G]] and its derivative by each linear parameter.
+            [[A, B, E], [C, D, G]] (of F over H where there is an inertia) and its derivative by each linear parameter.
         n_states: Number of states; 0 for a plant without dynamics (imposed motion in, force out).
         n_inputs: Number of inputs.
         parameters: The linear parameters, in the order of `system[1:]`.
@@ -103,6 +132,10 @@ class Plant:
         output_names: Names of the outputs (also the places of sensor effects).
         input_units: Units of the inputs.
         output_units: Units of the outputs.
+        inertia: (1 + n_parameters, n_states, n_states): M and its derivative by each linear parameter; None for the
+            identity.
+        rates: (n_outputs, n_states) R, what the outputs read of x'; None for nothing.
+        masses: Those that are taken as right.
     """
 
     system: FloatArray
@@ -114,6 +147,9 @@ class Plant:
     output_names: tuple[str, ...]
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
+    inertia: FloatArray | None = None
+    rates: FloatArray | None = None
+    masses: tuple[Mass, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "system", frozen(self.system, name="system of the plant"))
@@ -161,4 +197,45 @@ def split_matrices(plant: Plant, matrix: FloatArray) -> PlantMatrices:
 def plant_matrices(plant: Plant, linear: FloatArray) -> PlantMatrices:
     """The matrices at the linear parameters `linear` (n_parameters,)."""
     whole = plant.system[0] + np.tensordot(linear, plant.system[1:], axes=(0, 0))
+    if plant.inertia is not None:
+        n = plant.n_states
+        inertia = plant.inertia[0] + np.tensordot(linear, plant.inertia[1:], axes=(0, 0))
+        whole[:n] = np.linalg.solve(inertia, whole[:n])
+        if plant.rates is not None:
+            whole[n:] += plant.rates @ whole[:n]
     return split_matrices(plant, whole)
+
+
+MASS = "mass of "
+"""Begin the name of a mass with these words."""
+
+
+def released_masses(plant: Plant) -> tuple[str, ...]:
+    """Names of the masses among the linear parameters."""
+    return tuple(one.name for one in plant.parameters if one.name.startswith(MASS))
+
+
+def with_masses(plant: Plant, names: Collection[str]) -> Plant:
+    """The plant with just these of its masses among its linear parameters, after all others."""
+    if plant.inertia is None:
+        return plant
+    first = len(plant.parameters) - len(released_masses(plant))
+    free = [
+        Mass(parameter=one, system=system, inertia=inertia)
+        for one, system, inertia in zip(plant.parameters, plant.system[1:], plant.inertia[1:], strict=True)
+    ][first:]
+    every = sorted((*free, *plant.masses), key=lambda one: int(np.flatnonzero(one.inertia.any(axis=0))[0]))
+    chosen = [one for one in every if one.parameter.name in names]
+    system = np.concatenate([plant.system[: 1 + first], *(one.system[np.newaxis] for one in chosen)])
+    inertia = np.concatenate([plant.inertia[: 1 + first], *(one.inertia[np.newaxis] for one in chosen)])
+    for changed, sign in ((free, 1.0), (chosen, -1.0)):
+        for one in changed:
+            system[0] += sign * one.parameter.nominal * one.system
+            inertia[0] += sign * one.parameter.nominal * one.inertia
+    return replace(
+        plant,
+        system=system,
+        inertia=inertia,
+        parameters=(*plant.parameters[:first], *(one.parameter for one in chosen)),
+        masses=tuple(one for one in every if one not in chosen),
+    )

@@ -13,6 +13,9 @@ A linear recursion dx[k+1] = M[k] dx[k] + b[k+1] over a whole trajectory is a un
 What a search may cost is counted in rows of states solved along the records: unlike time, the same on every machine.
 """
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
 
@@ -23,7 +26,17 @@ from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
-__all__ = ["Budget", "Scheme", "add_work", "band_of", "scheme_and_slopes", "simulation_work", "solve_band", "work_done"]
+__all__ = [
+    "Budget",
+    "Scheme",
+    "add_work",
+    "band_of",
+    "cpu_seconds",
+    "scheme_and_slopes",
+    "simulation_work",
+    "solve_band",
+    "work_done",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -105,6 +118,17 @@ SHARE_OF_A_STAGE = 0.7
 """Let a model's fits in observer form cost this share of what is left for it; of the rest, its free runs."""
 
 _done: ContextVar[float] = ContextVar("work done", default=0.0)
+_deadline: ContextVar[float] = ContextVar("CPU time at which all budgets end", default=np.inf)
+
+
+@contextmanager
+def cpu_seconds(most: float | None) -> Iterator[None]:
+    """Let every budget within end after so many CPU seconds of this process; None for no such end."""
+    token = _deadline.set(np.inf if most is None else time.process_time() + most)
+    try:
+        yield
+    finally:
+        _deadline.reset(token)
 
 
 def add_work(n_times: int, n_states: int) -> None:
@@ -168,7 +192,10 @@ class Budget:
 
     @property
     def left(self) -> float:
-        """Work left."""
+        """Work left; none once the CPU time is spent."""
+        end = _deadline.get()
+        if end < np.inf and time.process_time() >= end:
+            return 0.0
         return max(self._end - work_done(), 0.0)
 
     def allows(self) -> bool:

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.simulation.assembly import Assembly, Unknowns, drive_inputs, per_time
+from modal.simulation.assembly import Assembly, Unknowns, drive_inputs, per_row
 from modal.simulation.drive import Drive
+from modal.simulation.forces import shifted
 from modal.simulation.linearisation import linearise
 from modal.simulation.scheme import Scheme, solve_band
 from modal.simulation.trajectory import Trajectory
@@ -163,7 +164,7 @@ def _factors(assembly: Assembly, unknowns: Unknowns, drive: Drive) -> FloatArray
     factors = np.ones(drive.outputs.shape)
     for i in assembly.sensors:
         item = assembly.placements[i]
-        values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
+        values = [per_row(value, drive) for value in unknowns.values(assembly, i)]
         factors[:, item.channel] *= item.sensor_effect.gain(values)
     return factors
 
@@ -176,7 +177,14 @@ def _linear(assembly: Assembly, unknowns: Unknowns, trajectory: Trajectory, *, s
     flow[:, :n] = states @ slope.Ad.T + drive.start @ slope.B0.T + drive.end @ slope.B1.T
     outputs = states[drive.rows] @ slope.C.T + drive.sample[drive.rows] @ slope.D.T
     for i, one, heard in zip(assembly.forces, about.acting, about.heard, strict=True):
-        effect, port = assembly.placements[i].force_and_port
+        item = assembly.placements[i]
+        effect, port = item.force_and_port
+        if item.channel >= 0 and one.memory is not None:  # the output that the sensor follows
+            moved = states @ slope.C[item.channel] + drive.sample @ slope.D[item.channel]
+            before, after = one.memory.by_displacement_before, one.memory.by_displacement_after
+            flow[:, one.span] = before * moved[:, None] + after * shifted(moved)[:, None]
+            outputs += (heard.by_now[0] * moved)[drive.rows, None] * one.G
+            continue
         direction = unknowns.directions(assembly, i)
         E0, E1, G = (matrix[:, list(port.columns)] @ direction for matrix in (slope.E0, slope.E1, slope.G))
         if effect.per_stiffness and assembly.stiffness_parameter(i) == position:
@@ -216,7 +224,7 @@ def _sensor_parameter(assembly: Assembly, unknowns: Unknowns, trajectory: Trajec
         if assembly.placements[i].channel != channel:
             continue
         effect = assembly.placements[i].sensor_effect
-        values = [per_time(value, drive) for value in unknowns.values(assembly, i)]
+        values = [per_row(value, drive) for value in unknowns.values(assembly, i)]
         slope = effect.gain(values) * slope
         if i == placement:
             slope = effect.by_parameter(values, reading, time)[:, j]

@@ -3,6 +3,7 @@
 __all__ = [
     "AT_FLOOR",
     "DIFFERENCE_STEP",
+    "FOLLOWED",
     "NEAR_FLOOR",
     "ROUNDING",
     "SURE",
@@ -24,3 +25,5 @@ DIFFERENCE_STEP = 1e-5
 """Move a parameter by this share of its size for a central difference: near the cube root of the rounding."""
 UNDAMPED_DEVIATION = 0.02
 """Let a damping that is nominally zero be so much of the critical one, as a standard deviation."""
+FOLLOWED = 1e-3
+"""Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""

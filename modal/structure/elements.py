@@ -13,6 +13,7 @@ import numpy as np
 
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import FloatArray, real_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 __all__ = ["Element", "chain_elements", "coupled_elements", "is_network", "named_elements", "relative_vector"]
@@ -21,8 +22,8 @@ MOST_ELEMENTS = 64
 """Derive no more elements than so many from matrices: each is a place that every effect is tried at."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Element:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Element(Displayed):
     """A spring with a damper, between two degrees of freedom or between one and the ground.
 
     Its relative displacement is x[end] - x[start]; x[start] where it stands on the ground.

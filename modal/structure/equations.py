@@ -133,7 +133,7 @@ def describe_effects(
     lines = []
     number = 0
     for one in effects:
-        effect = catalogue[one.effect]
+        effect = catalogue[one.effect].with_values(dict(zip(one.names, one.values, strict=True)))
         if isinstance(effect, ForceEffect):
             number += 1
             port = plant.port(one.where)

@@ -15,7 +15,7 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, assemble, place_effect
 from modal.simulation.drive import Drive, drive_of, steps_per_sample
-from modal.simulation.plant import Plant
+from modal.simulation.plant import Plant, released_masses
 from modal.simulation.scheme import scheme_and_slopes
 from modal.simulation.trajectory import resting_states, simulate_states
 from modal.structure.checks import SensorKind
@@ -157,7 +157,8 @@ def placed_assembly(
     """
     begun = np.zeros((drive.n_records, plant.n_states)) if initial is None else initial
     placements = [
-        _scaled(place_effect(plant, catalogue[one.effect], one.where), plant, linear, drive, begun) for one in effects
+        _scaled(place_effect(plant, _as_given(one, catalogue), one.where), plant, linear, drive, begun)
+        for one in effects
     ]
     assembly = assemble(plant, placements)
     common = np.zeros(assembly.n_common)
@@ -173,6 +174,10 @@ def placed_assembly(
             values = own if len(own) == drive.n_records else (one.values[j],) * drive.n_records
             local[:, assembly.local_of(i).start + position] = values
     return assembly, Unknowns(common=common, local=local)
+
+
+def _as_given(one: PlacedEffect, catalogue: Mapping[str, Effect]) -> Effect:
+    return catalogue[one.effect].with_values(dict(zip(one.names, one.values, strict=True)))
 
 
 def _scaled(
@@ -214,7 +219,7 @@ def returned_model(
     effects = tuple(_placed(assembly, unknowns, deviations, i) for i in range(len(assembly.placements)))
     linear = unknowns.common[: assembly.n_linear]
     if isinstance(given.model, StructuralModel):
-        return replace(updated_structure(given.model, linear), effects=effects)
+        return replace(updated_structure(given.model, linear, released_masses(assembly.plant)), effects=effects)
     return replace(given.model, linear=linear, effects=effects)
 
 

@@ -25,7 +25,6 @@ import math
 import os
 import runpy
 import tomllib
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -41,7 +40,10 @@ from modal.simulation.plant import LinearParameter, Plant, Port
 from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
+from modal.wording.names import shorten
 from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers.arrays import array_of
+from okid.readers.guard import foreign, sound_archive
 
 if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
@@ -61,19 +63,6 @@ _OPTIONS = "options"
 _NUMBERS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 """Numbers that JSON has no words for."""
 
-_DAMAGE = (
-    zipfile.BadZipFile,
-    KeyError,
-    TypeError,
-    ValueError,
-    EOFError,
-    OSError,
-    NotImplementedError,
-    OverflowError,
-    RecursionError,
-)
-"""What the parsers, numpy and our own types raise at a file that is not what it says."""
-
 CHANNELS = ("input_names", "output_names", "input_units", "output_units")
 """Keys that name the channels, in every kind of model file."""
 
@@ -86,6 +75,7 @@ _STRUCTURE = (
     "force_unit",
     "stiffness_tolerance",
     "damping_tolerance",
+    "mass_tolerance",
 )
 _KEYS = {
     "a chain": ("masses", "stiffnesses", "dampings", "force_dofs", "sensor_dofs", *_STRUCTURE),
@@ -183,17 +173,12 @@ def read_model(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE)
         raise UnreadableFileError(f"there is no file {path}; give the path of a model file.")
     if ending == ".py":
         return _run(path)
-    try:
-        return _model_of(readers[ending](path), catalogue=catalogue)
-    except UnreadableFileError:
-        raise
-    except InvalidDataError as error:
-        raise UnreadableFileError(f"{path}: {error}") from error
-    except _DAMAGE as error:
-        words = " ".join(str(error).split()).rstrip(".")
-        raise UnreadableFileError(
-            f"{path} is damaged or no model file ({words or type(error).__name__}); save or write it again."
-        ) from error
+    with foreign(path, "model file"):
+        document = readers[ending](path)
+        try:
+            return _model_of(document, catalogue=catalogue)
+        except InvalidDataError as error:
+            raise UnreadableFileError(f"{path}: {error}") from error
 
 
 def write_model(model: "KeptModel", path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
@@ -280,27 +265,11 @@ def _with_numbers(value: Any) -> Any:
 
 def _read_npz(path: Path) -> Any:
     document: dict[str, Any] = {}
-    with zipfile.ZipFile(path) as archive:
-        size = sum(member.file_size for member in archive.infolist())
-        if size > _MOST_ARRAYS:
-            raise UnreadableFileError(f"{path} unpacks to {size} bytes, and a model to at most {_MOST_ARRAYS}.")
+    with sound_archive(path, most=_MOST_ARRAYS) as archive:
         for member in archive.infolist():
-            name = member.filename.removesuffix(".npy")
-            document[name] = _plain(_array(archive, member))
+            document[member.filename.removesuffix(".npy")] = _plain(array_of(archive.read(member)))
     options = document.pop(_OPTIONS, "{}")
     return {**_with_numbers(json.loads(options)), **document}
-
-
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """One array, of which the header must not ask for more than the member holds."""
-    with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, _, dtype = read_header[version](stream)
-        if dtype.hasobject or math.prod(shape) * dtype.itemsize > member.file_size:
-            raise ValueError(f"{member.filename} is no plain array")
-    with archive.open(member) as stream:
-        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
 
 def _plain(array: npt.NDArray[Any]) -> Any:
@@ -379,6 +348,8 @@ def _document_of(model: "StructuralModel | PlantModel") -> dict[str, Any]:
         document |= {name: list(getattr(model, name)) for name in ("sensor_kind", *CHANNELS)}
         document |= {name: getattr(model, name) for name in ("length_unit", "force_unit")}
         document |= {name: getattr(model, name) for name in ("stiffness_tolerance", "damping_tolerance")}
+        if model.mass_tolerance is not None:
+            document["mass_tolerance"] = model.mass_tolerance
         document["elements"] = [_table_of(element) for element in model.elements]
         if model.base_motion is not None:
             document["base_motion"] = model.base_motion
@@ -458,7 +429,8 @@ def _check_keys(kind: str, given: Mapping[str, Any]) -> None:
     unknown = [str(key) for key in given if key not in _KEYS[kind]]
     if unknown:
         raise InvalidDataError(
-            f"{kind} has no key {', '.join(unknown)}; the keys are {', '.join(dict.fromkeys(_KEYS[kind]))}, effects."
+            f"{kind} has no key {shorten(', '.join(unknown), 200)}; the keys are "
+            f"{', '.join(dict.fromkeys(_KEYS[kind]))}, effects."
         )
     missing = [key for key in _NEEDED[kind] if key not in given]
     if missing:
@@ -542,13 +514,14 @@ def _plant(given: Mapping[str, Any]) -> "PlantModel":
         _check_table(one, LinearParameter, "a linear parameter")
     for one in given["ports"]:
         _check_table(one, Port, "a port")
+    channels: dict[str, Any] = {name: tuple(given[name]) for name in CHANNELS}
     plant = Plant(
         system=given["system"],
         n_states=int(given["n_states"]),
         n_inputs=int(given["n_inputs"]),
         parameters=tuple(LinearParameter(**one) for one in given["parameters"]),
         ports=tuple(_port(one) for one in given["ports"]),
-        **{name: tuple(given[name]) for name in CHANNELS},
+        **channels,
     )
     _check_plant(plant)
     return cast("PlantModel", KeptModel.types["PlantModel"](plant, linear=linear))

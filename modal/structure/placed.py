@@ -9,13 +9,14 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, ForceEffect, InputEffect, ParameterKind, SensorEffect
 from modal.simulation.plant import Plant
 from okid.arrays import real_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 __all__ = ["PlacedEffect", "placed_effect", "possible_places"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlacedEffect:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class PlacedEffect(Displayed):
     """An effect at a place of a model.
 
     Attributes:
@@ -91,7 +92,7 @@ def placed_effect(
     """
     if not isinstance(effect, Effect) and effect not in CATALOGUE:
         raise InvalidDataError(f"there is no effect {effect!r} in the catalogue; it holds {', '.join(CATALOGUE)}.")
-    kind = effect if isinstance(effect, Effect) else CATALOGUE[effect]
+    kind = (effect if isinstance(effect, Effect) else CATALOGUE[effect]).with_values(values)
     possible = possible_places(plant, kind)
     if where not in possible:
         everywhere = [port.name for port in plant.ports] + [*plant.input_names, *plant.output_names]

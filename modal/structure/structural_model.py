@@ -67,6 +67,8 @@ class StructuralModel(KeptModel):
             within a factor 1 + 3 stiffness_tolerance of the nominal one.
         damping_tolerance: Likewise for each damping. Where the damping of a spring is 0, the standard deviation is 2 %
             of its critical damping, and the calibrated value lies between 0 and three of them.
+        mass_tolerance: Likewise for each mass, where the records tell that it is wrong; 0 for masses that are right.
+            Unless given 0.1, and 0 for a single DOF, of which a wrong mass and a wrong gain are the same number.
         effects: That were added by `with_effect`.
 
     Raises:
@@ -99,6 +101,7 @@ class StructuralModel(KeptModel):
     force_unit: str = "N"
     stiffness_tolerance: float = 0.1
     damping_tolerance: float = 0.5
+    mass_tolerance: float | None = None
     effects: tuple["PlacedEffect", ...] = ()
 
     if TYPE_CHECKING:  # what the fields are made from; at run time the constructor is the dataclass's own
@@ -122,6 +125,7 @@ class StructuralModel(KeptModel):
             force_unit: str = "N",
             stiffness_tolerance: float = 0.1,
             damping_tolerance: float = 0.5,
+            mass_tolerance: float | None = None,
             effects: Sequence["PlacedEffect"] = (),
         ) -> None: ...
 
@@ -152,6 +156,8 @@ class StructuralModel(KeptModel):
             set_(self, name, words)
         for name in ("stiffness_tolerance", "damping_tolerance"):
             set_(self, name, tolerance(getattr(self, name), name=name))
+        if self.mass_tolerance is not None and self.mass_tolerance != 0:
+            set_(self, "mass_tolerance", tolerance(self.mass_tolerance, name="mass_tolerance"))
         set_(self, "effects", tuple(self.effects))
 
     def __repr__(self) -> str:
@@ -180,6 +186,7 @@ class StructuralModel(KeptModel):
         force_unit: str = "N",
         stiffness_tolerance: float = 0.1,
         damping_tolerance: float = 0.5,
+        mass_tolerance: float | None = None,
     ) -> "StructuralModel":
         """A chain of masses: "element_0" joins mass 0 and the ground, "element_e" mass e - 1 and mass e.
 
@@ -200,6 +207,7 @@ class StructuralModel(KeptModel):
             force_unit: As in the class.
             stiffness_tolerance: As in the class.
             damping_tolerance: As in the class.
+            mass_tolerance: As in the class.
 
         Raises:
             InvalidDataError: Not one stiffness and one damping a mass, a DOF that is not there, or what the class
@@ -231,6 +239,7 @@ class StructuralModel(KeptModel):
             force_unit=force_unit,
             stiffness_tolerance=stiffness_tolerance,
             damping_tolerance=damping_tolerance,
+            mass_tolerance=mass_tolerance,
         )
 
     @property

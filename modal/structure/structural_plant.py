@@ -8,17 +8,19 @@ displacement is no state: nothing depends on it, and an integrator would drift f
 
 Uncertain are the stiffness and the damping of the elements; where the elements do not make up K (or C), those of the
 modes: K = M Phi diag(k) Phi' M with Phi' M Phi = I, of which each k may be wrong, the shapes may not. Masses are taken
-as right: a common factor on M, C, K is an input gain, and one on M alone is one on C and K.
+as right until the records tell otherwise (`Plant.masses`): a common factor on M, C, K is an input gain, and with one
+DOF one on M alone is one on C and K.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from modal.simulation.plant import LinearParameter, Plant, Port
+from modal.simulation.plant import MASS, LinearParameter, Mass, Plant, Port
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.elements import relative_vector
 from okid.arrays import FloatArray
@@ -47,12 +49,13 @@ class Change:
     stiffness: FloatArray | None = None
 
 
-def updated_structure(model: "StructuralModel", linear: FloatArray) -> "StructuralModel":
-    """The model with its stiffnesses and dampings at other values of its linear parameters; effects stay.
+def updated_structure(model: "StructuralModel", linear: FloatArray, masses: Sequence[str] = ()) -> "StructuralModel":
+    """The model with its stiffnesses, dampings and masses at other values; effects stay.
 
     Args:
         model: The model as it was given.
-        linear: (n_parameters,) values in the order of `structural_plant(model).parameters`.
+        linear: (n_parameters,) values in the order of `structural_plant(model).parameters`, then of the masses.
+        masses: Names of the masses that were released, in the order of their values.
 
     Example:
         >>> from modal.structure.structural_model import StructuralModel
@@ -62,8 +65,8 @@ def updated_structure(model: "StructuralModel", linear: FloatArray) -> "Structur
     """
     changes = _stiffness_changes(model) + _damping_changes(model)
     stiffness, damping = model.stiffness.copy(), model.damping.copy()
-    new = {change.parameter.name: float(value) for change, value in zip(changes, linear, strict=True)}
-    for change, value in zip(changes, linear, strict=True):
+    new = {change.parameter.name: float(value) for change, value in zip(changes, linear, strict=False)}
+    for change, value in zip(changes, linear, strict=False):
         if change.stiffness is not None:
             stiffness += (value - change.parameter.nominal) * change.stiffness
         if change.damping is not None:
@@ -76,7 +79,51 @@ def updated_structure(model: "StructuralModel", linear: FloatArray) -> "Structur
         )
         for element in model.elements
     )
-    return replace(model, stiffness=stiffness, damping=damping, elements=elements)
+    mass = model.mass.copy()
+    for name, value in zip(masses, linear[len(changes) :], strict=True):
+        dof = _mass_names(model).index(name)
+        mass[dof, dof] = value
+    return replace(model, mass=mass, stiffness=stiffness, damping=damping, elements=elements)
+
+
+_MASS_TOLERANCE = 0.1
+"""Take masses of a structure to be known as well as its stiffnesses unless the user says how well."""
+
+
+def _mass_names(model: "StructuralModel") -> list[str]:
+    return [f"{MASS}dof_{i}" for i in range(model.n_dofs)]
+
+
+def _masses(model: "StructuralModel", kept: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Mass, ...]:
+    """What may be wrong on the diagonal of the mass matrix, which stays positive definite within the bounds.
+
+    With one DOF a wrong mass is a wrong gain beside a wrong stiffness and damping: only who says how well the mass is
+    known lets it go.
+    """
+    tolerance = model.mass_tolerance
+    if tolerance is None:
+        tolerance = _MASS_TOLERANCE if model.n_dofs > 1 else 0.0
+    if tolerance == 0.0 or model.n_dofs > _MOST_MODES:
+        return ()
+    sizes = np.diag(model.mass)
+    definite = float(np.linalg.eigvalsh(model.mass / np.sqrt(np.outer(sizes, sizes)))[0])
+    unit = f"{model.force_unit} s^2/{model.length_unit}"
+    found = []
+    for i, (name, size) in enumerate(zip(_mass_names(model), sizes, strict=True)):
+        inertia, system = np.zeros((shape[0] - model.n_outputs,) * 2), np.zeros(shape)
+        row = len(kept) + i
+        inertia[row, row] = 1.0
+        if model.base_motion is not None:
+            system[row, len(inertia) : len(inertia) + model.n_inputs] = -model.base_motion[i]
+        plain = _within(name, "kg" if unit == "N s^2/m" else unit, float(size), tolerance)
+        parameter = replace(
+            plain,
+            deviation=definite * plain.deviation,
+            lower=size - definite * (size - plain.lower),
+            upper=size + definite * (plain.upper - size),
+        )
+        found.append(Mass(parameter=parameter, system=system, inertia=inertia))
+    return tuple(found)
 
 
 def _stiffness_changes(model: "StructuralModel") -> tuple[Change, ...]:
@@ -187,9 +234,9 @@ def structural_plant(model: "StructuralModel") -> Plant:
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)
         >>> plant = structural_plant(model)
         >>> plant.system[0].round(3), [parameter.name for parameter in plant.parameters]
-        (array([[ 0. ,  1. ,  0. ,  0. ],
-               [ 0. ,  0. ,  0.5, -0.5],
-               [ 1. ,  0. ,  0. ,  0. ]]), ['stiffness of element_0', 'damping of element_0'])
+        (array([[ 0.,  1.,  0.,  0.],
+               [ 0.,  0.,  1., -1.],
+               [ 1.,  0.,  0.,  0.]]), ['stiffness of element_0', 'damping of element_0'])
     """
     kept = _kept_displacements(model)
     places = _places(model)
@@ -205,7 +252,6 @@ def structural_plant(model: "StructuralModel") -> Plant:
     zero = np.zeros_like(model.mass)
     slopes = [
         _restoring(
-            model,
             kept,
             damping=zero if change.damping is None else change.damping,
             stiffness=zero if change.stiffness is None else change.stiffness,
@@ -213,7 +259,15 @@ def structural_plant(model: "StructuralModel") -> Plant:
         )
         for change in changes
     ]
+    inertia = np.zeros((1 + len(changes), len(kept) + model.n_dofs, len(kept) + model.n_dofs))
+    inertia[0] = scipy.linalg.block_diag(np.eye(len(kept)), model.mass)
+    rates = np.zeros((model.n_outputs, inertia.shape[1]))
+    accelerations = [i for i, kind in enumerate(model.sensor_kind) if kind == "acceleration"]
+    rates[accelerations, len(kept) :] = model.sensor_map[accelerations]
     return Plant(
+        inertia=inertia,
+        rates=rates if accelerations else None,
+        masses=_masses(model, kept, constant.shape),
         system=np.stack([constant, *slopes]),
         n_states=len(kept) + model.n_dofs,
         n_inputs=model.n_inputs,
@@ -241,41 +295,31 @@ def _kept_displacements(model: "StructuralModel") -> tuple[int, ...]:
 def _assemble(
     model: "StructuralModel", kept: tuple[int, ...], *, damping: FloatArray, stiffness: FloatArray, joins: FloatArray
 ) -> FloatArray:
-    """[[A, B, E], [C, D, G]] for the given C and K."""
-    n_kept, n_dofs, n_inputs = len(kept), model.n_dofs, model.n_inputs
-    n_states = n_kept + n_dofs
+    """[F; H] for the given C and K: rates of the displacements, forces on the DOFs, outputs but for accelerations."""
+    n_kept, n_inputs = len(kept), model.n_inputs
+    n_states = n_kept + model.n_dofs
     system = np.zeros((n_states + model.n_outputs, n_states + n_inputs + joins.shape[1]))
     system[np.arange(n_kept), n_kept + np.array(kept, dtype=int)] = 1.0
-    driven = np.linalg.solve(model.mass, np.hstack([model.force_map, -joins]))  # absolute acceleration by u and w
-    system[n_kept:n_states, n_states:] = driven
+    system[n_kept:n_states, n_states:] = np.hstack([model.force_map, -joins])
     if model.base_motion is not None:
-        system[n_kept:n_states, n_states : n_states + n_inputs] -= model.base_motion
+        system[n_kept:n_states, n_states : n_states + n_inputs] -= model.mass @ model.base_motion
     for output, (row, kind) in enumerate(zip(model.sensor_map, model.sensor_kind, strict=True)):
         if kind == "displacement":
             system[n_states + output, :n_kept] = row[list(kept)]
         elif kind == "velocity":
             system[n_states + output, n_kept:n_states] = row
-        else:
-            system[n_states + output, n_states:] = row @ driven
-    return system + _restoring(model, kept, damping=damping, stiffness=stiffness, shape=system.shape)
+        elif model.base_motion is not None:  # the absolute one
+            system[n_states + output, n_states : n_states + n_inputs] = row @ model.base_motion
+    return system + _restoring(kept, damping=damping, stiffness=stiffness, shape=system.shape)
 
 
 def _restoring(
-    model: "StructuralModel",
-    kept: tuple[int, ...],
-    *,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    shape: tuple[int, ...],
+    kept: tuple[int, ...], *, damping: FloatArray, stiffness: FloatArray, shape: tuple[int, ...]
 ) -> FloatArray:
-    """What C and K put into [[A, B, E], [C, D, G]]; linear in them."""
-    n_kept, n_states = len(kept), len(kept) + model.n_dofs
+    """What C and K put into [F; H]; linear in them."""
+    n_kept, n_states = len(kept), len(kept) + len(stiffness)
     system = np.zeros(shape)
-    acceleration = -np.linalg.solve(model.mass, np.hstack([stiffness[:, list(kept)], damping]))
-    system[n_kept:n_states, :n_states] = acceleration
-    for output, (row, kind) in enumerate(zip(model.sensor_map, model.sensor_kind, strict=True)):
-        if kind == "acceleration":
-            system[n_states + output, :n_states] = row @ acceleration
+    system[n_kept:n_states, :n_states] = -np.hstack([stiffness[:, list(kept)], damping])
     return system
 
 

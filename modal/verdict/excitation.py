@@ -3,9 +3,14 @@
 A periodic disturbance is found again in every part of a record, as an undamped pole, and the fit gives it some
 participation by chance. On rows that the model has not seen, that participation only does harm: the free run is better
 without it. For a mode that the input drives it gets worse.
+
+Tones are lines too. A shaker that plays a few of them determines the response at so many frequencies and nowhere else;
+poles that stand on them, or anywhere between, explain the record as well as the modes do. What tells a mode is its
+answer between the lines: to what else the force holds, and to the tones' beginnings and ends.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +18,13 @@ from numpy.typing import NDArray
 from era.state_recursion import PoleRecursion
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
+from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
+from modal.wording.numbers import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
+from okid.rows import runs_of
 
-__all__ = ["driven_gain", "undriven_doubt"]
+__all__ = ["BetweenLines", "between_lines", "driven_gain", "line_doubt", "undriven_doubt"]
 
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
@@ -24,6 +32,16 @@ DEVIATIONS = 3.0
 """Standard deviations by which the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
+LINES_A_STATE = 3
+"""Take lines for a broad band where there are so many a state of the model: three numbers an unknown, as rows have."""
+NEARLY_ALL = 0.99
+"""Count the strongest lines that hold this share of their power: a fit at best tells a hundredth."""
+LEAST_BESIDE = 5.0
+"""Ask for this F ratio beside the lines: below it what the inputs make a mode do may be chance."""
+MOST_SHOWN = 6
+"""Name so many lines in a sentence."""
+MOSTLY = 0.5
+"""Call an input one of lines where they hold more than this share of its power."""
 
 
 def driven_gain(
@@ -99,6 +117,109 @@ def _response(drive: ComplexArray, pole: complex, shape: ComplexArray, kept: Boo
     return (states[0, kept, np.newaxis] * shape).real
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BetweenLines:
+    """What inputs of a few lines tell of each mode.
+
+    Attributes:
+        lines: (n_lines,) [Hz], by rising frequency.
+        gain: (n_modes,) as `driven_gain`, on the frequencies within twice the mode's half-power bandwidth that are no
+            line.
+        n_values: (n_modes,) independent values that it was taken on, all outputs together.
+    """
+
+    lines: FloatArray
+    gain: FloatArray
+    n_values: NDArray[np.intp]
+
+    @property
+    def shown(self) -> str:
+        """The lines in words."""
+        which = listed([hertz(line) for line in self.lines[:MOST_SHOWN]])
+        return f"{counted(self.lines.size)} line{'s' * (self.lines.size > 1)} ({which} Hz)" if (
+            self.lines.size <= MOST_SHOWN
+        ) else f"{self.lines.size} lines"  # fmt: skip
+
+
+def between_lines(
+    model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
+) -> BetweenLines | None:
+    """The evidence of each mode beside the lines of the inputs; None where these are not a few lines.
+
+    The gain of `driven_gain` in the frequency domain (Parseval, Blackman-Harris window), near the mode's frequency and
+    without the lines and what the window makes of them.
+
+    Args:
+        model: modes of the model that ran.
+        records: that it ran through.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+        output_scale: (n_outputs,) sizes of the outputs.
+    """
+    modes = model.modes
+    if not modes or not records[0].n_inputs:
+        return None
+    looked = [_line_bins(np.nan_to_num(record.inputs)) for record in records]
+    poles, is_pair = discrete_poles(modes, model.dt)
+    lines = _lines(looked, records)
+    few = 0 < lines.size < LINES_A_STATE * int(np.where(is_pair, 2, 1).sum())
+    if not few or max(one.share for one in looked) < MOSTLY:
+        return None
+    with_it, without, n_values = np.zeros(len(modes)), np.zeros(len(modes)), np.zeros(len(modes), dtype=np.intp)
+    for record, errors, one in zip(records, left, looked, strict=True):
+        n = record.n_samples
+        between: BoolArray = np.convolve(one.bins, np.ones(2 * MAIN_LOBE + 1), mode="same") == 0
+        frequencies = np.fft.rfftfreq(n, record.dt)
+        there: BoolArray = np.asarray(np.isfinite(errors).all(axis=1))
+        window = np.where(there, blackman_harris(n), 0.0)[:, np.newaxis]
+        rest = np.fft.rfft(window * np.where(there[:, np.newaxis], errors / output_scale, 0.0), axis=0)
+        inputs, every = np.nan_to_num(record.inputs), np.ones(n, dtype=np.bool_)
+        for i, mode in enumerate(modes):
+            reach = max(2.0 * mode.damping_ratio * mode.frequency, (MAIN_LOBE + 1) / (n * record.dt))
+            near = (np.abs(frequencies - mode.frequency) <= reach) & between
+            if mode.kind == "unstable" or not near.any():
+                continue
+            weight = 2.0 if is_pair[i] else 1.0
+            part = _response(inputs @ mode.participation, complex(poles[i]), weight * mode.shape, every) / output_scale
+            with_it[i] += np.square(np.abs(rest[near])).sum()
+            without[i] += np.square(np.abs((rest + np.fft.rfft(window * part, axis=0))[near])).sum()
+            # a frequency holds two numbers, and the window makes neighbours alike two by two
+            n_values[i] += int(near.sum()) * output_scale.size
+    gain = 1.0 - with_it / np.maximum(without, np.finfo(float).tiny)
+    return BetweenLines(lines=lines, gain=np.where(n_values > 0, gain, np.nan), n_values=n_values)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Lines:
+    """Where any input of a record has a line: (n_frequencies,) each; the power there, and its largest share."""
+
+    bins: BoolArray
+    power: FloatArray
+    share: float
+
+
+def _line_bins(inputs: FloatArray) -> _Lines:
+    bins, spectra = line_bins(inputs)
+    power = np.where(bins, spectra, 0.0)
+    return _Lines(
+        bins=np.asarray(bins.any(axis=1), dtype=np.bool_), power=power.sum(axis=1), share=float(power.sum(axis=0).max())
+    )
+
+
+def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:
+    """(n_lines,) [Hz] that hold nearly all of the lines' power; what the window cannot tell apart is one."""
+    frequency, power = np.empty(0), np.empty(0)
+    for one, record in zip(looked, records, strict=True):
+        for first, last in runs_of(one.bins):
+            peak = first + int(one.power[first:last].argmax())
+            frequency = np.append(frequency, peak / record.duration)
+            power = np.append(power, one.power[first:last].sum())
+    order = np.argsort(-power)
+    enough = 1 + int(np.searchsorted(np.cumsum(power[order]), NEARLY_ALL * power.sum()))
+    kept = np.sort(frequency[order[:enough]])
+    apart = MAIN_LOBE / min(record.duration for record in records)
+    return kept[np.diff(kept, prepend=-np.inf) > apart]
+
+
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
     """Why a mode may be no answer to the input, in words; empty where there is no doubt.
 
@@ -129,3 +250,15 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
             how = f"perhaps an undamped line: its decay over {duration:.4g} s may be as little as {share:.2g} %"
         return (f"{how}: periodic disturbance?",)
     return ()
+
+
+def line_doubt(lines: BetweenLines | None, ratio: float) -> tuple[str, ...]:
+    """Why a mode may be no more than what a few lines of the drive leave open, in words.
+
+    Args:
+        lines: of the inputs; None where they are no few lines.
+        ratio: F ratio of the mode beside them, nan where nothing of its band lies beside them.
+    """
+    if lines is None or ratio >= LEAST_BESIDE:
+        return ()
+    return (f"the inputs are {lines.shown}, and beside them nothing shows it: a fit to the lines, not a mode",)

@@ -29,13 +29,13 @@ from modal.modes.mode import ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
     Pulses,
     Repeatability,
-    assurance,
     energies,
     inner_products,
     pulses,
     repeatability,
 )
-from modal.verdict.excitation import undriven_doubt
+from modal.modes.shape_sets import assurance
+from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     colour_doubt,
     damping_doubt,
@@ -179,12 +179,14 @@ def judge(
     reruns: Reruns,
     *,
     fit: float = np.nan,
+    missed: float = np.nan,
     observer_order: int | None = None,
     ridge: float = 0.0,
     refinement_steps: int = 0,
     duration: float = np.nan,
     excitation: Excitation | None = None,
     gain: FloatArray | None = None,
+    lines: BetweenLines | None = None,
     n_values: int = 0,
     edge: float = np.inf,
 ) -> ModalModel:
@@ -201,7 +203,8 @@ def judge(
     Args:
         model: from `modal.extract_modes`.
         reruns: the same identified again.
-        fit: cross-validated free-run fit of the model, mean over outputs; nan where unknown.
+        fit: cross-validated fit of the model, mean over outputs, where there are no inputs; nan where unknown.
+        missed: share of what the inputs explain that the model leaves; nan where unknown.
         observer_order: samples that the observer spans; None for measured Markov parameters.
         ridge: of the observer fit.
         refinement_steps: output-error refinement steps made after the observer fit.
@@ -209,6 +212,7 @@ def judge(
         excitation: what the inputs allow; None without inputs.
         gain: (n_modes,) share of the free-run error that each mode removes (`modal.verdict.excitation`); None where
             unknown.
+        lines: what inputs of a few lines tell of each mode; None where they are no lines.
         n_values: measured values, rows times outputs, that the gain was taken on.
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
 
@@ -238,11 +242,15 @@ def judge(
         numbers = {group: float(values[i]) for group, values in parts.items()}
         own_gain = np.nan if gain is None else float(gain[i])
         ratio = f_ratio(mode, own_gain, n_values)
+        beside = np.nan if lines is None else f_ratio(mode, float(lines.gain[i]), int(lines.n_values[i]))
+        ratio = float(np.fmin(ratio, beside))  # no more certain than the excitation at its frequency allows
         p = probability(float(r[i]), ratio)
+        held_out = _mean_gain(found, reruns, i)
         undriven = (
-            *undriven_doubt(mode, _mean_gain(found, reruns, i), duration),
+            *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
             *unexcited_doubt(mode, excitation),
+            *line_doubt(lines, beside),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
         words = (*resonance.get(i, ()), *words)
@@ -250,16 +258,16 @@ def judge(
             words = (f"second pole of the mode at {model.modes[primary[i]].frequency:.4g} Hz", *words)
             verdict = "doubtful" if verdict == "system" else verdict
         doubts = (
-            *poor_fit_doubt(fit),
+            *poor_fit_doubt(fit, missed),
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
             *colour_doubt(mode),
             *delay_doubt(mode, model.dt),
         )
-        if undriven:
-            p = min(p, DOUBTED)
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
+        if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing
+            p = min(p, DOUBTED)
         doubt = damping_doubt(
             mode,
             span=np.inf if observer_order is None else observer_order * model.dt * mode.frequency,
@@ -340,7 +348,7 @@ def _mean_gain(found: Repeatability, reruns: Reruns, index: int) -> float:
         for i, run in enumerate(reruns.runs)
         if run.gain is not None and found.continuation[i, index] >= 0
     ]
-    return float(np.mean(gains)) if gains else np.nan
+    return float(np.nanmean(gains)) if np.isfinite(gains).any() else np.nan
 
 
 def _primary(modes: tuple[Mode, ...], reference: Pulses, r: FloatArray, n_steps: int) -> list[int]:

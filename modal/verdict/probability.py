@@ -70,7 +70,9 @@ def probability(r: float, ratio: float = np.nan) -> float:
 
 
 LEAST_FIT = 0.5
-"""Cross-validated fit below which the model does not explain the data."""
+"""Doubt all modes without inputs below this cross-validated fit one step ahead."""
+MOST_MISSED = 0.5
+"""Doubt all modes of a model that leaves more of what the inputs explain than it explains."""
 LARGEST_UNDRIVEN_DAMPING = 0.05
 """Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
 CLEAR_GAIN = 0.03
@@ -81,13 +83,23 @@ LEAST_MEMORY = 0.3
 """Magnitude of a discrete pole below which nine tenths of its response are over after two samples."""
 
 
-def poor_fit_doubt(fit: float) -> tuple[str, ...]:
-    """The model does not explain the data (nan: not known, no doubt).
+def poor_fit_doubt(fit: float, missed: float = np.nan) -> tuple[str, ...]:
+    """The model leaves more than it explains of what can be explained (nan: not known, no doubt).
+
+    Low fit is not error: noise and forces that were not measured lower it, and say nothing against a mode that was
+    found again and driven. With inputs it is asked what the free run leaves of what follows them; without, one step
+    ahead is all that can be asked.
+
+    Args:
+        fit: cross-validated, without inputs; nan with inputs.
+        missed: share of what the inputs explain that the model leaves (`modal.preparation.band.missed_share`).
 
     Example:
         >>> poor_fit_doubt(0.319)
         ("the model explains only 31 % of the outputs' motion on held-out data: no mode of it is certain",)
     """
+    if missed > MOST_MISSED:
+        return (f"the model leaves {100 * missed:.0f} % of what the inputs explain: no mode of it is certain",)
     if not fit < LEAST_FIT:
         return ()
     share = "nothing" if fit < 0.01 else f"only {np.floor(100 * fit):.0f} %"

@@ -12,19 +12,19 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
-from modal.estimation.cross_validation import hankel_limits, markov_lags, scaled_model, scaled_record
+from modal.estimation.cross_validation import Folds, hankel_limits, markov_lags, scaled_model, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters
-from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import NONE, OutputError, refine
+from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of
+from modal.estimation.output_error import NONE, OutputError, RefinementStep, refine
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
 from modal.verdict.judgement import Rerun, Reruns
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
-from okid.gram import LagGram, lag_gram
+from okid.gram import LagGram, lag_gram, turn_gram
 from okid.least_squares import solve
 from okid.markov import recover_markov
 from okid.observer import observer_fit
@@ -54,6 +54,8 @@ def repeat(
     model_order: int,
     decomposition: HankelDecomposition,
     refinement_steps: int = 0,
+    folds: Folds = "blocks",
+    refined: Realisation | None = None,
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -67,32 +69,44 @@ def repeat(
         model_order: of the model.
         decomposition: that the model was cut from; gives the other model orders.
         refinement_steps: of the model.
+        folds: halves of interleaved "blocks", or every second of the "rows".
+        refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
+            from the model as well and keeps what suits its own rows better.
     """
     scaling = channel_scaling(records)
-    first_half = tuple(_every_second_block(record.n_samples) for record in records)
     whole = lag_gram(records, observer_order, scaling=scaling)
-    one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
+    if folds == "rows":
+        first_half = tuple(np.arange(record.n_samples) % 2 == 0 for record in records)
+        one = turn_gram(records, observer_order, scaling=scaling, n_turns=2, turn=0)
+    else:
+        first_half = tuple(_every_second_block(record.n_samples) for record in records)
+        one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
     other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
     other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
     dt = records[0].dt
     runs = []
     second_half = tuple(~rows for rows in first_half)
-    again = _refinement(records, scaling, (first_half, second_half), min(refinement_steps, STEPS_AGAIN))
+    if folds == "rows":
+        blocks = blocks_by_turns(records, 2)
+    else:
+        blocks = blocks_of(records, [[runs_of(rows) for rows in half] for half in (first_half, second_half)])
+    again = _refinement(records, scaling, blocks, min(refinement_steps, STEPS_AGAIN))
     for half, (label, gram, unseen) in enumerate(
         (("first half", one, second_half), ("second half", whole - one, first_half))
     ):
         model = _model(_carried(gram, model_order), ridge, scaling, dt, model_order)
         if model is not None:
-            model = _refined(model, again, held_out=1 - half)
+            starts = (model,) if folds == "blocks" or refined is None else (model, refined)
+            model = _refined(starts, again, held_out=1 - half)
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, model_order)
     if model is not None:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        runs.append(Rerun(label=label, change="observer", modes=extract_modes(_refined(model, again))))
+        runs.append(Rerun(label=label, change="observer", modes=extract_modes(_refined((model,), again))))
     for n in _other_orders(model_order, min(decomposition.rank, decomposition.max_order)):
-        modes = extract_modes(_refined(realise_from(decomposition, n), again))
+        modes = extract_modes(_refined((realise_from(decomposition, n),), again))
         runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
     return Reruns(
         runs=tuple(runs),
@@ -112,26 +126,25 @@ class _Refinement:
 
 
 def _refinement(
-    records: Sequence[Record], scaling: ChannelScaling, halves: Sequence[Sequence[BoolArray]], n_steps: int
+    records: Sequence[Record], scaling: ChannelScaling, blocks: tuple[Block, ...], n_steps: int
 ) -> _Refinement:
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
-    data = OutputError(
-        records=scaled,
-        rows=tuple(record.complete_rows() for record in records),
-        blocks=blocks_of(scaled, [[runs_of(rows) for rows in half] for half in halves]),
-    )
+    data = OutputError(records=scaled, rows=tuple(record.complete_rows() for record in records), blocks=blocks)
     return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
 
 
-def _refined(model: Realisation, again: _Refinement, *, held_out: int = NONE) -> Realisation:
-    """The model after a few steps on the rows that are not held out; as it is without steps or a stable start."""
-    if not again.n_steps:
-        return model
-    start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
-    if start is None:
-        return model
-    last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps)[-1]
-    return in_units(last, model, again.scaling)
+def _refined(models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE) -> Realisation:
+    """The best of the models after a few steps on the rows that are not held out.
+
+    The first as it is without steps or a stable start.
+    """
+    best: tuple[RefinementStep, Realisation] | None = None
+    for model in models if again.n_steps else ():
+        start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
+        if start is not None:
+            last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps)[-1]
+            best = (last, model) if best is None or last.error < best[0].error else best
+    return models[0] if best is None else in_units(*best, again.scaling)
 
 
 def _gain(

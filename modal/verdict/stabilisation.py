@@ -24,6 +24,7 @@ from modal.modes.modal_form import ModalBasis, continuous_poles, largest_compone
 from modal.modes.shape_comparison import Pulses, energies, inner_products, pair_greatest_first, pulses
 from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray, whole_number
+from okid.display import Displayed
 
 __all__ = ["StabilisationPoint", "stabilisation"]
 
@@ -34,8 +35,8 @@ ASKED: tuple[Change, ...] = ("data", "observer")
 orders, is the diagram's own vertical axis."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StabilisationPoint:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class StabilisationPoint(Displayed):
     """One pole of the model of one order, compared with the model of the next lower order.
 
     Attributes:

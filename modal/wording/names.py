@@ -6,28 +6,14 @@ around it. HTML is escaped by the template engine; the rest is done here.
 """
 
 import re
-import unicodedata
+
+from okid.errors import visible
 
 __all__ = ["csv_cell", "escape_markdown", "plot_label", "shorten", "visible"]
-
-_REPLACEMENT = "\N{REPLACEMENT CHARACTER}"
-_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Unicode categories that show nothing themselves but change what is around them (and lone surrogates)."""
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 _MARKDOWN_ALWAYS = re.compile(r"([\\`*\[\]|~$#!@])")
 _MARKDOWN_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
-
-
-def visible(text: str) -> str:
-    r"""The text on one line, each control or direction-changing character replaced by U+FFFD.
-
-    Example:
-        >>> visible("floor\t1"), visible("\x1b[2J") == "\N{REPLACEMENT CHARACTER}[2J"
-        ('floor 1', True)
-    """
-    spaced = re.sub(r"[\t\r\n\v\f]+", " ", text)
-    return "".join(_REPLACEMENT if unicodedata.category(letter) in _HIDDEN else letter for letter in spaced)
 
 
 def shorten(text: str, limit: int) -> str:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
-from okid.readers.joining import records_of_tables, to_record
-from okid.readers.table import Table
+from okid.readers.joining import records_of_tables
+from okid.readers.table import Table, to_record
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record
 
@@ -50,7 +50,7 @@ def read_record(
         InvalidDataError: no such channel, no time step, a time column off the uniform grid by more than 0.1 dt, or
             numbers that cannot be a record.
     """
-    return to_record(read_table(path), inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    return to_record(read_table(path), Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
 
 
 def read_records(
@@ -107,14 +107,15 @@ def read_described(
     """
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    return records, tuple(describe_table(table) for table in tables)
+    return records, tuple(describe_table(table, dt=dt) for table in tables)
 
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
     listed = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
-    double = sorted({str(path) for path in listed if listed.count(path) > 1})
+    files = [path.resolve() for path in listed]  # a link to a record is that record
+    double = sorted({str(path) for path, file in zip(listed, files, strict=True) if files.count(file) > 1})
     if double:
         raise InvalidDataError(f"{', '.join(double)} is given more than once; a record counts once.")
     return [read_table(path) for path in listed]

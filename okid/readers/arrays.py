@@ -8,20 +8,22 @@ or `t` the time axis. Every other vector is a channel called like the array, eve
 NPY and NPZ. Nothing is ever unpickled: a pickle may run any program.
 """
 
-import zipfile
+import io
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line
+from okid.readers.guard import Damage, check_channel_count, foreign, sound_archive
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
-__all__ = ["Content", "read_npy", "read_npz", "table_from_arrays"]
+__all__ = ["Content", "array_of", "npz_contents", "read_npy", "read_npz", "table_from_arrays"]
 
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""
@@ -155,10 +157,6 @@ def _listed(contents: Mapping[str, Content]) -> str:
     return (", ".join(repr(name) for name in names[:8]) + more) or "nothing"
 
 
-_DAMAGE = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, NotImplementedError, SyntaxError)
-"""What numpy raises for a file that is cut off or is not what its name says."""
-
-
 def read_npy(path: Path) -> Table:
     """One array, (n_samples, n_channels), mapped and not loaded; its channels are column_0, column_1, ...
 
@@ -167,10 +165,9 @@ def read_npy(path: Path) -> Table:
     Raises:
         UnreadableFileError: damaged, pickled, or not an array of numbers.
     """
-    try:
+    with foreign(path, ".npy file"), path.open("rb") as file:
+        _check_header(file, path.stat().st_size)
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except _DAMAGE as error:
-        raise _unreadable(path, error) from error
     if array.dtype.names:
         fields: dict[str, Content] = {name: np.asarray(array[name]) for name in array.dtype.names}
         return table_from_arrays(fields, path=path, file_format="NPY")
@@ -191,32 +188,47 @@ def read_npz(path: Path) -> Table:
     Raises:
         UnreadableFileError: damaged, or an array in it is a pickle.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            check_memory(path, 2.0 * sum(entry.file_size for entry in archive.infolist()))
-        with np.load(path, allow_pickle=False) as arrays:
-            members = {name: arrays[name] for name in arrays.files}
-    except UnreadableFileError:
-        raise
-    except _DAMAGE as error:
-        raise _unreadable(path, error) from error
-    # a member that is no array comes as its bytes: it is nothing to us
-    contents = {name: _content(member) for name, member in members.items() if isinstance(member, np.ndarray)}
-    return table_from_arrays(contents, path=path, file_format="NPZ")
+    return table_from_arrays(npz_contents(path), path=path, file_format="NPZ")
+
+
+def npz_contents(path: Path) -> dict[str, Content]:
+    """The arrays and texts of an NPZ file by name; errors as in `read_npz`."""
+    contents: dict[str, Content] = {}
+    with foreign(path, ".npz file"), sound_archive(path) as archive:
+        for member in archive.infolist():
+            data = archive.read(member)  # whatever it is, its checksum must be right
+            if member.filename.endswith(".npy"):
+                contents[member.filename.removesuffix(".npy")] = _content(array_of(data))
+    return contents
+
+
+def array_of(data: bytes) -> npt.NDArray[np.generic]:
+    """The array that the bytes of an .npy file are.
+
+    Raises:
+        Damage: no array, Python objects, or not as many bytes as the header announces; numpy may raise others.
+    """
+    stream = io.BytesIO(data)
+    _check_header(stream, len(data))
+    stream.seek(0)
+    return np.asarray(np.load(stream, allow_pickle=False))
+
+
+def _check_header(stream: BinaryIO, size: int) -> None:
+    """Raise unless the header accounts for every byte behind it."""
+    start = stream.read(8)
+    if start[:6] != np.lib.format.MAGIC_PREFIX:
+        raise Damage("it does not begin as an array of numpy does")
+    read = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    if dtype.hasobject:
+        raise Damage("it holds Python objects")
+    claimed, there = math.prod(shape) * dtype.itemsize, size - stream.tell()
+    if min(shape, default=0) < 0 or claimed != there:
+        raise Damage(f"its header announces {claimed} bytes of {dtype} in shape {shape}, and {there} follow")
 
 
 def _content(array: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> Content:
     if array.dtype.kind in "US":
         return [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in array.ravel()]
     return array
-
-
-def _unreadable(path: Path, error: Exception) -> UnreadableFileError:
-    if "pickle" in str(error) or "Python objects" in str(error):
-        return UnreadableFileError(
-            f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; save "
-            "plain arrays of numbers."
-        )
-    return UnreadableFileError(
-        f"{path.name} is damaged or is no {path.suffix} file ({first_line(error)}); save or copy it again."
-    )

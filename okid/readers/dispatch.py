@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from okid.errors import UnreadableFileError
 from okid.readers.arrays import read_npy, read_npz
 from okid.readers.guard import check_file
@@ -48,7 +50,8 @@ def read_table(path: str | Path) -> Table:
             f"{', '.join(READERS)}."
         )
     try:
-        table = reader(path)
+        with np.errstate(all="ignore"):  # what is not finite is looked at afterwards
+            table = reader(path)
     except OSError as error:
         raise UnreadableFileError(f"{path} cannot be read ({error.strerror or error}); check the file.") from error
     double = [name for name, count in Counter(table.names).items() if count > 1]
@@ -116,16 +119,17 @@ def describe_file(path: str | Path) -> FileDescription:
     return describe_table(read_table(path))
 
 
-def describe_table(table: Table) -> FileDescription:
+def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
     """The description of a table that has been read already.
 
     Args:
         table: of one file.
+        dt: time step that the caller gives [s]; None to take the file's.
 
     Raises:
-        InvalidDataError: its time column is no uniform grid.
+        InvalidDataError: its time column is no uniform grid, and no time step is given.
     """
-    step, _ = stated_step(table)
+    step = stated_step(table)[0] if dt is None else dt
     columns = [table.columns[index] for index in table.channels()]
     return FileDescription(
         path=table.path,

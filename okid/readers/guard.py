@@ -1,23 +1,118 @@
 """Checks before a file is opened: is it there, is it a file, does it fit into memory, is its library installed."""
 
+import contextlib
 import importlib
+import math
 import os
 import stat
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from okid.errors import UnreadableFileError
+import numpy as np
 
-__all__ = ["MAX_CHANNELS", "check_channel_count", "check_file", "check_memory", "first_line", "optional_package"]
+from okid.errors import UnreadableFileError, quiet, visible
+
+__all__ = [
+    "DEFLATE_RATIO",
+    "MAX_CHANNELS",
+    "MAX_DEPTH",
+    "MAX_MEMBERS",
+    "Damage",
+    "check_channel_count",
+    "check_file",
+    "check_memory",
+    "first_line",
+    "foreign",
+    "memory_budget",
+    "optional_package",
+    "sound_archive",
+]
 
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
+
+MAX_MEMBERS = 2 * MAX_CHANNELS
+"""Refuse a file of more arrays: each channel may have one and its name another."""
+
+MAX_DEPTH = 4
+"""Look into no structure within more structures."""
+
+DEFLATE_RATIO = 1032
+"""Refuse compressed data that claim to unpack to more times their size: deflate has no shorter code than two bits for
+258 bytes."""
 
 LONGEST_PATH = 200
 """Letters of a path in a sentence."""
 
 MEMORY_SHARE = 0.8
-"""Share of the machine's memory that reading one file may take."""
+"""Share of the memory that reading one file may take."""
+
+CGROUPS, CGROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+
+
+class Damage(Exception):  # noqa: N818 - it never leaves the boundary
+    """What a reader of ours finds wrong with the bytes of a file."""
+
+
+@contextlib.contextmanager
+def foreign(path: Path, kind: str) -> Iterator[None]:
+    """The boundary around a format's library: whatever it raises becomes one sentence, and its warnings are not shown.
+
+    Args:
+        path: of the file.
+        kind: of file, in words.
+
+    Raises:
+        UnreadableFileError: the library, or one of our own types at what it gave, raised an error.
+    """
+    try:
+        with quiet(), np.errstate(all="ignore"):
+            yield
+    except UnreadableFileError:
+        raise
+    except Exception as error:
+        if "pickle" in str(error) or "Python objects" in str(error):
+            raise UnreadableFileError(
+                f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; "
+                "save plain arrays of numbers."
+            ) from error
+        raise UnreadableFileError(
+            f"{path.name} is damaged, cut off or no {kind} ({first_line(error)}); save or copy it again."
+        ) from error
+
+
+@contextlib.contextmanager
+def sound_archive(path: Path, *, most: float | None = None) -> Iterator[zipfile.ZipFile]:
+    """A ZIP archive whose table of contents claims nothing that cannot be, looked at before a member is unpacked.
+
+    Args:
+        path: of the file.
+        most: bytes that its members may unpack to; None: what memory holds twice.
+
+    Raises:
+        UnreadableFileError: encrypted, too large, or members that claim more than their bytes can hold.
+    """
+    with zipfile.ZipFile(path) as archive:
+        if archive.fp is None or archive.fp.seek(0) or archive.fp.read(2) != b"PK":
+            raise Damage("it does not begin as an archive")
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if any(member.flag_bits & 1 for member in members):
+            raise UnreadableFileError(f"{path.name} is encrypted; save it without a password.")
+        if len({member.filename for member in members}) < len(members) or len(members) > MAX_MEMBERS:
+            raise Damage(f"its {len(members)} members are more than {MAX_MEMBERS}, or two have one name")
+        if sum(member.compress_size for member in members) > path.stat().st_size:
+            raise Damage("its members overlap")
+        if any(member.file_size > DEFLATE_RATIO * member.compress_size for member in members):
+            raise Damage("a member claims to unpack to more than it can hold")
+        if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
+            raise Damage("a member is packed in a way that is not read")
+        if most is not None and size > most:
+            raise UnreadableFileError(f"{path.name} unpacks to {size} bytes, and may to {most:.0f}; keep less in it.")
+        check_memory(path, 2.0 * size)
+        yield archive
 
 
 def check_file(path: Path) -> None:
@@ -47,11 +142,11 @@ def check_memory(path: Path, n_bytes: float) -> None:
     Raises:
         UnreadableFileError: more than `MEMORY_SHARE` of the memory would be needed.
     """
-    total = _memory_bytes()
-    if total is not None and n_bytes > MEMORY_SHARE * total:
+    total, whose = memory_budget()
+    if n_bytes > MEMORY_SHARE * total:
         raise UnreadableFileError(
             f"reading {path.name} needs about {n_bytes / 2**30:.1f} GiB, more than {MEMORY_SHARE:.0%} of the "
-            f"{total / 2**30:.1f} GiB that this machine has; cut the file into parts, or save it as one .npy array, "
+            f"{total / 2**30:.1f} GiB that {whose}; cut the file into parts, or save it as one .npy array, "
             "which is mapped and not loaded."
         )
 
@@ -77,7 +172,7 @@ def _shortened(path: Path) -> str:
 
 def first_line(error: Exception) -> str:
     """What a foreign error says, in one line of bounded length; its kind if it says nothing."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+    return visible((str(error).strip() or type(error).__name__).splitlines()[0])[:200].rstrip(" .")
 
 
 def optional_package(module: str, path: Path) -> ModuleType:
@@ -95,8 +190,66 @@ def optional_package(module: str, path: Path) -> ModuleType:
         ) from error
 
 
-def _memory_bytes() -> int | None:
+def memory_budget() -> tuple[float, str]:
+    """Bytes that this process may have, and who says so in words; infinite where nobody tells.
+
+    The least of what the machine has, of the limit of the control group (a container), less what its processes hold
+    already, and of the limit on the address space (ulimit -v), less what is mapped already.
+    """
+    limits = ((_machine(), "this machine has"), (_group(), "the container leaves"), (_address_space(), "ulimit leaves"))
+    return min(limits, key=lambda limit: limit[0])
+
+
+def _machine() -> float:
     try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):  # not every system tells
-        return None
+        return math.inf
+
+
+def _group() -> float:
+    """The tightest limit of the control groups that this process is in, versions 1 and 2, less what they hold."""
+    found = [math.inf]
+    for line in _words(CGROUPS).splitlines():
+        _, _, rest = line.partition(":")
+        controllers, _, name = rest.partition(":")
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = CGROUP_ROOT / ("memory" if controllers else "")
+        most, held = (
+            ("memory.limit_in_bytes", "memory.usage_in_bytes") if controllers else ("memory.max", "memory.current")
+        )
+        place = root / name.lstrip("/")
+        for folder in (place, *place.parents):
+            limit, used = _words(folder / most).strip(), _words(folder / held).strip()
+            if limit.isdigit():
+                found.append(float(limit) - (_reclaimable(folder, float(used)) if used.isdigit() else 0.0))
+            if folder == root:
+                break
+    return min(found)
+
+
+def _reclaimable(folder: Path, used: float) -> float:
+    """What a group holds less the files that it could let go."""
+    files = (line.partition(" ") for line in _words(folder / "memory.stat").splitlines())
+    cached = {name: float(value) for name, _, value in files if name in ("inactive_file", "active_file")}
+    return used - sum(cached.values())
+
+
+def _address_space() -> float:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return math.inf
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return math.inf
+    pages = _words(Path("/proc/self/statm")).partition(" ")[0]
+    return float(limit) - (int(pages) * os.sysconf("SC_PAGE_SIZE") if pages.isdigit() else 0)
+
+
+def _words(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii")
+    except (OSError, ValueError):
+        return ""

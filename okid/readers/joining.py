@@ -1,185 +1,23 @@
 """Several files: records of one system, or the channels of one record.
 
 Files whose chosen channels have the same names are several records, matched by name. Files whose chosen channels are
-all different, on the same time grid, are joined to one record (analysers write one file a channel). Anything between
-the two is an error: no rule could say what was meant.
-
-From a table to a record: channels chosen, units converted to SI, time step checked.
-
-Which columns of a table are inputs and which are outputs.
+all different, on the same time grid, are joined to one record (analysers write one file a channel). Files that share
+some channels are set-ups of one system: records on the union of the channels.
 """
 
-import difflib
-from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
-from okid.arrays import FloatArray, column_block
+from okid.arrays import column_block
 from okid.errors import InvalidDataError
-from okid.readers.table import Column, Table, stated_step, table_time_step
-from okid.readers.units import UnitConversion, convert_unit
+from okid.readers.table import Column, Table, as_names, choose_channels, chosen_names, stated_step, to_record
 from okid.record import InputHold, Record
+from okid.rows import join_setups
 
-__all__ = ["as_names", "choose_channels", "chosen_names", "records_of_tables", "to_record"]
-
-Names = Sequence[str] | str | None
-
-
-def as_names(names: Names) -> list[str] | None:
-    """A list of names; a single name is a list of one, None stays None."""
-    return [names] if isinstance(names, str) else None if names is None else list(names)
-
-
-def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
-    """Names of the inputs and outputs, as `choose_channels` decides, not yet looked up."""
-    into, out = as_names(inputs), as_names(outputs)
-    if into is None and out is None and table.outputs is not None:
-        return list(table.inputs or ()), list(table.outputs)
-    into = into or []
-    if out is None:
-        taken = {index for name in into if (index := _find(table, name)) is not None}
-        out = [table.columns[index].name for index in table.channels() if index not in taken]
-    return into, out
-
-
-def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[int], list[int]]:
-    """Column indices of the inputs and of the outputs, in the order of the names.
-
-    Inputs and outputs given: these. Inputs alone: every other channel is an output. Outputs alone: no inputs. Neither:
-    what the file itself states, else every channel is an output. The time column and a sample counter are no channels.
-
-    Raises:
-        InvalidDataError: no such channel, one that is both input and output or named twice, or no output left.
-    """
-    into, out = chosen_names(table, inputs, outputs)
-    _check_once(into, out)
-    indices = _indices(table, into), _indices(table, out)
-    if not table.channels():
-        left = [f"{left.name!r} was left out: {left.reason}" for left in table.left_out[:3]]
-        why = left or ["save each channel as a column of numbers beside the time"]
-        raise InvalidDataError(
-            f"{table.path.name} holds {', '.join(table.names[:3])} but no channel; {'; '.join(why)}."
-        )
-    if not indices[1]:
-        raise InvalidDataError(
-            f"no output is left in {table.path.name}: its channels are {_listed(table)}, and all of them are inputs; "
-            "name at least one output."
-        )
-    return indices
-
-
-def _check_once(into: list[str], out: list[str]) -> None:
-    both = sorted(set(into) & set(out))
-    if both:
-        raise InvalidDataError(f"{', '.join(map(repr, both))} cannot be both input and output; name each channel once.")
-    double = sorted(name for name, count in Counter(into + out).items() if count > 1)
-    if double:
-        raise InvalidDataError(f"channel {', '.join(map(repr, double))} is named more than once; name each once.")
-
-
-def _find(table: Table, name: str) -> int | None:
-    """A column by its name, or by its whole header."""
-    for index, column in enumerate(table.columns):
-        if name in {column.name, column.header}:
-            return index
-    return None
-
-
-def _indices(table: Table, names: Sequence[str]) -> list[int]:
-    places = {column.header: index for index, column in enumerate(table.columns)}
-    places |= {column.name: index for index, column in enumerate(table.columns)}
-    channels = set(table.channels())
-    for name in names:
-        if places.get(name) not in channels:
-            _refuse(table, name, places.get(name))
-    return [places[name] for name in names]
-
-
-def _refuse(table: Table, name: str, index: int | None) -> NoReturn:
-    if index is not None:
-        what = "the time axis" if index == table.time_column() else "a counter of the samples"
-        raise InvalidDataError(
-            f"column {name!r} of {table.path.name} is {what}, not a channel; the channels are {_listed(table)}."
-        )
-    for left in table.left_out:
-        if left.name == name:
-            raise InvalidDataError(f"{name!r} of {table.path.name} cannot be a channel: {left.reason}.")
-    names = [table.columns[each].name for each in table.channels()]
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    folded = [each for each in names if each.lower() == name.lower()]
-    guess = f"did you mean {(folded or close)[0]!r}? Its" if folded or close else "its"
-    raise InvalidDataError(f"there is no channel {name!r} in {table.path.name}; {guess} channels are {_listed(table)}.")
-
-
-def _listed(table: Table) -> str:
-    names = [table.columns[index].name for index in table.channels()]
-    more = f" and {len(names) - 20} more" if len(names) > 20 else ""
-    return (", ".join(names[:20]) + more) or "none"
-
-
-def to_record(
-    table: Table,
-    *,
-    inputs: Sequence[str] | str | None,
-    outputs: Sequence[str] | str | None,
-    dt: float | None,
-    input_hold: InputHold,
-) -> Record:
-    """The record that the chosen channels of a table make up, in SI.
-
-    Raises:
-        InvalidDataError: as `choose_channels`, `table_time_step` and `Record` say, with the file's name before it.
-    """
-    into, out = choose_channels(table, inputs, outputs)
-    _check_orientation(table, into, out)
-    step, start_time = table_time_step(table, dt)
-    input_units = [_conversion(table, index) for index in into]
-    output_units = [_conversion(table, index) for index in out]
-    try:
-        return Record(
-            _in_si(column_block(table.values, into), input_units),
-            _in_si(column_block(table.values, out), output_units),
-            step,
-            input_names=tuple(unit.channel for unit in input_units),
-            output_names=tuple(unit.channel for unit in output_units),
-            input_units=tuple(unit.unit for unit in input_units),
-            output_units=tuple(unit.unit for unit in output_units),
-            input_hold=input_hold,
-            name=table.path.stem,
-            start_time=start_time,
-        )
-    except InvalidDataError as error:
-        raise type(error)(f"{table.path.name}: {error}") from error
-
-
-def _check_orientation(table: Table, into: Sequence[int], out: Sequence[int]) -> None:
-    """Refuse more channels than samples here, where the remedy is to save the file otherwise."""
-    for kind, indices in (("inputs", into), ("outputs", out)):
-        if len(indices) > table.n_samples:
-            raise InvalidDataError(
-                f"{table.path.name} holds {len(indices)} {kind} but only {table.n_samples} samples; rows must be "
-                f"samples and columns channels, so save its transpose, or name fewer {kind}."
-            )
-
-
-def _conversion(table: Table, index: int) -> UnitConversion:
-    column = table.columns[index]
-    return convert_unit(column.name, column.unit)
-
-
-def _in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:
-    """The values in SI; the array itself where nothing has to be converted, so that a mapped file stays mapped."""
-    if not any(conversion.changed for conversion in conversions):
-        return values
-    converted = np.multiply(values, [conversion.factor for conversion in conversions])
-    converted += [conversion.offset for conversion in conversions]
-    converted.flags.writeable = False  # fresh and held by nobody else: the record need not copy it
-    return converted
-
+__all__ = ["records_of_tables"]
 
 GRID_TOLERANCE = 0.1
 """How far two files' time grids may drift apart, in time steps."""
@@ -195,8 +33,10 @@ def records_of_tables(
 ) -> tuple[Record, ...]:
     """One record for each table if they hold the same channels, one in all if their channels are all different.
 
+    Where they share some, each is a set-up: all records then have all channels (`okid.join_setups`).
+
     Raises:
-        InvalidDataError: some channels shared and some not, different time grids, or different units of one channel.
+        InvalidDataError: different time grids, or different units of one channel.
     """
     held = [_held(table, inputs, outputs) for table in tables]
     for table, names in zip(tables, held, strict=True):
@@ -204,11 +44,13 @@ def records_of_tables(
             choose_channels(table, inputs, outputs)
     if len(tables) > 1 and all(one.isdisjoint(other) for one, other in combinations(held, 2)):
         joined = _joined(tables, held)
-        return (to_record(joined, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold),)
+        return (to_record(joined, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold),)
     if any(names != held[0] for names in held):
-        raise InvalidDataError(_in_between(tables, held))
+        return join_setups(_setups(tables, held, inputs, outputs, dt=dt, input_hold=input_hold))
     into, out = chosen_names(tables[0], inputs, outputs)
-    records = tuple(to_record(table, inputs=into, outputs=out, dt=dt, input_hold=input_hold) for table in tables)
+    records = tuple(
+        to_record(table, Record, inputs=into, outputs=out, dt=dt, input_hold=input_hold) for table in tables
+    )
     _check_alike(records)
     return records
 
@@ -266,18 +108,30 @@ def _grid(table: Table, step: float | None, start_time: float) -> str:
     return f"{table.n_samples} samples" + ("" if step is None else f" of {step:.6g} s from {start_time:.6g} s")
 
 
-def _in_between(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> str:
-    shared = frozenset.intersection(*held)
-    parts = []
+def _setups(
+    tables: Sequence[Table],
+    held: Sequence[frozenset[str]],
+    inputs: Sequence[str] | str | None,
+    outputs: Sequence[str] | str | None,
+    *,
+    dt: float | None,
+    input_hold: InputHold,
+) -> tuple[Record, ...]:
+    """A record a table, each with the chosen channels that it holds."""
+    known = frozenset.union(*held)
+    for name in (*(as_names(inputs) or ()), *(as_names(outputs) or ())):
+        if name not in known:  # held by none: a misspelt name is not an absent channel
+            choose_channels(tables[0], [name], None)
+    records = []
     for table, names in zip(tables, held, strict=True):
-        if own := sorted(names - shared):
-            more = f" and {len(own) - 6} more" if len(own) > 6 else ""
-            parts.append(f"{', '.join(own[:6])}{more} ({table.path.name})")
-    return (
-        "files must hold either the same channels (several records) or all different ones (parts of one record), but "
-        f"these share {', '.join(sorted(shared)[:6]) or 'some in pairs'} and do not share {'; '.join(parts[:4])}; name "
-        "the channels that all of them hold as inputs and outputs."
-    )
+        into, out = chosen_names(table, _among(inputs, names), _among(outputs, names))
+        records.append(to_record(table, Record, inputs=into, outputs=out, dt=dt, input_hold=input_hold))
+    return tuple(records)
+
+
+def _among(names: Sequence[str] | str | None, held: frozenset[str]) -> list[str] | None:
+    listed = as_names(names)
+    return None if listed is None else [name for name in listed if name in held]
 
 
 def _check_alike(records: Sequence[Record]) -> None:

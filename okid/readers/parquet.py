@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line
+from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers.guard import check_channel_count, check_memory, first_line, foreign
 from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
 
-__all__ = ["read_parquet"]
+__all__ = ["read_parquet", "table_of_frame"]
 
 UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 
@@ -20,23 +20,48 @@ def read_parquet(path: Path) -> Table:
     Raises:
         UnreadableFileError: damaged or cut off, or no column of numbers.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
+    with foreign(path, "Parquet file"), parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        check_channel_count(path, file.metadata.num_columns)
+        check_memory(path, 24.0 * file.metadata.num_rows * file.metadata.num_columns)
+        table = file.read()
+    return table_of_arrow(table, path=path, file_format="Parquet")
+
+
+def table_of_frame(frame: Any) -> Table:
+    """The columns of numbers of a data frame: pandas, polars, Arrow, whatever exchanges tables by Arrow's protocol.
+
+    Raises:
+        InvalidDataError: no data frame, or one that does not give its columns away.
+    """
+    import pyarrow as pa
+
     try:
-        with parquet.ParquetFile(path) as file:
-            check_channel_count(path, file.metadata.num_columns)
-            check_memory(path, 24.0 * file.metadata.num_rows * file.metadata.num_columns)
-            table = file.read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        if isinstance(error, UnreadableFileError):
-            raise
-        raise UnreadableFileError(
-            f"{path.name} is damaged, cut off or no Parquet file ({first_line(error)}); save or copy it again."
+        table = frame if isinstance(frame, pa.Table) else pa.table(frame)
+    except (TypeError, ValueError, pa.ArrowException) as error:
+        raise InvalidDataError(
+            f"a {type(frame).__name__} is no data frame that can be read ({first_line(error)}); pass a frame of "
+            "pandas, polars or Arrow, or arrays to Record."
         ) from error
+    return table_of_arrow(table, path=Path("frame"), file_format="data frame")
+
+
+def table_of_arrow(table: Any, *, path: Path, file_format: str) -> Table:
+    """The columns of numbers of an Arrow table.
+
+    Args:
+        table: of pyarrow.
+        path: where it comes from, for messages.
+        file_format: in words.
+
+    Raises:
+        UnreadableFileError: no column of numbers.
+    """
     headers, units, series, left_out = [], [], [], []
     for field, column in zip(table.schema, table.itercolumns(), strict=True):
-        values, unit = _numbers(column, field)
+        with foreign(path, "Parquet file"):
+            values, unit = _numbers(column, field)
         if values is None:
             left_out.append(LeftOut(name=field.name, reason=f"it holds {field.type}, not numbers"))
             continue
@@ -51,7 +76,9 @@ def read_parquet(path: Path) -> Table:
         Column(name=name, unit=unit or written, header=header)
         for name, unit, (_, written), header in zip(names, units, split, headers, strict=True)
     )
-    return Table(path=path, format="Parquet", columns=columns, values=np.column_stack(series), left_out=tuple(left_out))
+    return Table(
+        path=path, format=file_format, columns=columns, values=np.column_stack(series), left_out=tuple(left_out)
+    )
 
 
 def _numbers(column: Any, field: Any) -> tuple[Any, str]:

@@ -3,32 +3,49 @@
 Names and units out of column headers such as `tip [m/s^2]` or `Time (s)`.
 
 The time step of a table: from its time column, from what the file states, or from the caller.
+
+From a table to a record: which columns are inputs and outputs, units converted to SI.
 """
 
+import difflib
 import re
+import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
-from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError, InvalidDataError
-from okid.readers.units import convert_unit
+from okid.arrays import FloatArray, check_not_empty, column_block, time_step
+from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.readers.units import UnitConversion, convert_unit
 
 __all__ = [
     "Column",
     "LeftOut",
     "Table",
+    "as_names",
+    "choose_channels",
+    "chosen_names",
     "looks_like_unit",
     "split_header",
     "stated_step",
     "table_time_step",
+    "to_record",
     "unique_names",
 ]
 
-TIME_NAMES = frozenset(["time", "t", "timestamp", "time stamp", "elapsed time"])
+TIME_NAMES = frozenset(
+    [
+        *("time", "t", "timestamp", "time stamp", "elapsed time", "relative time", "time axis", "x value"),
+        *("sec", "secs", "second", "seconds", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid", "tijd"),
+    ]
+)
+TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|min|h)$")
+"""Read the unit of a time column where it stands behind the name without brackets: `time_ms`, `Zeit in s`."""
+
 COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row", "no", "no.", "#"])
 
 
@@ -88,11 +105,12 @@ class Table:
     def time_column(self) -> int | None:
         """Index of the time column, None if there is none.
 
-        A column called time (or t, timestamp, elapsed time). A capital T may be a torque or a temperature: it is the
-        time only if its unit says so, and a `t` with a unit that is none of time is not.
+        A column called time, in the languages and habits of loggers (t, Zeit, Temps, X_Value, time_ms). A capital T may
+        be a torque or a temperature: it is the time only if its unit says so, and a `t` with a unit that is none of
+        time is not.
         """
         for index, column in enumerate(self.columns):
-            if _plain(column.name) in TIME_NAMES and _may_be_time(column):
+            if _time_name(column)[0] in TIME_NAMES and _may_be_time(column):
                 return index
         return None
 
@@ -117,6 +135,13 @@ def _plain(name: str) -> str:
     return name.strip().lower().replace("_", " ")
 
 
+def _time_name(column: Column) -> tuple[str, str]:
+    """Name of what may be a time column, and its unit, which may stand behind the name without brackets."""
+    name = _plain(column.name)
+    behind = None if column.unit or name in TIME_NAMES else TIME_SUFFIX.match(name)
+    return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit)
+
+
 def _may_be_time(column: Column) -> bool:
 
     if not column.unit:
@@ -124,7 +149,9 @@ def _may_be_time(column: Column) -> bool:
     return _plain(column.name) != "t" or convert_unit("time", column.unit).unit == "s"
 
 
-_BRACKET = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$", re.DOTALL)
+_BRACKET = re.compile(
+    r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\{(?P<curly>[^{}]*)\}|<(?P<angle>[^<>]*)>)\s*$", re.DOTALL
+)
 _PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
 _COMMON_UNITS = frozenset(
     [
@@ -132,9 +159,11 @@ _COMMON_UNITS = frozenset(
         *("m", "mm", "cm", "km", "um", "µm", "μm", "nm", "in", "inch", "ft"),
         *("g", "mg", "gn", "kg", "lb", "lbs", "G", "gal", "Gal"),
         *("N", "mN", "kN", "MN", "lbf", "kip", "Nm", "kNm", "N·m"),
+        *("gf", "kgf", "ozf", "oz", "lb", "kp", "daN", "mil", "mils", "thou", "ips", "dps", "mbar", "hPa"),
         *("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi"),
         *("V", "mV", "µV", "uV", "A", "mA", "W", "kW", "J", "kJ"),
-        *("K", "°C", "°F", "degC", "degF", "rad", "mrad", "deg", "°", "rpm", "Hz", "kHz"),
+        *("K", "°C", "°F", "degC", "degF", "rad", "mrad", "deg", "°", "ºC", "º", "Hz", "kHz"),
+        *("rpm", "RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "1/min", "oz-in", "ozf-in", "in-lb", "ft-lb"),
         *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u."),
     ]
 )
@@ -158,7 +187,8 @@ def split_header(header: str) -> tuple[str, str]:
     header = "".join(letter if letter.isprintable() else " " for letter in header).strip()
     match = _BRACKET.match(header)
     if match and match["name"]:
-        return match["name"][:MAX_NAME], match["unit"].strip()[:MAX_NAME]
+        unit = match["unit"] or match["curly"] or match["angle"] or ""
+        return match["name"][:MAX_NAME], unit.strip()[:MAX_NAME]
     match = _PARENTHESIS.match(header)
     if match and match["name"] and looks_like_unit(match["unit"].strip()):
         return match["name"][:MAX_NAME], match["unit"].strip()
@@ -188,8 +218,11 @@ def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
 JITTER = 0.1
 """How far a sample may lie off the uniform grid, in time steps."""
 
-SHORTEST, LONGEST = 1e-12, 1e9
-"""Time steps [s] that an experiment can have; beyond them the arithmetic of frequencies overflows."""
+FEWEST_ROUNDED = 3
+"""Take odd steps for rounding of the stamps only where there are so many: one or two may be lost samples."""
+
+ROUNDED_WIDTH = 1.25
+"""Accept rounded stamps within so many of their last digit: one, and the error of the slope through them."""
 
 CONTRADICTION = 1e-3
 """Relative difference above which a given time step contradicts that of the file."""
@@ -203,17 +236,19 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
         dt: time step that the caller gives [s]; None to take the file's.
 
     Raises:
-        InvalidDataError: neither the file nor the caller gives a time step, the two contradict each other, or the time
-            column is no uniform grid.
+        InvalidDataError: the caller gives no time step, and the file has none or a time column that is no uniform grid.
+
+    Warns:
+        IdentificationWarning: the two contradict each other; the caller's is used.
     """
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise InvalidDataError(f"dt must be a positive time step in seconds, but is {dt}.")
-    if dt is not None and not SHORTEST <= dt <= LONGEST:
-        raise InvalidDataError(
-            f"dt must be a time step between {SHORTEST:g} and {LONGEST:g} s, but is {dt:g}; count the time in another "
-            "unit."
-        )
-    stated, start_time = stated_step(table)
+    if dt is not None:
+        dt = time_step(dt)
+    try:
+        stated, start_time = stated_step(table)
+    except InvalidDataError:
+        if dt is None:
+            raise
+        return dt, 0.0  # what the caller knows of the time wins over stamps that are no grid
     if stated is None:
         if dt is None:
             raise InvalidDataError(
@@ -224,9 +259,11 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
     if dt is None:
         return stated, start_time
     if abs(dt - stated) > CONTRADICTION * stated:
-        raise InvalidDataError(
-            f"dt = {dt:.6g} s was given, but the time axis of {table.path.name} has {stated:.6g} s, which is "
-            f"{abs(dt / stated - 1):.2%} off; leave dt out, or correct the file."
+        warnings.warn(
+            f"dt = {dt:.6g} s was given and is used, but the time axis of {table.path.name} has {stated:.6g} s, which "
+            f"is {abs(dt / stated - 1):.2%} off; leave dt out to use the file's.",
+            IdentificationWarning,
+            stacklevel=3,
         )
     return float(dt), start_time
 
@@ -241,14 +278,15 @@ def stated_step(table: Table) -> tuple[float | None, float]:
             )
         return table.dt, table.start_time
     column = table.columns[index]
-    conversion = convert_unit("time", column.unit)
+    conversion = convert_unit("time", _time_name(column)[1])
     if conversion.unit not in {"s", ""}:
         raise InvalidDataError(
             f"column {column.name!r} of {table.path.name} is in {column.unit!r}, which is no unit of time; correct its "
             "header, or rename it if it is a channel."
         )
     name = f"the time column {column.name!r} of {table.path.name}"
-    step = _uniform_step(np.asarray(table.values[:, index]) * conversion.factor, name)
+    with np.errstate(all="ignore"):  # what is not finite is refused
+        step = _uniform_step(np.asarray(table.values[:, index]), conversion.factor, name)
     if table.dt is not None and abs(step - table.dt) > CONTRADICTION * step:
         raise InvalidDataError(
             f"{name} has a step of {step:.6g} s, but the file states {table.dt:.6g} s; correct one of them."
@@ -256,8 +294,12 @@ def stated_step(table: Table) -> tuple[float | None, float]:
     return step, float(table.values[0, index]) * conversion.factor
 
 
-def _uniform_step(time: FloatArray, name: str) -> float:
-    """Mean step over the whole span, checked to be a uniform grid."""
+def _uniform_step(stamps: FloatArray, factor: float, name: str) -> float:
+    """Mean step over the whole span [s], checked to be a uniform grid; `factor` seconds are one unit of the stamps.
+
+    Stamps that were rounded to the digits they are written with lie off the grid by half of their last digit.
+    """
+    time = factor * stamps
     n_samples = len(time)
     if n_samples < 2:
         raise InsufficientDataError(f"{name} holds {n_samples} sample; a time step needs at least 2.")
@@ -269,13 +311,15 @@ def _uniform_step(time: FloatArray, name: str) -> float:
         )
     step = float(time[-1] - time[0]) / (n_samples - 1)
     back = np.diff(time) <= 0
+    off = np.abs(time - time[0] - step * np.arange(n_samples)) / (step or 1.0)
+    if (back.any() or off.max() > JITTER) and (rounded := _rounded_step(stamps)) is not None:
+        return factor * rounded
     if step <= 0 or back.any():
         row = int(back.argmax()) + 1
         raise InvalidDataError(
             f"{name} must increase, but goes from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row + 1} of "
             f"{n_samples}; sort the rows, or cut the file into one file a record."
         )
-    off = np.abs(time - time[0] - step * np.arange(n_samples)) / step
     worst = int(off.argmax())
     if off[worst] > JITTER:
         raise InvalidDataError(
@@ -286,6 +330,196 @@ def _uniform_step(time: FloatArray, name: str) -> float:
     return step
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _rounded_step(stamps: FloatArray) -> float | None:
+    """Step of a uniform grid that was rounded to the last digit of the stamps, None where rounding does not explain it.
+
+    Rounding leaves two neighbouring lengths of step, the rarer of them at regular distances, and all stamps within half
+    a digit of the grid. One or two odd steps may as well be lost samples: they are not explained by it.
+    """
+    digit = next(
+        (d for d in 10.0 ** -np.arange(-3, 13.0) if np.allclose(stamps / d, np.rint(stamps / d), 0, 1e-4)), None
+    )
+    if digit is None:
+        return None
+    lengths = np.rint(np.diff(stamps) / digit)
+    shortest, longest = lengths.min(), lengths.max()
+    rarer = min(int((lengths == shortest).sum()), int((lengths == longest).sum()))
+    if longest - shortest != 1 or shortest < 0 or rarer < FEWEST_ROUNDED:
+        return None
+    count = np.arange(len(stamps)) - 0.5 * (len(stamps) - 1)
+    slope = float(count @ stamps / (count @ count))
+    rest = stamps - slope * count
+    return slope if rest.max() - rest.min() <= ROUNDED_WIDTH * digit else None
+
+
+def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return ", ".join(names[:12]) + more
+
+
+def _channels_of(table: Table) -> str:
+    return _listed([table.columns[index].name for index in table.channels()]) or "none"
+
+
+R = TypeVar("R")
+Names = Sequence[str] | str | None
+
+
+def as_names(names: Names) -> list[str] | None:
+    """A list of names; a single name is a list of one, None stays None."""
+    return [names] if isinstance(names, str) else None if names is None else list(names)
+
+
+def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
+    """Names of the inputs and outputs, as `choose_channels` decides, not yet looked up."""
+    into, out = as_names(inputs), as_names(outputs)
+    if into is None and out is None and table.outputs is not None:
+        return list(table.inputs or ()), list(table.outputs)
+    into = into or []
+    if out is None:
+        taken = {index for name in into if (index := _find(table, name)) is not None}
+        out = [table.columns[index].name for index in table.channels() if index not in taken]
+    return into, out
+
+
+def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[int], list[int]]:
+    """Column indices of the inputs and of the outputs, in the order of the names.
+
+    Inputs and outputs given: these. Inputs alone: every other channel is an output. Outputs alone: no inputs. Neither:
+    what the file itself states, else every channel is an output. The time column and a sample counter are no channels.
+
+    Raises:
+        InvalidDataError: no such channel, one that is both input and output or named twice, or no output left.
+    """
+    into, out = chosen_names(table, inputs, outputs)
+    _check_once(into, out)
+    indices = _indices(table, into), _indices(table, out)
+    if not table.channels():
+        left = [f"{left.name!r} was left out: {left.reason}" for left in table.left_out[:3]]
+        why = left or ["save each channel as a column of numbers beside the time"]
+        raise InvalidDataError(
+            f"{table.path.name} holds {', '.join(table.names[:3])} but no channel; {'; '.join(why)}."
+        )
+    if not indices[1]:
+        raise InvalidDataError(
+            f"no output is left in {table.path.name}: its channels are {_channels_of(table)}, and all of them are "
+            "inputs; name at least one output."
+        )
+    return indices
+
+
+def _check_once(into: list[str], out: list[str]) -> None:
+    both = sorted(set(into) & set(out))
+    if both:
+        raise InvalidDataError(f"{', '.join(map(repr, both))} cannot be both input and output; name each channel once.")
+    double = sorted(name for name, count in Counter(into + out).items() if count > 1)
+    if double:
+        raise InvalidDataError(f"channel {', '.join(map(repr, double))} is named more than once; name each once.")
+
+
+def _find(table: Table, name: str) -> int | None:
+    """A column by its name, or by its whole header."""
+    for index, column in enumerate(table.columns):
+        if name in {column.name, column.header}:
+            return index
+    return None
+
+
+def _indices(table: Table, names: Sequence[str]) -> list[int]:
+    places = {column.header: index for index, column in enumerate(table.columns)}
+    places |= {column.name: index for index, column in enumerate(table.columns)}
+    channels = set(table.channels())
+    for name in names:
+        if places.get(name) not in channels:
+            _refuse(table, name, places.get(name))
+    return [places[name] for name in names]
+
+
+def _refuse(table: Table, name: str, index: int | None) -> NoReturn:
+    if index is not None:
+        what = "the time axis" if index == table.time_column() else "a counter of the samples"
+        raise InvalidDataError(
+            f"column {name!r} of {table.path.name} is {what}, not a channel; the channels are {_channels_of(table)}."
+        )
+    for left in table.left_out:
+        if left.name == name:
+            raise InvalidDataError(f"{name!r} of {table.path.name} cannot be a channel: {left.reason}.")
+    names = [table.columns[each].name for each in table.channels()]
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    folded = [each for each in names if each.lower() == name.lower()]
+    guess = f"did you mean {(folded or close)[0]!r}? Its" if folded or close else "its"
+    raise InvalidDataError(
+        f"there is no channel {name!r} in {table.path.name}; {guess} channels are {_channels_of(table)}."
+    )
+
+
+def to_record(
+    table: Table,
+    kind: Callable[..., R],
+    *,
+    inputs: Sequence[str] | str | None,
+    outputs: Sequence[str] | str | None,
+    dt: float | None,
+    input_hold: str,
+) -> R:
+    """The record that the chosen channels of a table make up, in SI.
+
+    Args:
+        table: of a file or a data frame.
+        kind: `Record`; it is passed, because records can be made of data frames and this file must not know them.
+        inputs: names, None as `choose_channels` says.
+        outputs: likewise.
+        dt: time step [s], None to take that of the table.
+        input_hold: what the inputs did between samples.
+
+    Raises:
+        InvalidDataError: as `choose_channels`, `table_time_step` and `Record` say, with the file's name before it.
+    """
+    into, out = choose_channels(table, inputs, outputs)
+    _check_orientation(table, into, out)
+    step, start_time = table_time_step(table, dt)
+    input_units = [_conversion(table, index) for index in into]
+    output_units = [_conversion(table, index) for index in out]
+    try:
+        values = _in_si(column_block(table.values, out), output_units)
+        check_not_empty(values, tuple(unit.channel for unit in output_units), "output")
+        return kind(
+            _in_si(column_block(table.values, into), input_units),
+            values,
+            step,
+            input_names=tuple(unit.channel for unit in input_units),
+            output_names=tuple(unit.channel for unit in output_units),
+            input_units=tuple(unit.unit for unit in input_units),
+            output_units=tuple(unit.unit for unit in output_units),
+            input_hold=input_hold,
+            name=table.path.stem,
+            start_time=start_time,
+        )
+    except InvalidDataError as error:
+        raise type(error)(f"{table.path.name}: {error}") from error
+
+
+def _check_orientation(table: Table, into: Sequence[int], out: Sequence[int]) -> None:
+    """Refuse more channels than samples here, where the remedy is to save the file otherwise."""
+    for kind, indices in (("inputs", into), ("outputs", out)):
+        if len(indices) > table.n_samples:
+            raise InvalidDataError(
+                f"{table.path.name} holds {len(indices)} {kind} but only {table.n_samples} samples; rows must be "
+                f"samples and columns channels, so save its transpose, or name fewer {kind}."
+            )
+
+
+def _conversion(table: Table, index: int) -> UnitConversion:
+    column = table.columns[index]
+    return convert_unit(column.name, column.unit)
+
+
+def _in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:
+    """The values in SI; the array itself where nothing has to be converted, so that a mapped file stays mapped."""
+    if not any(conversion.changed for conversion in conversions):
+        return values
+    with np.errstate(all="ignore"):  # what is not finite is refused by name
+        converted = np.multiply(values, [conversion.factor for conversion in conversions])
+        converted += [conversion.offset for conversion in conversions]
+    converted.flags.writeable = False  # fresh and held by nobody else: the record need not copy it
+    return converted

@@ -1,12 +1,16 @@
 """TDMS of National Instruments: each channel with its unit and waveform step."""
 
+import contextlib
+import logging
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line, optional_package
+from okid.readers.guard import Damage, check_channel_count, check_memory, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
 __all__ = ["read_tdms"]
@@ -20,13 +24,11 @@ def read_tdms(path: Path) -> Table:
     """
     nptdms = optional_package("nptdms", path)
     check_memory(path, 3.0 * path.stat().st_size)
-    try:
+    with foreign(path, "TDMS file"), _heard(nptdms) as said:
         found = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]
         series = [(channel, np.asarray(channel[:])) for channel in found]
-    except Exception as error:  # damage shows as whatever the decoding stumbles over
-        raise UnreadableFileError(
-            f"{path.name} is damaged or is no TDMS file ({first_line(error)}); export it again."
-        ) from error
+        if said:  # it would go on with what is left
+            raise Damage(said[0])
     usable = [(channel, values) for channel, values in series if values.dtype.kind in "iuf" and values.size]
     if not usable:
         raise UnreadableFileError(f"{path.name} holds no channel of numbers (it has {len(found)} channels).")
@@ -52,6 +54,26 @@ def read_tdms(path: Path) -> Table:
             if values.dtype.kind not in "iuf" or not values.size
         ),
     )
+
+
+@contextlib.contextmanager
+def _heard(nptdms: Any) -> Iterator[list[str]]:
+    """What npTDMS says in its log in this thread, kept from the terminal: of damage it says no more than that."""
+    said: list[str] = []
+    thread = threading.get_ident()
+
+    def keep(record: logging.LogRecord) -> bool:
+        if record.thread != thread:
+            return True
+        said.append(record.getMessage())
+        return False
+
+    handler = nptdms.log.log_manager.console_handler
+    handler.addFilter(keep)
+    try:
+        yield said
+    finally:
+        handler.removeFilter(keep)
 
 
 def _columns(channels: list[Any]) -> tuple[Column, ...]:

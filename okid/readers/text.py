@@ -177,6 +177,8 @@ def _headers(
                 "give every column a name."
             )
         return ()
+    if any(is_number(cell, dialect) and not cell.isdigit() for cell in names):  # a damaged row, and no names
+        _refuse_text(cells, [f"column_{index}" for index in range(n_columns)], number, dialect, file_name)
     before = _names_in(above[-2][1], n_columns, dialect) if len(above) > 1 else None
     if before and _is_header(before, dialect):
         if not _is_header(names, dialect):
@@ -225,7 +227,7 @@ def _fits(line: str, n_columns: int, dialect: Dialect) -> bool:
 
 
 def _refuse_text(cells: Sequence[str], header: Sequence[str], number: int, dialect: Dialect, file_name: str) -> None:
-    for name, cell in zip(header, cells, strict=True):
+    for name, cell in zip(header, cells, strict=False):
         if not is_number(cell, dialect) and not is_missing(cell):
             raise UnreadableFileError(
                 f"line {number}, column {name!r} of {file_name} holds {cell[:40]!r} where a number is expected; "

@@ -1,29 +1,45 @@
-"""Universal files, data sets 58 and 58b: each time history in a file is one channel.
+"""Universal files, data sets 58 and 58b: each time history in a file is one channel; frequency responses are written.
 
 pyuff finds and decodes the data sets, but takes what it gets: it returns fewer values than a cut-off set announces, and
 passes over a last set that is not closed. Both are checked here.
 """
 
+import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from okid.arrays import FloatArray
-from okid.errors import UnreadableFileError
-from okid.readers.guard import check_channel_count, check_memory, first_line, optional_package
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InvalidDataError, UnreadableFileError
+from okid.frequency_response import FrequencyResponse, line_spacing
+from okid.readers.guard import check_channel_count, check_memory, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
-__all__ = ["read_uff"]
+__all__ = [
+    "UniversalFile",
+    "label_of",
+    "open_uff",
+    "place_of",
+    "read_uff",
+    "states_si",
+    "text_of",
+    "unit_of",
+    "write_response",
+]
 
 MEMORY_A_BYTE = 8.0
 TIME_RESPONSE = 1
 ABSCISSA_TIME = 17
 SET_58 = 58
 SET_164 = 164
+_NODE = re.compile(r"(\d{1,9})(R?[XYZ])([+-])")
+DATA_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+RESPONSE, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 REAL_ORDINATES = (2, 4)
 
 FUNCTION_TYPES = {
@@ -54,30 +70,28 @@ def read_uff(path: Path) -> Table:
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
     """
-    pyuff = optional_package("pyuff", path)
-    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
-    _check_end(path)
-    file = _guarded(path, lambda: pyuff.UFF(str(path)))
-    kinds = [int(kind) for kind in file.get_set_types()]
+    file = open_uff(path)
+    kinds = file.kinds
     check_channel_count(path, kinds.count(SET_58))
-    heads = {number: _read_set(file, number, path, header_only=True) for number in _numbers_of(kinds, SET_58)}
+    heads = dict(file.sets(SET_58, header_only=True))
     chosen = [number for number, head in heads.items() if _is_time_history(head)]
     if not chosen:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
-    sets = [_read_set(file, number, path, header_only=False) for number in chosen]
+    sets = [file.read(number) for number in chosen]
     ordinates = [_ordinate(each, path) for each in sets]
     names = _names(sets)
     _check_same_axis(sets, names, path)
-    is_si = any(_states_si(_read_set(file, number, path, header_only=False)) for number in _numbers_of(kinds, SET_164))
+    is_si = any(states_si(each) for _, each in file.sets(SET_164))
     columns = [
-        Column(name=name, unit=_unit(each, is_si=is_si), header=name) for name, each in zip(names, sets, strict=True)
+        Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name)
+        for name, each in zip(names, sets, strict=True)
     ]
     step, start_time = None, 0.0
     if sets[0]["abscissa_spacing"] == 1:
-        factor = convert_unit("time", _label(sets[0], "abscissa_axis_units_lab")).factor
+        factor = convert_unit("time", label_of(sets[0], "abscissa_axis_units_lab")).factor
         step, start_time = factor * sets[0]["abscissa_inc"], factor * sets[0]["abscissa_min"]
     else:
-        columns.insert(0, Column(name="time", unit=_label(sets[0], "abscissa_axis_units_lab"), header="time"))
+        columns.insert(0, Column(name="time", unit=label_of(sets[0], "abscissa_axis_units_lab"), header="time"))
         ordinates.insert(0, np.asarray(sets[0]["x"][: len(ordinates[0])], dtype=np.float64))
     left_out = [
         LeftOut(name=f"data set {number + 1}", reason=f"it is a {_kind(head)}, not a time history")
@@ -96,21 +110,41 @@ def read_uff(path: Path) -> Table:
 
 
 def _guarded(path: Path, read: Callable[[], Any]) -> Any:
-    try:
+    with foreign(path, "universal file"):
         return read()
-    except Exception as error:  # pyuff raises bare Exception for everything
-        raise UnreadableFileError(
-            f"{path.name} is damaged or is no universal file ({first_line(error)}); export it again."
-        ) from error
 
 
-def _read_set(file: Any, number: int, path: Path, *, header_only: bool) -> Set:
-    result: Set = _guarded(path, lambda: file.read_sets(number, header_only=header_only))
-    return result
+@dataclass(frozen=True, slots=True)
+class UniversalFile:
+    """The data sets of an open universal file: the kind of each, and each as pyuff returns it."""
+
+    path: Path
+    file: Any
+    kinds: tuple[int, ...]
+
+    def read(self, number: int, *, header_only: bool = False) -> Set:
+        """One data set by its number."""
+        result: Set = _guarded(self.path, lambda: self.file.read_sets(number, header_only=header_only))
+        return result
+
+    def sets(self, kind: int, *, header_only: bool = False) -> Iterator[tuple[int, Set]]:
+        """Number and contents of every data set of a kind."""
+        for number, each in enumerate(self.kinds):
+            if each == kind:
+                yield number, self.read(number, header_only=header_only)
 
 
-def _numbers_of(kinds: Sequence[int], kind: int) -> list[int]:
-    return [number for number, each in enumerate(kinds) if each == kind]
+def open_uff(path: Path) -> UniversalFile:
+    """The data sets of a file that is whole.
+
+    Raises:
+        UnreadableFileError: cut off, too large, or no universal file.
+    """
+    pyuff = optional_package("pyuff", path)
+    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    _check_end(path)
+    file = _guarded(path, lambda: pyuff.UFF(str(path)))
+    return UniversalFile(path, file, tuple(int(kind) for kind in _guarded(path, file.get_set_types)))
 
 
 def _check_end(path: Path) -> None:
@@ -176,39 +210,135 @@ def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> N
 def _names(sets: Sequence[Set]) -> list[str]:
     """The first way that tells all sets apart: node and direction, these and the quantity, entity, first line."""
     ways: list[list[str]] = [
-        [_place(each) for each in sets],
-        [_place(each) and f"{_place(each)} {_label(each, 'ordinate_axis_lab')}".strip() for each in sets],
-        [_text(each["rsp_ent_name"]) for each in sets],
-        [_text(each["id1"]) for each in sets],
+        [place_of(each, "rsp") for each in sets],
+        [(at := place_of(each, "rsp")) and f"{at} {label_of(each, 'ordinate_axis_lab')}".strip() for each in sets],
+        [text_of(each["rsp_ent_name"]) for each in sets],
+        [text_of(each["id1"]) for each in sets],
     ]
     for names in ways:
         if all(names) and len(set(names)) == len(names):
             return names
-    return [f"{_place(each) or 'channel'}_{number}" for number, each in enumerate(sets)]
+    return [f"{place_of(each, 'rsp') or 'channel'}_{number}" for number, each in enumerate(sets)]
 
 
-def _place(data_set: Set) -> str:
-    node, direction = int(data_set["rsp_node"]), int(data_set["rsp_dir"])
+def place_of(data_set: Set, side: str) -> str:
+    """Node and direction of the response ("rsp") or the reference ("ref"), e.g. "12X+"; "" where there is no node."""
+    node, direction = int(data_set[f"{side}_node"]), int(data_set[f"{side}_dir"])
     if node <= 0 or not 0 <= abs(direction) < len(DIRECTIONS):
         return ""
     sign = "" if direction == 0 else "+" if direction > 0 else "-"
     return f"{node}{DIRECTIONS[abs(direction)]}{sign}"
 
 
-def _text(value: object) -> str:
+def text_of(value: object) -> str:
+    """A text of a file without what cannot be printed; "" for NONE."""
     text = "".join(letter if letter.isprintable() else " " for letter in str(value)).strip()
     return "" if text.upper() == "NONE" else text
 
 
-def _label(data_set: Set, key: str) -> str:
-    return _text(data_set.get(key, ""))
+def label_of(data_set: Set, key: str) -> str:
+    """A label of a data set, "" where it has none."""
+    return text_of(data_set.get(key, ""))
 
 
-def _unit(data_set: Set, *, is_si: bool) -> str:
+def unit_of(data_set: Set, axis: str, *, is_si: bool) -> str:
     """The axis label; without one the unit of the quantity, if the file says that its numbers are in SI."""
-    label = _label(data_set, "ordinate_axis_units_lab")
-    return label or (SI_OF_DATA_TYPE.get(int(data_set["ordinate_spec_data_type"]), "") if is_si else "")
+    label = label_of(data_set, f"{axis}_axis_units_lab")
+    return label or (SI_OF_DATA_TYPE.get(int(data_set[f"{axis}_spec_data_type"]), "") if is_si else "")
 
 
-def _states_si(units: Set) -> bool:
+def states_si(units: Set) -> bool:
+    """Whether a data set 164 states SI units."""
     return all(units.get(key) == 1.0 for key in ("length", "force"))
+
+
+def write_response(
+    response: FrequencyResponse, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse"
+) -> Path:
+    """Write responses, and their coherence, as a universal file with one data set 58 a function (text, 12 digits).
+
+    Args:
+        response: known at every line.
+        path: of the file; the usual ending is .uff.
+        existing: "refuse" (an error when the file is there) or "replace".
+
+    Returns:
+        The path; `read_response` gives the same table, its frequencies to six digits, as the format has it.
+
+    Raises:
+        InvalidDataError: a response that is not known at every line, or a file that exists or cannot be written.
+    """
+    path = Path(path)
+    if existing not in {"refuse", "replace"}:
+        raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
+    if path.exists() and existing == "refuse":
+        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace'.")
+    measured = np.isfinite(response.response).all(axis=0)
+    if (np.isfinite(response.response).any(axis=0) & ~measured).any():
+        raise InvalidDataError("a universal file has no mark for a missing line; leave out the lines that hold a NaN.")
+    sets = []
+    for i, o in np.argwhere(measured.T).tolist():
+        sets.append(_set_58(response, o, i, response.response[:, o, i], RESPONSE))
+        if response.coherence is not None and response.coherence.ndim == 3:
+            sets.append(_set_58(response, o, i, response.coherence[:, o, i], COHERENCE))
+    if response.coherence is not None and response.coherence.ndim == 2:
+        sets += [
+            _set_58(response, o, 0, response.coherence[:, o], MULTIPLE_COHERENCE) for o in range(response.n_outputs)
+        ]
+    try:
+        path.write_text("".join(sets), encoding="ascii", errors="replace")
+    except OSError as error:
+        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+    return path
+
+
+def _set_58(response: FrequencyResponse, output: int, input_: int, values: ComplexArray | FloatArray, kind: int) -> str:
+    is_complex, f = kind == RESPONSE, response.frequencies
+    try:
+        spacing = line_spacing(response)
+    except InvalidDataError:
+        spacing = 0.0
+    names = response.output_names[output], response.input_names[input_]
+    units = response.output_units[output], response.input_units[input_]
+    constant = "" if response.window_time_constant is None else f" of {response.window_time_constant:.9g} s"
+    note = f"averages {response.n_averages or 0}; window {response.window}{constant}"
+    nodes = "".join(f" {'NONE':10s}{node:10d}{direction:4d}" for node, direction in map(_node, names))
+    even = spacing > 0
+    points = f"{(6 if is_complex else 4):10d}{f.size:10d}{int(even):10d}"
+    points += "".join(f"{value:13.5E}" for value in ((f[0], spacing, 0.0) if even else (0.0, 0.0, 0.0)))
+    coherence = kind != RESPONSE
+    lines = [
+        _line(f"{names[0]} / {names[1]}"),
+        *(_line(text) for text in (response.name, "", "", note)),
+        f"{kind:5d}{0:10d}{0:5d}{0:10d}{nodes}",
+        points,
+        _quantity(18, "Frequency", "Hz"),
+        _quantity(1 if coherence else DATA_TYPES.get(units[0], 0), "", "" if coherence else units[0]),
+        _quantity(0 if coherence else DATA_TYPES.get(units[1], 0), "", "" if coherence else units[1]),
+        _quantity(0, "", ""),
+    ]
+    numbers = np.column_stack([values.real, values.imag] if is_complex else [values])
+    if even:
+        flat = numbers.ravel().tolist()
+        lines += ["".join(f"{value:20.12E}" for value in flat[at : at + 4]) for at in range(0, len(flat), 4)]
+    else:
+        lines += [
+            f"{frequency:13.5E}" + "".join(f"{value:20.12E}" for value in row)
+            for frequency, row in zip(f.tolist(), numbers.tolist(), strict=True)
+        ]
+    return "\n".join(["    -1", f"{58:6d}", *lines, "    -1"]) + "\n"
+
+
+def _node(name: str) -> tuple[int, int]:
+    match = _NODE.fullmatch(name.removeprefix("input "))
+    if not match:
+        return 0, 0
+    return int(match[1]), DIRECTIONS.index(match[2]) * (1 if match[3] == "+" else -1)
+
+
+def _quantity(kind: int, label: str, unit: str) -> str:
+    return f"{kind:10d}{0:5d}{0:5d}{0:5d} {(label or 'NONE')[:20]:20s} {(unit or 'NONE')[:20]:20s}"
+
+
+def _line(words: str) -> str:
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in words)[:80].rstrip() or "NONE"

@@ -34,8 +34,62 @@ SI_NAMES = {
 }
 """Coherent SI units in base units, and the name an engineer gives them."""
 
+SPELLINGS = {
+    **dict.fromkeys(("RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "t/min"), "rpm"),
+    **dict.fromkeys(("ips", "IPS", "in/sec"), "inch/s"),
+    **dict.fromkeys(("mil", "mils", "thou"), "thou"),
+    **dict.fromkeys(("gf", "grf", "gram-force", "gram force"), "force_gram"),
+    **dict.fromkeys(("kp", "kgf", "kg-force"), "force_kilogram"),
+    **dict.fromkeys(("in-lb", "in-lbf", "in·lb", "in lb", "lb-in", "lbf-in", "lbf·in", "lbf in"), "inch*force_pound"),
+    **dict.fromkeys(("ft-lb", "ft-lbf", "ft·lb", "ft lb", "lb-ft", "lbf-ft", "lbf·ft", "lb ft"), "foot*force_pound"),
+    **dict.fromkeys(("ozf-in", "oz-in", "ozf·in", "oz·in", "oz in", "in-oz"), "inch*force_ounce"),
+    **dict.fromkeys(("dps", "DPS", "º/s"), "degree/s"),
+    **dict.fromkeys(("º", "Deg", "DEG", "Grad"), "degree"),
+    **dict.fromkeys(("ºC", "deg C", "Celsius"), "degC"),
+    **dict.fromkeys(("ms-2", "ms^-2", "ms⁻²", "mps2", "m/s/s"), "m/s**2"),
+    **dict.fromkeys(("mps", "ms-1", "ms^-1", "ms⁻¹"), "m/s"),
+    '"': "inch",
+    "'": "foot",
+}
+"""What test stands, loggers and other languages write, as the units library knows it."""
+
+PER_MINUTE = frozenset(["1/min", "min-1", "min^-1", "/min"])
+"""Read these as revolutions per minute where the name speaks of a rotation."""
+
+SCALED = frozenset(
+    [
+        *("rpm", "gf", "kgf", "lbf", "lbs", "kip", "kN", "mN", "mm", "cm", "um", "µm", "mil", "mils", "inch", "ips"),
+        *(
+            "deg",
+            "dps",
+            "ms",
+            "us",
+            "mV",
+            "mA",
+            "psi",
+            "ksi",
+            "bar",
+            "kPa",
+            "MPa",
+            "degC",
+            "kHz",
+            "mg",
+            "g",
+            "kW",
+            "Nmm",
+        ),
+    ]
+)
+"""Say so where a name ends in one of these without brackets: the values are not converted."""
+
+NO_UNITS = frozenset(["ue", "uE", "µE", "mE", "U", "R", "pC/N", "C", "a.u.", "au", "AU", "e", "E"])
+"""Keep these as they are written: to the units library they are electrons, mol, astronomical units or coulombs."""
+
 UNKNOWN = "is not a unit that converts to SI; kept as it is"
+_FORCE_WORDS = re.compile(r"force|thrust|kraft|schub|pouss|last\b|load", re.IGNORECASE)
 _MASS_WORDS = re.compile(r"mass|weight|force|thrust|load|gram", re.IGNORECASE)
+_ROTATION_WORDS = re.compile(r"speed|drehzahl|rpm|rotat|spin|vitesse|régime|regime|motor|shaft|omega", re.IGNORECASE)
+_LAST_WORD = re.compile(r"[\s_,;/](\w+)\W*$")
 _MAGNET_WORDS = re.compile(r"magnet|flux|field|gauss", re.IGNORECASE)
 _GRAVITY = re.compile(r"(m|milli|µ|u)?(?:g|G|gn|g_0|g0|gee)$")
 _GRAVITY_PREFIX = {"": 1.0, "m": 1e-3, "milli": 1e-3, "µ": 1e-6, "u": 1e-6}
@@ -96,7 +150,8 @@ def convert_unit(channel: str, written: str) -> UnitConversion:
     """
     text = written.strip()
     if text in SI_UNITS or text in {"", "-", "1"}:
-        return UnitConversion(channel=channel, written=written, unit=text if text in SI_UNITS else "")
+        unit = text if text in SI_UNITS else ""
+        return UnitConversion(channel=channel, written=written, unit=unit, note="" if text else _unread_unit(channel))
     gravity = _GRAVITY.match(text)
     if text == "G" and _MAGNET_WORDS.search(channel):
         return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
@@ -104,13 +159,31 @@ def convert_unit(channel: str, written: str) -> UnitConversion:
         factor = STANDARD_GRAVITY * _GRAVITY_PREFIX[gravity[1] or ""]
         note = f"{text} read as standard gravity"
         return UnitConversion(channel=channel, written=written, unit="m/s^2", factor=factor, note=note)
-    parsed = _parsed(text.lower() if gravity else text)
+    is_force = text in {"lb", "lbs"} and _FORCE_WORDS.search(channel) is not None
+    is_turning = text in PER_MINUTE and _ROTATION_WORDS.search(channel) is not None
+    spelt = "force_pound" if is_force else "rpm" if is_turning else text.lower() if gravity else text
+    spelt = SPELLINGS.get(spelt, spelt)
+    parsed = None if text in NO_UNITS else _parsed(spelt)
     linear = None if parsed is None else _linear(parsed, text)
     if linear is None:
         return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
     factor, offset, unit = linear
     note = f"{text} read as gram, because the name speaks of a mass or force" if gravity else ""
+    if is_force:
+        note = f"{text} read as pound-force, because the name speaks of a force"
+    elif is_turning:
+        note = f"{text} read as revolutions per minute, because the name speaks of a rotation"
+    elif text in {"mil", "mils"}:
+        note = f"{text} read as a thousandth of an inch"
     return UnitConversion(channel=channel, written=written, unit=unit, factor=factor, offset=offset, note=note)
+
+
+def _unread_unit(channel: str) -> str:
+    """What a reader must know where a name without a unit ends in one."""
+    last = _LAST_WORD.search(channel)
+    if last is None or (last[1] not in SCALED and last[1].lower() != "rpm"):
+        return ""
+    return f"the name ends in {last[1]!r}; if that is the unit, write it in brackets: the values are kept as they are"
 
 
 @functools.cache

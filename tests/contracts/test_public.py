@@ -22,6 +22,7 @@ POSITIONAL = {
     "era.predict": ["realisation", "record"],
     "modal.extract_modes": ["realisation"],
     "modal.identify": ["records"],
+    "modal.frequency_response": ["result"],
     "modal.load": ["path"],
     "modal.log_identification": ["identification", "recording"],
     "modal.save_recording": ["result", "path"],
@@ -42,6 +43,9 @@ POSITIONAL = {
     "modal.discrepancy.register": ["effect"],
 }
 """Positional arguments as DESIGN.md writes them: scripts outside this repository call exactly these."""
+
+POSITIONAL_OPTIONS = {("modal.frequency_response", "frequencies")}
+"""What DESIGN.md writes without a name although it may be left out."""
 
 KEYWORDS = {
     "okid.Record": {"input_names", "output_names", "input_units", "output_units", "input_hold", "name"},
@@ -85,6 +89,8 @@ CATALOGUE = {
     *("quadratic_drag", "bouc_wen_hysteresis", "sine_softening", "slack_in_hysteresis", "constant_force"),
     *("time_varying_stiffness", "missing_mode", "input_delay", "input_saturation", "input_gain", "sensor_bias"),
     *("sensor_gain", "periodic_disturbance", "power_law_flow", "overflow"),
+    *("smooth_stiffness", "smooth_damping"),
+    *("stribeck_friction", "actuator_lag", "sensor_lag", "record_offset"),
 }
 """Keys of the catalogue as DESIGN.md writes them."""
 FUNCTIONS, TYPES = public_functions(), public_types()
@@ -179,7 +185,7 @@ def test_every_public_method_is_documented(name):
 def test_options_are_named(name):
     """What may be left out must be named, and no option is a switch that reads `True` at the call."""
     for parameter in parameters(FUNCTIONS[name]):
-        if parameter.default is not EMPTY:
+        if parameter.default is not EMPTY and (name, parameter.name) not in POSITIONAL_OPTIONS:
             assert parameter.kind is parameter.KEYWORD_ONLY, parameter.name
             assert not isinstance(parameter.default, bool), parameter.name
 

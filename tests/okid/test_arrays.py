@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from okid.arrays import CHUNK_VALUES, column_block, frozen, frozen_complex, row_chunks, time_major
+from okid.arrays import CHUNK_VALUES, column_block, frozen, frozen_complex, row_chunks, time_major, time_step
 from okid.errors import InvalidDataError
 
 
@@ -111,3 +111,26 @@ def test_column_block_is_fancy_indexing(indices):
 def test_column_block_is_a_view_where_columns_are_evenly_spaced(indices, is_view):
     table = np.arange(24.0).reshape(4, 6)
     assert np.shares_memory(column_block(table, indices), table) is is_view
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        ["1.0", "2.0"],
+        np.array([b"1", b"2"]),
+        np.array(["1.0", 2.0], dtype=object),
+        np.array(["2026-01-01", "2026-01-02"], dtype="M8[s]"),
+        np.array([1, 2], dtype="m8[s]"),
+        [np.datetime64("2026-01-01"), np.datetime64("2026-01-02")],
+    ],
+)
+def test_texts_and_times_are_no_numbers(values):
+    for check in (time_major, frozen):
+        with pytest.raises(InvalidDataError, match="must be real numbers, but holds texts or times"):
+            check(values, name="outputs")
+
+
+@pytest.mark.parametrize("dt", [1e-320, 1e-13, 1e10, "0.01", True, np.timedelta64(5, "s"), np.array([0.1]), None])
+def test_absurd_time_steps_are_refused(dt):
+    with pytest.raises(InvalidDataError, match="dt must be a"):
+        time_step(dt)

@@ -1,8 +1,11 @@
 """Whatever is wrong with a file: one sentence with rule, numbers and remedy, and nothing from the file is run."""
 
 import builtins
+import math
 import os
 import pickle
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -110,7 +113,7 @@ def test_cut_off_npz(tmp_path, share, compressed):
     (np.savez_compressed if compressed else np.savez)(tmp_path / "a.npz", outputs=VALUES, dt=1.0)
     whole = (tmp_path / "a.npz").read_bytes()
     (tmp_path / "a.npz").write_bytes(whole[: int(share * len(whole))])
-    refused(tmp_path / "a.npz", r"a\.npz is damaged or is no \.npz file")
+    refused(tmp_path / "a.npz", r"a\.npz is damaged, cut off or no \.npz file")
 
 
 def test_damaged_inside_npz(tmp_path):
@@ -118,7 +121,7 @@ def test_damaged_inside_npz(tmp_path):
     whole = bytearray((tmp_path / "a.npz").read_bytes())
     whole[3000] ^= 0xFF
     (tmp_path / "a.npz").write_bytes(whole)
-    refused(tmp_path / "a.npz", "damaged .*CRC")
+    refused(tmp_path / "a.npz", "damaged.*CRC")
 
 
 @pytest.mark.parametrize("share", [0.005, 0.5, 0.999])
@@ -159,7 +162,7 @@ def test_double_names(tmp_path):
 
 
 def test_a_file_larger_than_memory_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(guard, "_memory_bytes", lambda: 10_000)
+    monkeypatch.setattr(guard, "_machine", lambda: 10_000.0)
     np.savetxt(tmp_path / "a.csv", VALUES, delimiter=",")
     refused(tmp_path / "a.csv", "needs about .* GiB, more than 80% .* save it as one .npy array")
     np.savez_compressed(tmp_path / "a.npz", outputs=np.zeros((5000, 1)), dt=1.0)
@@ -172,9 +175,48 @@ def test_a_file_larger_than_memory_is_not_read(tmp_path, monkeypatch):
 
 
 def test_a_system_that_does_not_tell_its_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(guard, "_memory_bytes", lambda: None)
+    for name in ("_machine", "_group", "_address_space"):
+        monkeypatch.setattr(guard, name, lambda: math.inf)
     np.savez(tmp_path / "a.npz", outputs=VALUES, dt=1.0)
     assert read_record(tmp_path / "a.npz").n_samples == 500
+
+
+def test_the_limit_of_a_container_counts(tmp_path, monkeypatch):
+    """Both versions of control groups; the files that a group holds could go, and a group above may be tighter."""
+    for version, root, files in (
+        ("0::/outer/inner\n", tmp_path / "two", ("memory.max", "memory.current")),
+        (
+            "4:memory:/outer/inner\n1:cpu:/\n",
+            tmp_path / "one" / "memory",
+            ("memory.limit_in_bytes", "memory.usage_in_bytes"),
+        ),
+    ):
+        inner = root / "outer" / "inner"
+        inner.mkdir(parents=True)
+        (inner / files[0]).write_text("max\n" if files[0] == "memory.max" else f"{1 << 62}\n")
+        (inner.parent / files[0]).write_text(f"{3 << 30}\n")
+        (inner.parent / files[1]).write_text(f"{2 << 30}\n")
+        (inner.parent / "memory.stat").write_text(f"anon 7\ninactive_file {1 << 30}\n")
+        (tmp_path / "cgroup").write_text(version)
+        monkeypatch.setattr(guard, "CGROUPS", tmp_path / "cgroup")
+        monkeypatch.setattr(guard, "CGROUP_ROOT", root.parent if root.name == "memory" else root)
+        assert guard.memory_budget() == (2 << 30, "the container leaves")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc and ulimit are of Linux")
+def test_under_a_limit_on_the_address_space_a_file_is_refused_beforehand(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", outputs=np.ones((3 << 20, 4)), dt=1.0)  # 96 MiB that weigh nothing
+    script = (
+        "import resource, sys\n"
+        "from okid.errors import UnreadableFileError\n"
+        "from okid.readers import read_record\n"
+        "used = int(open('/proc/self/statm').read().split()[0]) * 4096\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + (200 << 20), used + (200 << 20)))\n"
+        "try: read_record(sys.argv[1])\n"
+        "except UnreadableFileError as error: print(error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script, tmp_path / "a.npz"], capture_output=True, text=True, check=True)
+    assert "needs about 0.2 GiB, more than 80% of the 0.2 GiB that ulimit leaves" in run.stdout
 
 
 @pytest.mark.parametrize(("suffix", "library"), [(".uff", "pyuff"), (".tdms", "nptdms"), (".mat", "h5py")])

@@ -18,19 +18,22 @@ import scipy
 
 from modal.effects.memoryless import WALL
 from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.drive import Drive
+from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import step_compliance
 from modal.simulation.scheme import Budget, Scheme, scheme_and_slopes
 from modal.simulation.sensitivity import Sensitivity, sensitivity
 from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
 from okid.arrays import TINY, BoolArray, FloatArray
+from okid.display import Displayed
 
 __all__ = [
     "FAR_ABOVE",
     "Estimate",
     "Problem",
     "bounded_step",
+    "covariance",
     "estimate",
+    "held_unknowns",
     "moved_by_reciprocals",
     "reach_of",
     "score_equations",
@@ -199,8 +202,8 @@ class Problem:
         return np.where(self.drive.present, 1.0 / np.sqrt(spread), 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Estimate:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Estimate(Displayed):
     """A fitted model.
 
     Attributes:
@@ -323,7 +326,11 @@ def estimate(
 
 
 def _over(budget: Budget | None) -> bool:
-    return budget is not None and budget.left <= 0.0
+    return (_ENDLESS if budget is None else budget).left <= 0.0
+
+
+_ENDLESS = Budget()
+"""Let only the CPU time end a fit that has no budget of its own."""
 
 
 def sensitivity_of(current: Estimate, problem: Problem) -> Sensitivity:
@@ -399,6 +406,28 @@ def _trial(current: Estimate, problem: Problem, slopes: Sensitivity, step: Float
         current.assembly, unknowns, problem, states=states, gain=current.gain, smoothing=current.smoothing, start="near"
     )
     return found if found is not None and found.cost < current.cost else None
+
+
+def covariance(current: Estimate, problem: Problem) -> FloatArray:
+    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor.
+
+    What is held, or sits on a hard bound, has none: the others' is that given the bound.
+    """
+    gram, _ = score_equations(current, problem, sensitivity_of(current, problem))
+    held = held_unknowns(current)
+    gram[held, :] = 0.0
+    gram[:, held] = 0.0
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse[held, :] = 0.0
+    inverse[:, held] = 0.0
+    return np.asarray(inverse * max(1.0, current.level))
+
+
+def held_unknowns(current: Estimate) -> IndexArray:
+    """Which common unknowns are held, or sit on a hard bound."""
+    lower, upper = current.assembly.bounds()
+    return np.flatnonzero((lower == upper) | current.at_bounds)
 
 
 def _prior_cost(assembly: Assembly, unknowns: Unknowns) -> float:

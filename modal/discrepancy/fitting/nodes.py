@@ -15,6 +15,7 @@ from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, si
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run, observer_gain
 from modal.effects.effect import Effect, is_sharp
 from modal.simulation.assembly import Assembly, Unknowns, assemble
+from modal.simulation.plant import released_masses
 from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR
 from modal.simulation.trajectory import SHARP
@@ -185,6 +186,7 @@ class Task:
         fine_held_out: The held-out records likewise.
         whole: Whether the records are whole, so that they may be cut into spans.
         budget: What the search may cost.
+        form_free: Laws of unknown form, tried where no effect of the catalogue is enough.
     """
 
     fit: Problem
@@ -196,6 +198,12 @@ class Task:
     fine_held_out: Problem
     whole: bool = False
     budget: Budget = field(default_factory=Budget)
+    form_free: Mapping[str, Effect] = field(default_factory=dict)
+
+    @property
+    def every_effect(self) -> Mapping[str, Effect]:
+        """Effects with a name, and laws of unknown form."""
+        return {**self.catalogue, **self.form_free}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -216,6 +224,16 @@ class Node:
     def effects(self) -> tuple[tuple[str, str], ...]:
         """(effect, place) of each effect."""
         return tuple((item.effect.key, item.where) for item in self.fitted.assembly.placements)
+
+    @property
+    def masses(self) -> tuple[str, ...]:
+        """Names of the masses that are not those of the model as given."""
+        return released_masses(self.fitted.assembly.plant)
+
+    @property
+    def size(self) -> int:
+        """How many things differ from the model as given, stiffness and damping aside: effects and masses."""
+        return len(self.fitted.assembly.placements) + len(self.masses)
 
     @property
     def fit_level(self) -> float:

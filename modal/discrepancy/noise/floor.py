@@ -47,11 +47,12 @@ from modal.discrepancy.noise.spectral import FEWEST_ROWS, SpectralFloor, smalles
 from modal.localisation.lines import input_period, measure_lines
 from modal.simulation.tolerances import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray, frozen_with_gaps
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["SAME_NUMBER", "FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "stacked_floors"]
+__all__ = ["SAME_NUMBER", "FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "raised_floor", "stacked_floors"]
 
 SAME_NUMBER = 1e-6
 """Take numbers for the same that differ by less than this share, as after a way through a text file."""
@@ -255,8 +256,8 @@ _DRIVEN = 0.3
 """Call a band driven where the inputs explain more than this share of its level."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class NoiseFloor:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class NoiseFloor(Displayed):
     """Variance of the noise of every output of every record.
 
     Attributes:
@@ -405,6 +406,29 @@ def lowered_floor(floor: NoiseFloor, records: Record | Sequence[Record], residua
         reason=tuple(reasons),
         standard_error=frozen_with_gaps(error, name="standard_error"),
     )
+
+
+def raised_floor(floor: NoiseFloor, left: FloatArray) -> NoiseFloor:
+    """The floor, raised to what a model leaves that depends on nothing: noise that is not as white as its quiet band.
+
+    Args:
+        floor: of some records; from repeats it stays as it is.
+        left: (n_records, n_outputs) mean square of the model's residual [unit^2].
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.standard_normal(3000)
+        >>> floor = noise_floor(Record(force, force + 0.1 * rng.standard_normal(3000), 0.01))
+        >>> raised_floor(floor, np.array([[0.04]])).variance[0, 0]
+        np.float64(0.04)
+    """
+    variance, reasons = np.array(floor.variance), list(floor.reason)
+    for i, method in enumerate(floor.method):
+        higher = left[i] > variance[i]
+        if method in ("quiet band", "incoherent part") and higher.any():
+            variance[i, higher] = left[i, higher]
+            reasons[i] += " Higher by the residual of a model that leaves nothing but coloured noise."
+    return replace(floor, variance=frozen_with_gaps(variance, name="variance"), reason=tuple(reasons))
 
 
 def _of_spectrum(record: Record, spectrum: SpectralFloor, *, why: str = "") -> NoiseFloor:

@@ -123,7 +123,7 @@ class CorrectedCallable:
             effect = self.catalogue[one.effect]
             if isinstance(effect, SensorEffect):
                 channel = record.output_names.index(one.where)
-                found[:, channel] = effect.gain(one.values) * found[:, channel] + effect.offset(one.values, time)
+                found[:, channel] = effect.changed(one.values, found[:, channel], time)
         return found
 
     def equations(self) -> str:

@@ -5,7 +5,6 @@ inputs, so it is identified like any record, by OKID and ERA: a mode that it lac
 order is chosen on the records to fit, the proof is the free run on held-out ones.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,7 +23,7 @@ from modal.structure.given import Given, returned_model
 from modal.structure.placed import PlacedEffect
 from modal.structure.plant_model import PlantModel
 from okid.arrays import TINY, FloatArray
-from okid.errors import IdentificationError
+from okid.errors import IdentificationError, quiet
 from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
@@ -139,9 +138,7 @@ def mean_squares(records: Sequence[Record], simulated: Sequence[FloatArray]) -> 
 
 
 def _candidates(fit: Sequence[Record]) -> list[Realisation]:
-    with warnings.catch_warnings():
-        # a residual may be narrow or near zero in a channel; the held-out run is the judge
-        warnings.simplefilter("ignore")
+    with quiet():  # a residual may be narrow or near zero in a channel; the held-out run is the judge
         try:
             choice = choose_orders(fit)
             observer = fit_observer(fit, order=choice.observer_order, ridge=choice.ridge)

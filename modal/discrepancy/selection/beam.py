@@ -16,12 +16,13 @@ two of the three are determined. The one of the effect's that is nearer to zero 
 there, so that stops have no stiffness before contact and freeplay takes away all of the spring within the gap.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.masses import with_released_masses
 from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, node_of, polished, rested
 from modal.discrepancy.fitting.observed_fits import (
     CLEAR,
@@ -38,6 +39,7 @@ from modal.discrepancy.fitting.observed_fits import (
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.smaller_models import Law, is_limit, simple_first
+from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.tolerances import AT_FLOOR
 from modal.simulation.trajectory import SHARP
@@ -183,17 +185,20 @@ then."""
 
 
 def expand(node: Node, task: Task) -> list[Node]:
-    """Models with one effect more."""
+    """Models with one effect more, or with other masses."""
     observed, candidates = seen(node, task)
-    if not candidates:
+    if node.held_out_level <= AT_FLOOR and (not candidates or candidates[0].fall < SMALLEST_FALL):
         return []
-    if node.held_out_level <= AT_FLOOR and candidates[0].fall < SMALLEST_FALL:
-        return []
-    found: list[Node] = []
-    while candidates and not _clear(found, node):
+    heavier = with_released_masses(node, task)
+    found: list[Node] = [] if heavier is None else [heavier]
+    if found and found[0].held_out_level <= AT_FLOOR and _clear(found, node):
+        candidates = [one for one in candidates if one.placement.effect.like_a_mass]
+    while candidates:
         fits, candidates = observed_fits(node, observed, candidates, task)
         runs, known = _free_runs(_ordered(_leading(_worth(fits, observed), RUNS)), task, node)
         found += _judged(_leading(runs, FINALISTS), task, known, reach=REACH_SHARP if node.effects else REACH)
+        if _clear(found, node):
+            break
     return found
 
 
@@ -358,8 +363,22 @@ LARGE_FALL = 0.5
 yet."""
 
 
-def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[Node, ...]:
+Curves = Callable[[Node, Node, Task], list[Node]]
+"""Models with a law of unknown form beside the first model that leave nothing but noise; the second is the root."""
+
+
+Settled = Callable[[Node, Node, Task], bool]
+"""Whether the first model leaves nothing but noise, however much; the second is the root."""
+
+
+def search_effects(
+    root: Node, task: Task, known: Sequence[Node] = (), *, curves: Curves | None = None, settled: Settled | None = None
+) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
+
+    Where no single effect explains the data and a single law of unknown form does, pairs are tried of laws of its
+    motion only: two of them at one place are one law, and may be what the curve is made of. Where the best model leaves
+    nothing but noise, though more than the floor says, the search ends.
 
     Every model judged on held-out records, in the order found.
     """
@@ -391,6 +410,11 @@ def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[
                 break
             here = depth + 1 if part.spent else here
         untried = min(untried, here)
+        if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
+            break
+        found = curves(root, root, task) if curves is not None and depth == 0 and not _explain(children) else []
+        everything += found
+        task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct(children)
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         if not front:
@@ -400,12 +424,30 @@ def search_effects(root: Node, task: Task, known: Sequence[Node] = ()) -> tuple[
     return tuple(everything)
 
 
+def _laws_like(curves: Sequence[Node], task: Task) -> dict[str, Effect]:
+    """The memoryless laws of the motions of some laws of unknown form; all effects where there are none."""
+    if not curves:
+        return dict(task.catalogue)
+    last = [node.coarse.assembly.placements[-1].effect for node in curves]
+    motions = [one.needs for one in last if isinstance(one, ForceEffect)]
+    return {
+        key: one
+        for key, one in task.catalogue.items()
+        if isinstance(one, ForceEffect) and one.needs in motions and not one.n_memory
+    }
+
+
+def _lowest(nodes: Sequence[Node], root: Node) -> Node:
+    return min(nodes, key=lambda node: node.held_out_level, default=root)
+
+
 def _explain(children: Sequence[Node]) -> bool:
     return any(child.held_out_level <= AT_FLOOR for child in children)
 
 
 def _named(node: Node) -> str:
-    return ", ".join(f"{effect} at {where}" for effect, where in node.effects) or "the linear model"
+    names = [*(f"{effect} at {where}" for effect, where in node.effects), *node.masses]
+    return ", ".join(names) or "the linear model"
 
 
 def _distinct(children: Sequence[Node]) -> list[Node]:
@@ -421,4 +463,4 @@ def _hopeful(node: Node, child: Node) -> bool:
 
 
 def _new(child: Node, front: Sequence[Node]) -> bool:
-    return all(set(child.effects) != set(other.effects) for other in front)
+    return all({*child.effects, *child.masses} != {*other.effects, *other.masses} for other in front)

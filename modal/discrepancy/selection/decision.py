@@ -4,10 +4,6 @@
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
 
-Where any linear force inside a state space is free (`internal_changes`), a wrong gain of a sensor or an input is hardly
-more than another set of such forces: both explain the records. The model as given tells them apart, because with the
-gain it stays where it was.
-
 An effect is none in many ways: a brim without a flow over it, or a limit that no level reaches, at whatever rate. Its
 distance from none cannot be that of one parameter from its neutral value. What counts is what the effect does to the
 outputs. With delta the outputs with it less those without it, in deviations of the noise, and J what all else in the
@@ -22,7 +18,7 @@ delay, the limit of a drive) nothing of its own does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -32,140 +28,45 @@ from modal.discrepancy.fitting.estimation import (
     FAR_ABOVE,
     Estimate,
     Problem,
-    estimate,
+    covariance,
+    held_unknowns,
     score_equations,
     sensitivity_of,
-    simulate_at,
     weights_along,
 )
+from modal.discrepancy.fitting.masses import needed_masses
 from modal.discrepancy.fitting.nodes import (
     SMALLEST_FALL,
     SMALLEST_GAIN,
     Node,
     Task,
     counts,
-    fitted_either_way,
     log_likelihood_gain,
-    node_of,
 )
+from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
+from modal.discrepancy.selection.absorbed_gain import AbsorbedGain, absorbed_gain
+from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
 from modal.discrepancy.selection.smaller_models import has_limit, run_without, with_limits, with_twins, without
-from modal.effects.ambiguity import Circumstance, ambiguous_with
-from modal.effects.catalogue import CATALOGUE, effects_at
-from modal.simulation.assembly import Assembly, Unknowns, place_effect
-from modal.simulation.drive import IndexArray
+from modal.discrepancy.setup import circumstances_of
+from modal.effects.ambiguity import ambiguous_with
+from modal.effects.catalogue import effect_name, effects_at
+from modal.effects.effect import is_form_free
+from modal.simulation.assembly import Assembly, EffectPlacement
 from modal.simulation.sensitivity import Sensitivity
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
-from modal.simulation.trajectory import SHARP
-from modal.structure.reciprocity import INTERNAL_FORCE
-from modal.wording.numbers import number, times_floor_text
+from modal.structure.placed import possible_places
+from modal.wording.numbers import listed, number, percent, times_floor_text
 from okid.arrays import TINY, FloatArray
+from okid.display import Displayed
+from okid.record import Record
 
-__all__ = ["AbsorbedGain", "Decision", "absorbed_gain", "covariance", "decide_nodes", "held_unknowns", "sureness"]
-
-ITERATIONS, LONGEST = 20, 60
-"""End the fit that finds a gain after the first, and one to its end after the second number of iterations."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AbsorbedGain:
-    """A gain that explains a calibration.
-
-    Attributes:
-        node: The calibrated model with it.
-        without: The same without it, calibrated anew.
-        fall: By how much the cost of the first is lower, the priors of the calibration included, as 2 ln L.
-    """
-
-    node: Node
-    without: Node
-    fall: float
-
-
-def absorbed_gain(root: Node, task: Task) -> AbsorbedGain | None:
-    """The one gain that explains the calibration of a model, where there is one.
-
-    The best one; None where no internal force is free, or no gain is worth 30.
-    """
-    plant = root.coarse.assembly.plant
-    if not any(one.name.startswith(INTERNAL_FORCE) for one in plant.parameters):
-        return None
-    if _moved(root) <= SMALLEST_GAIN:  # no gain saves more than the calibration has cost
-        return None
-    alone = _alone(root, task)
-    channels = {"input_gain": plant.input_names, "sensor_gain": plant.output_names}
-    found: AbsorbedGain | None = None
-    for key, names in channels.items():
-        for where in names if task.catalogue.get(key) is CATALOGUE[key] else ():
-            one = None if (key, where) in root.effects else _with_gain(root, alone, key, where, task)
-            if one is not None and one.fall > (SMALLEST_GAIN if found is None else found.fall):
-                found = one
-    return found
-
-
-def _moved(root: Node) -> float:
-    """What the calibration costs by the priors of the linear parameters."""
-    assembly = root.coarse.assembly
-    centre, deviation = assembly.prior()
-    moved = (root.coarse.unknowns.common - centre)[: assembly.n_linear] / deviation[: assembly.n_linear]
-    return float(np.sum(moved**2))
-
-
-def _alone(root: Node, task: Task) -> Estimate | None:
-    """The calibration as it is, fitted to its end by the noise floor of now."""
-    coarse = root.coarse
-    start = simulate_at(coarse.assembly, coarse.unknowns, task.fit, states=coarse.trajectory.states)
-    return None if start is None else _settled(start, task)
-
-
-def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: Task) -> AbsorbedGain | None:
-    """The model with a gain, from the linear parameters as given; None where it does not explain the data or save 30.
-
-    The calibration without it is fitted from there as well, and the better way counts.
-    """
-    before = root.coarse.assembly
-    effect = CATALOGUE[key]
-    assembly = replace(before, placements=(*before.placements, place_effect(before.plant, effect, where)))
-    common = np.concatenate([before.plant.nominal, root.coarse.unknowns.common[before.n_linear :], effect.neutral])
-    unknowns = Unknowns(common=common, local=root.coarse.unknowns.local)
-    start = simulate_at(assembly, unknowns, task.fit, states=root.coarse.trajectory.states)
-    if start is None:
-        return None
-    node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
-    if alone is None or max(node.fit_level, node.held_out_level) > NEAR_FLOOR:
-        return None
-    if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
-        return None
-    start = run_without(node.coarse, len(assembly.placements) - 1, task.fit, smoothing=SHARP)
-    other = alone if start is None else _settled(start, task)
-    rival = other if other.cost < alone.cost else alone
-    return AbsorbedGain(node=node, without=node_of(rival, task), fall=rival.cost - node.coarse.cost)
-
-
-def _settled(start: Estimate, task: Task) -> Estimate:
-    """Fitted until an iteration gains less than 1: the valley of the internal forces is long and flat."""
-    return estimate(start, task.fit, iterations=LONGEST, standstill=1.0 / max(start.cost, 1.0))
-
-
-def covariance(current: Estimate, problem: Problem) -> FloatArray:
-    """Covariance of all unknowns at the estimate, scaled by the residual where that is above the floor.
-
-    What is held, or sits on a hard bound, has none: the others' is that given the bound.
-    """
-    gram, _ = score_equations(current, problem, sensitivity_of(current, problem))
-    held = held_unknowns(current)
-    gram[held, :] = 0.0
-    gram[:, held] = 0.0
-    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
-    inverse = scipy.linalg.pinvh(gram / np.outer(scale, scale)) / np.outer(scale, scale)
-    inverse[held, :] = 0.0
-    inverse[:, held] = 0.0
-    return np.asarray(inverse * max(1.0, current.level))
-
-
-def held_unknowns(current: Estimate) -> IndexArray:
-    """Which common unknowns are held, or sit on a hard bound."""
-    lower, upper = current.assembly.bounds()
-    return np.flatnonzero((lower == upper) | current.at_bounds)
+__all__ = [
+    "Decision",
+    "criterion",
+    "decide_nodes",
+    "sureness",
+]
 
 
 def sureness(node: Node, task: Task) -> list[float]:
@@ -185,7 +86,7 @@ def sureness(node: Node, task: Task) -> list[float]:
             continue
         others = np.ones(len(gram), dtype=bool)
         others[held] = False
-        others[_own(current.assembly, i)] = False
+        others[_own(current.assembly, i, problem.drive.n_records)] = False
         seen = _against(problem, current, slopes, change)[others]
         left = float(np.sum(change**2)) - float(seen @ _solved(gram[np.ix_(others, others)], seen))
         found.append(float(np.sqrt(max(left, 0.0) / max(1.0, current.level))))
@@ -201,12 +102,16 @@ def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray |
     return change if np.isfinite(np.sum(change**2)) else None
 
 
-def _own(assembly: Assembly, placement: int) -> list[int]:
+def _own(assembly: Assembly, placement: int, n_records: int) -> list[int]:
     """Where the amplitudes of an effect stand, or all that it has where it has none."""
     item, begin = assembly.placements[placement], assembly.common_of(placement).start
-    roles = [item.effect.parameters[j].role for j in item.common]
-    found = [begin + position for position, role in enumerate(roles) if role == "amplitude"]
-    return found or [begin + position for position in range(len(roles))]
+    places = {j: [begin + position] for position, j in enumerate(item.common)}
+    first = assembly.n_common + assembly.local_of(placement).start
+    for position, j in enumerate(item.local):
+        places[j] = [first + position + record * assembly.n_local for record in range(n_records)]
+    kinds = item.effect.parameters
+    found = [at for j in places if kinds[j].role == "amplitude" for at in places[j]]
+    return found or [begin + position for position in range(len(item.common))]
 
 
 def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: FloatArray) -> FloatArray:
@@ -233,8 +138,6 @@ MOST_FIRM = 2
 SAME = 1.05
 """Rank models by the likelihood of all records where their held-out mean squares differ by less than this."""
 
-CLOSE_COMPANY = SMALLEST_GAIN
-"""Call a lead in 2 ln L below this no lead."""
 CLEAR_RISE = 3.0
 """Keep an effect without which the held-out mean square rises by this factor, however uncertain its size."""
 LEAST_SURE = 5.0
@@ -244,8 +147,8 @@ SHARP_SHARE = 0.05
 it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Decision:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Decision(Displayed):
     """What was decided.
 
     Attributes:
@@ -254,6 +157,11 @@ class Decision:
         runners: For each effect of it, the best other model without that effect at that place, None if there is none.
         margins: 2 ln L by which the chosen model leads each runner-up.
         reasons: Why it is not firm, in words; empty for "named" and "none".
+        even: For each effect of it, (key, place) of the effects that explain the data as well in its place.
+        lack_of_fit: Tests of what the model chosen leaves, the least probable first.
+        notes: What it leaves although it is firm, in words.
+        findings: The effects found, as in a diagnosis.
+        laws: All laws of the model, likewise.
     """
 
     status: Literal["named", "unresolved", "none"]
@@ -261,54 +169,172 @@ class Decision:
     runners: tuple[Node | None, ...]
     margins: tuple[float, ...]
     reasons: tuple[str, ...]
+    even: tuple[tuple[tuple[str, str], ...], ...] = ()
+    lack_of_fit: tuple[LackOfFit, ...] = ()
+    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    laws: tuple[LawCurve, ...] = ()
 
 
-def decide_nodes(
-    nodes: Sequence[Node], task: Task, *, circumstances: frozenset[Circumstance] = frozenset()
-) -> Decision:
-    """Choose among the models that the search has fitted, the first being the linear one."""
+def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> Decision:
+    """Choose among the models that the search has fitted, the first being the linear one.
+
+    Args:
+        nodes: The models.
+        task: What they were fitted to, and laws of unknown form for where none of them is enough.
+        fits: The records to fit.
+    """
     root = nodes[0]
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
+    if best is not root:
+        best = _pruned(best, root, task)
+        equals = [node for node in earned if _size(node) == _size(best)]
+        equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
+        if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
+            best = min([best, *equals], key=lambda node: criterion(node, root, task))
     if best is root:
-        return _nothing(root, task)
-    best = _pruned(best, root, task)
-    equals = [node for node in earned if len(node.effects) == len(best.effects)]
-    equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
-    if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
-        best = max(
-            [best, *equals], key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task)
-        )
-    if best is root:
-        return _nothing(root, task)
+        nothing = _nothing(root, task)
+        found = nothing.status == "none" or nothing.node is not root
+        return nothing if found else _by_curve(nothing, nodes, root, task, fits)
+    if len(best.effects) == len(root.effects):
+        return _only_masses(best, root, earned, task)
     richer, best = best, _simplest(best, root, task)
-    runners, margins, reasons = [], [], []
     twins = [best, *(with_twins(best, task, nodes) if best.held_out_level <= NEAR_FLOOR else [])]
-    others = [*nodes, richer, *twins]
     best = max(twins, key=lambda node: log_likelihood_gain(root, node, task))
+    others = [*nodes, richer, *twins]
+    return _by_curve(_judged(best, others, root, task, fits), others, root, task, fits)
+
+
+def _by_curve(named: Decision, others: Sequence[Node], root: Node, task: Task, fits: Sequence[Record]) -> Decision:
+    """The decision, or a law of unknown form where the one with a name leaves something that a curve does not."""
+    if named.status == "named" or not task.form_free or not _leaves(named, root):
+        return named
+    tried = any(_n_free(node) for node in others)
+    single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
+    for parent in (*([] if tried else [root]), *([named.node] if single else [])):
+        task.report("fitting laws of unknown form", 0.92)
+        found = [_judged(node, [*others, node], root, task, fits) for node in curves_beside(parent, root, task)]
+        passed = [decision for decision in found if decision.status == "named"]
+        if passed:
+            return min(passed, key=lambda one: criterion(one.node, root, task))
+    return named
+
+
+def _n_free(node: Node) -> int:
+    """How many laws of unknown form a model has."""
+    return sum(is_form_free(item.effect) for item in node.coarse.assembly.placements)
+
+
+def _size(node: Node) -> int:
+    """How many effects and other masses a model has; a law of unknown form is two: two at one place are one law."""
+    return node.size + _n_free(node)
+
+
+def _leaves(decision: Decision, root: Node) -> bool:
+    """Whether a model leaves something that is no noise."""
+    if decision.node.held_out_level > NEAR_FLOOR or decision.node is root:
+        return True
+    return bool(what_is_left(decision.lack_of_fit, decision.node, root)[0])
+
+
+def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Sequence[Record]) -> Decision:
+    """A model that was chosen, against all others and against what it leaves."""
+    runners, margins, even, reasons = [], [], [], []
+    circumstances = circumstances_of(best.coarse.assembly.plant, fits, best)
+    lowest = criterion(best, root, task)
     for effect in best.effects:
         rivals = [node for node in others if node is not root and _rivals(node, best, effect, task)]
         runner = _strongest(rivals, root, task)
-        margin = np.inf if runner is None else log_likelihood_gain(runner, best, task)
         runners.append(runner)
-        margins.append(float(margin))
-        if runner is not None and margin < CLOSE_COMPANY and not _ambiguous(effect, runner, circumstances):
-            named = effects_at(runner.effects)
-            how = f"nearly as well (2 ln L lower by {margin:.0f} only)" if margin >= 0.0 else "no worse"
-            reasons.append(f"{named} explains the data {how}")
+        margins.append(np.inf if runner is None else log_likelihood_gain(runner, best, task))
+        near = [node for node in rivals if _size(node) <= _size(best) and criterion(node, root, task) - lowest < EVEN]
+        even.append(tuple(dict.fromkeys(other for node in near for other in node.effects if other not in best.effects)))
+        same = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.effects}
+        rival = _strongest([node for node in near if same.isdisjoint(key for key, _ in node.effects)], root, task)
+        if rival is not None:
+            margin = log_likelihood_gain(rival, best, task)
+            other = effects_at(rival.effects) or listed(list(rival.masses))
+            reasons.append(f"{other} explains the data as well (2 ln L lower by {margin:.0f})")
+    tests = lack_of_fit(best, task, known=len(root.effects))
+    refused, notes = what_is_left(tests, best, root)
     if best.held_out_level > NEAR_FLOOR:
         reasons.append(
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
         )
-    reasons += _unproved(best, root) + _untried(best, task, most=len(best.effects) - len(root.effects))
+    reasons += _unproved(best, root) + _undetermined(best, root, task) + _doubted_gains(best, root) + refused
+    reasons += _untried(best, task, most=len(best.effects) - len(root.effects))
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
         runners=tuple(runners),
-        margins=tuple(margins),
+        margins=tuple(float(margin) for margin in margins),
         reasons=tuple(reasons),
+        even=tuple(even),
+        lack_of_fit=tests,
+        notes=tuple(notes) if not reasons else (),
     )
+
+
+def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> Decision:
+    """Other masses explain the data: no effect is missing, unless one that is no more than they leads or comes near."""
+    best = needed_masses(best, task) if best.held_out_level <= NEAR_FLOOR else best
+    most = criterion(best, root, task) + EVEN
+    near = [node for node in nodes if _size(node) <= _size(best) and criterion(node, root, task) < most]
+    rivals = sorted({effects_at(node.effects) for node in near if len(node.effects) > len(root.effects)})
+    reasons = [f"{rival} explains the data as well as {listed(list(best.masses))}" for rival in rivals]
+    tests = lack_of_fit(best, task, known=len(root.effects))
+    worst = worst_left(tests)
+    if max(best.held_out_level, best.fit_level) > NEAR_FLOOR:
+        reasons.append(
+            f"{listed(list(best.masses))} in the model as given is not all: the held-out gap is still "
+            f"{times_floor_text(best.held_out_level)} times the noise floor"
+        )
+    elif worst is not None:
+        reasons.append(
+            f"beside {listed(list(best.masses))}, {something(worst)} is left, {percent(worst.size)} of the outputs"
+        )
+    before = len(root.effects)
+    return Decision(
+        status="unresolved" if reasons else "none",
+        node=best,
+        runners=(None,) * before,
+        margins=(float("inf"),) * before,
+        reasons=tuple(reasons),
+        lack_of_fit=tests,
+    )
+
+
+def criterion(node: Node, root: Node, task: Task) -> float:
+    """S = -2 ln L + k ln n + 2 ln(places tried), over the records to fit and the held-out ones, from the linear model.
+
+    References:
+        Schwarz, Estimating the dimension of a model, Ann. Statist. 6, 1978, https://doi.org/10.1214/aos/1176344136
+    """
+    plant = node.coarse.assembly.plant
+    places = sum(np.log(len(possible_places(plant, item.effect))) for item in node.coarse.assembly.placements)
+    return float(_cost_of_freedom(node, task) + 2.0 * places - log_likelihood_gain(root, node, task))
+
+
+def _found(best: Node, root: Node) -> tuple[EffectPlacement, ...]:
+    return best.coarse.assembly.placements[len(root.effects) :]
+
+
+def _undetermined(best: Node, root: Node, task: Task) -> list[str]:
+    """Lengths, times and frequencies of a law that the data do not fix: the law is one of its limits."""
+    spread = np.sqrt(np.maximum(np.diag(covariance(best.coarse, task.fit)), 0.0))
+    assembly, reasons = best.coarse.assembly, []
+    for i, item in enumerate(assembly.placements[len(root.effects) :], start=len(root.effects)):
+        span = assembly.common_of(i)
+        for j, value, deviation in zip(item.common, best.coarse.unknowns.common[span], spread[span], strict=False):
+            kind = item.effect.parameters[j]
+            if kind.role == "shape" and any(kind.dimension) and deviation > abs(value):
+                reasons.append(
+                    f"the {kind.meaning} of {effect_name(item.effect.key)} at {item.where} is not determined "
+                    f"({number(value)} +- {number(deviation)}): one of its limits explains the data as well"
+                )
+    return reasons
 
 
 def _unproved(best: Node, root: Node) -> list[str]:
@@ -345,7 +371,12 @@ def _nothing(root: Node, task: Task) -> Decision:
         absorbed = absorbed_gain(root, task)
         if absorbed is not None:
             return _absorbed(root, absorbed)
-        return Decision(status="none", node=root, runners=(), margins=(), reasons=())
+        tests = lack_of_fit(root, task)
+        worst = worst_left(tests)
+        words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
+        left = (f"no effect of the catalogue counts, but {words}",) if words else ()
+        status: Literal["none", "unresolved"] = "unresolved" if left else "none"
+        return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
     tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
     reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
@@ -380,20 +411,21 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     enough = max(SAME * lowest, 1.0)
     good = [node for node in nodes if node.held_out_level <= enough]
     within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, (1.0 + SMALLEST_FALL) * enough)]
-    fewest = min(len(node.effects) for node in (within or good))
-    equals = [node for node in (within or good) if len(node.effects) == fewest]
+    fewest = min(_size(node) for node in (within or good))
+    equals = [node for node in (within or good) if _size(node) == fewest]
     if lowest > FAR_ABOVE:
         return min(equals, key=lambda node: node.held_out_level)
-    return max(equals, key=lambda node: log_likelihood_gain(root, node, task) - _cost_of_freedom(node, task))
+    return min(equals, key=lambda node: criterion(node, root, task))
 
 
 def _cost_of_freedom(node: Node, task: Task) -> float:
     """ln(n) a free parameter (Schwarz 1978); one that is found at the value known beforehand is not free."""
     assembly, problem = node.coarse.assembly, task.fit
     n_values = int(problem.drive.present.sum() + task.held_out.drive.present.sum())
-    free = 0
+    free, n_records = len(node.masses), problem.drive.n_records + task.held_out.drive.n_records
     for i, item in enumerate(assembly.placements):
-        free += len(item.common) + item.n_directions - len(item.held)
+        free += n_records * len(item.local) + len(item.common) + item.n_directions - len(item.held)
+        free -= sum(kind.lower == kind.upper for kind in item.effect.parameters)
         known = item.effect.known_values("" if item.port is None else item.port.length_unit)
         if any(value is not None for value in known):
             free -= _found_as_known(node, i, known, problem)
@@ -447,7 +479,7 @@ def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool
     if effect in node.effects or not np.isfinite(node.held_out_level):
         return False
     contains = any(where == effect[1] and has_limit(key, effect[0]) for key, where in node.effects)
-    return not contains or log_likelihood_gain(best, node, task) > CLOSE_COMPANY
+    return not contains or log_likelihood_gain(best, node, task) > SMALLEST_GAIN
 
 
 def _weak(smaller: Node, best: Node, z: float) -> bool:
@@ -458,6 +490,33 @@ def _weak(smaller: Node, best: Node, z: float) -> bool:
     return z < LEAST_SURE and smaller.held_out_level < CLEAR_RISE * best.held_out_level
 
 
-def _ambiguous(effect: tuple[str, str], runner: Node, circumstances: frozenset[Circumstance]) -> bool:
-    others = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.others(effect[0])}
-    return any(key in others for key, _ in runner.effects)
+PLAUSIBLE_GAIN = (0.3, 3.0)
+"""Doubt a gain beyond these: a unit is wrong (a thousand, g, degrees)."""
+HARDLY_FOLLOWS = 0.03
+"""Call a channel dead or another one where its gain is below this size."""
+
+
+def _doubted_gains(best: Node, root: Node) -> list[str]:
+    """Why a gain far from one, a wrong unit, or one that hardly differs from one, is not firm."""
+    reasons = []
+    for item, i in zip(_found(best, root), range(len(root.effects), len(best.effects)), strict=True):
+        if item.effect.key in {"input_gain", "sensor_gain"}:
+            gain = float(best.coarse.unknowns.common[best.coarse.assembly.common_of(i).start])
+            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
+                reasons.append(_doubted_gain(gain, item.where))
+            elif abs(gain - 1.0) < SLIGHT:
+                reasons.append(
+                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
+                    "of and errors of a simulation look like"
+                )
+    return reasons
+
+
+def _doubted_gain(gain: float, where: str) -> str:
+    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
+    words = f"a gain of {number(gain)} at {where} looks like"
+    if abs(gain) < HARDLY_FOLLOWS:
+        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
+    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
+        return f"{words} a turned direction: check the sign of the channel"
+    return f"{words} a wrong unit: check the units of the records"

@@ -27,6 +27,7 @@ from modal.simulation.sensitivity import Source, force_response, respond, sensit
 from modal.simulation.tolerances import ROUNDING
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray
+from okid.display import Displayed
 
 __all__ = ["Candidate", "screen_candidates"]
 
@@ -171,7 +172,10 @@ def _trials_of(
         displacement_scale=max(float(np.std(motion.displacement)), TINY),
         velocity_scale=max(float(np.std(motion.velocity)), TINY),
     )
-    item = replace(item, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale)
+    effect = effect.over(motion)
+    item = replace(
+        item, effect=effect, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale
+    )
     situation = Situation(
         motion=motion,
         residual_frequencies=peaks,
@@ -214,7 +218,7 @@ def _sources(current: Estimate, item: EffectPlacement, values: tuple[float, ...]
             for history in histories.T
         ]
     if isinstance(effect, SensorEffect):
-        slopes = effect.by_parameter(effect.neutral, motion.displacement, motion.time)
+        slopes = effect.screen_columns(values, motion.displacement, motion.time)
         found = []
         for slope in slopes.T:
             sensed = np.zeros_like(current.trajectory.outputs)
@@ -268,8 +272,8 @@ CHUNK = 48
 """Respond to so many trials at once: more only cost memory."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Candidate:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Candidate(Displayed):
     """An effect at a place, with values to start from.
 
     Attributes:
@@ -464,6 +468,9 @@ def _candidate(trial: _Trial, weights: FloatArray, drive: Drive, *, local: bool)
         started = effect.from_screen(values, weights[:n_columns])
         if item.n_directions and weights[0] != 0.0:
             directions = weights[n_columns::n_columns] / weights[0]
+    elif local:
+        own[:] = effect.neutral[item.local[0]] + weights.reshape(own.shape)
+        started = values
     else:
         amplitudes = [j for j, kind in enumerate(effect.parameters) if kind.role == "amplitude"]
         changed = list(values)

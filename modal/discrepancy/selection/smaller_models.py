@@ -6,7 +6,7 @@ same place tells.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -22,9 +22,7 @@ from modal.structure.placed import possible_places
 from okid.arrays import FloatArray
 
 __all__ = [
-    "LIMITS",
     "Law",
-    "Limit",
     "dropped",
     "has_limit",
     "instead",
@@ -117,40 +115,10 @@ T = TypeVar("T")
 Law = tuple[str, str]
 """An effect's key and its place."""
 
-Values = Sequence[float] | FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Limit:
-    """A law that another one turns into.
-
-    Attributes:
-        law: Key of the simpler law.
-        values: Its parameters by those of the richer one.
-        near: Whether the richer one may be near it, by its parameters and the standard deviation of the displacement.
-    """
-
-    law: str
-    values: Callable[[Values], tuple[float, ...]]
-    near: Callable[[Values, float], bool]
-
-
-LIMITS = {
-    "slack_in_hysteresis": (
-        # a link that seldom slips, and one that slips in most cycles
-        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2]), near=lambda v, size: v[1] + v[2] >= size),
-        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] + v[2] <= size),
-    ),
-    "bouc_wen_hysteresis": (
-        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] <= size),
-    ),
-}
-"""The limits of each law that has one."""
-
 
 def has_limit(law: str, simpler: str) -> bool:
     """Whether a law turns into a simpler one."""
-    return any(limit.law == simpler for limit in LIMITS.get(law, ()))
+    return law in CATALOGUE and any(limit.law == simpler for limit in CATALOGUE[law].limits)
 
 
 def is_limit(simple: Law, rich: Law) -> bool:
@@ -179,28 +147,13 @@ def with_limits(node: Node, task: Task) -> list[Node]:
     found: list[Node] = []
     for i, item in enumerate(assembly.placements):
         values = common[assembly.common_of(i)][: len(item.common)]
-        limits = [limit for limit in LIMITS.get(item.effect.key, ()) if limit.near(values, item.displacement_scale)]
+        limits = [limit for limit in item.effect.limits if limit.near(values, item.displacement_scale)]
         for limit in limits:
             law = task.catalogue.get(limit.law)
             there = (limit.law, item.where) in node.effects
             if law is CATALOGUE[limit.law] and not there and item.where in possible_places(assembly.plant, law):
                 found.append(instead(node, i, _placed(assembly, i, law), limit.values(values), task))
     return found
-
-
-def _softening_as_sine(values: Values, stiffness: float) -> tuple[float, ...] | None:
-    return (float(np.sqrt(-stiffness / (6.0 * values[0]))),) if values[0] < 0.0 else None
-
-
-def _sine_as_cubic(values: Values, stiffness: float) -> tuple[float, ...] | None:
-    return (-stiffness / (6.0 * values[0] ** 2),)
-
-
-TWINS = {
-    "cubic_stiffness": ("sine_softening", _softening_as_sine),
-    "sine_softening": ("cubic_stiffness", _sine_as_cubic),
-}
-"""Laws that are the same to third order: the other one, and its parameters beside a linear stiffness."""
 
 
 def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node]:
@@ -213,13 +166,15 @@ def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node
     there = [set(one.effects) for one in fitted]
     found: list[Node] = []
     for i, item in enumerate(assembly.placements):
-        key, as_twin = TWINS.get(item.effect.key, ("", None))
-        law, linear = task.catalogue.get(key), assembly.stiffness_parameter(i)
-        if as_twin is None or law is not CATALOGUE[key] or linear is None:
+        twin = item.effect.twin
+        if twin is None:
+            continue
+        key, law, linear = twin.law, task.catalogue.get(twin.law), assembly.stiffness_parameter(i)
+        if law is not CATALOGUE[key] or linear is None:
             continue
         if {*node.effects} - {node.effects[i]} | {(key, item.where)} in there:
             continue
-        values = as_twin(common[assembly.common_of(i)], float(common[linear]))
+        values = twin.values(common[assembly.common_of(i)], float(common[linear]))
         if values is not None:
             found.append(instead(node, i, _placed(assembly, i, law), values, task))
     return found

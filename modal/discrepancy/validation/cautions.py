@@ -7,15 +7,14 @@ import numpy as np
 
 from modal.discrepancy.fitting.nodes import Node
 from modal.discrepancy.results import Diagnosis, explained_words
-from modal.discrepancy.selection.decision import Decision
 from modal.discrepancy.validation.other_hold import hold_words
-from modal.quality.check import spoiled_channels
+from modal.preparation.faults import spoiled_channels
 from modal.structure.reciprocity import INTERNAL_FORCE
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["doubted_units", "early_words", "free_words", "grid_error", "spoiled_words", "with_cautions"]
+__all__ = ["early_words", "free_words", "grid_error", "spoiled_words", "with_cautions"]
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
@@ -85,43 +84,6 @@ def early_words(found: Diagnosis) -> str:
         f"the outputs answer {where} {number(lead, 3)} s ({samples} samples) before it is recorded: no physical effect "
         "does, so the channels are skewed, or the outputs were written down a step after their inputs"
     )
-
-
-PLAUSIBLE_GAIN = (0.3, 3.0)
-"""Doubt a gain beyond these: a unit is wrong (a thousand, g, degrees)."""
-SLIGHT = 0.01
-"""Doubt a gain that differs from one by less."""
-HARDLY_FOLLOWS = 0.03
-"""Call a channel dead or another one where its gain is below this size."""
-
-
-def doubted_units(decision: Decision) -> Decision:
-    """The decision, not firm where a gain far from one was found, a wrong unit, or one that hardly differs from one."""
-    assembly = decision.node.coarse.assembly
-    reasons = list(decision.reasons)
-    for i, item in enumerate(assembly.placements):
-        if item.effect.key in {"input_gain", "sensor_gain"}:
-            gain = float(decision.node.coarse.unknowns.common[assembly.common_of(i).start])
-            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
-                reasons.append(_doubted_gain(gain, item.where))
-            elif abs(gain - 1.0) < SLIGHT:
-                reasons.append(
-                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
-                    "of and errors of a simulation look like"
-                )
-    if len(reasons) == len(decision.reasons):
-        return decision
-    return replace(decision, status="unresolved", reasons=tuple(reasons))
-
-
-def _doubted_gain(gain: float, where: str) -> str:
-    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
-    words = f"a gain of {number(gain)} at {where} looks like"
-    if abs(gain) < HARDLY_FOLLOWS:
-        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
-    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
-        return f"{words} a turned direction: check the sign of the channel"
-    return f"{words} a wrong unit: check the units of the records"
 
 
 LEAST_RATIO = 2.0

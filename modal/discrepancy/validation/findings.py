@@ -6,18 +6,18 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate
 from modal.discrepancy.fitting.nodes import SMALLEST_FALL, SMALLEST_GAIN, Node, Task, log_likelihood_gain
-from modal.discrepancy.results import DetectionLimit, Evidence, Finding, Hypothesis, Parameter
-from modal.discrepancy.selection.decision import CLOSE_COMPANY, Decision
+from modal.discrepancy.results import DetectionLimit, Evidence, Finding, Hypothesis, LawCurve, Parameter
+from modal.discrepancy.selection.decision import Decision
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.setup import SAME_LEVEL
 from modal.effects.ambiguity import Circumstance, ambiguous_with
 from modal.effects.catalogue import effect_name, one_of, parameter_units
+from modal.effects.effect import ForceEffect, is_form_free
 from modal.simulation.plant import Plant
 from modal.wording.numbers import times_floor_text
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["advise", "circumstances_of", "detection_limits", "even_rivals", "findings_of", "hypothesis_of"]
+__all__ = ["advise", "detection_limits", "findings_of", "hypothesis_of"]
 
 
 def hypothesis_of(node: Node, root: Node, task: Task) -> Hypothesis:
@@ -38,6 +38,7 @@ def findings_of(
     *,
     deviations: FloatArray,
     circumstances: frozenset[Circumstance],
+    laws: Sequence[LawCurve] = (),
 ) -> tuple[Finding, ...]:
     """What was found.
 
@@ -48,6 +49,7 @@ def findings_of(
         plant: The plant.
         deviations: (n_common,) standard deviations of the common unknowns.
         circumstances: For the table of ambiguities.
+        laws: Of all effects of the model, where one has an unknown form.
 
     Returns:
         One finding an effect that the root does not have.
@@ -56,19 +58,29 @@ def findings_of(
     for i in range(len(root.effects), len(decision.node.effects)):
         runner, margin = decision.runners[i], decision.margins[i]
         item = decision.node.fitted.assembly.placements[i]
+        curve = laws[i] if laws and is_form_free(item.effect) else None
         found.append(
             Finding(
                 effect=item.effect.key,
                 where=item.where,
                 parameters=_parameters(decision.node, plant, deviations, i),
-                law=item.effect.law,
+                law=item.effect.law if curve is None else _form(curve),
                 signature=item.effect.signature,
                 evidence=_evidence(decision, root, task, margin),
                 runner_up=None if runner is None else hypothesis_of(runner, root, task),
-                ambiguous_with=_others(item.effect.key, circumstances, even_rivals(decision, i)),
+                ambiguous_with=_others(item.effect.key, circumstances, _even(decision, i)),
+                curve=curve,
             )
         )
     return tuple(found)
+
+
+def _form(curve: LawCurve) -> str:
+    """A law of unknown form in words, by what it does at both ends of its motion."""
+    ends = [float(np.sign(curve.motion[k] * curve.force[k])) for k in (0, -1)]
+    opposed = {2.0: "hardening ", -2.0: "softening "} if curve.against == "displacement" else {2.0: "rising "}
+    form = opposed.get(sum(ends), "")
+    return f"f = a smooth {form}law of the {curve.against} at {curve.where}, through points"
 
 
 def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tuple[Parameter, ...]:
@@ -89,17 +101,6 @@ def _parameters(node: Node, plant: Plant, deviations: FloatArray, i: int) -> tup
     )
 
 
-def even_rivals(decision: Decision, i: int) -> tuple[str, ...]:
-    """Keys of the effects that explain the data as well as effect number i of the chosen model.
-
-    Those of the runner-up that the chosen model lacks, where its lead is no lead; else none.
-    """
-    runner = decision.runners[i]
-    if runner is None or decision.margins[i] >= CLOSE_COMPANY:
-        return ()
-    return tuple(dict.fromkeys(key for key, where in runner.effects if (key, where) not in decision.node.effects))
-
-
 def _evidence(decision: Decision, root: Node, task: Task, margin: float) -> Evidence:
     node = decision.node
     gain = log_likelihood_gain(root, node, task)
@@ -111,9 +112,39 @@ def _evidence(decision: Decision, root: Node, task: Task, margin: float) -> Evid
     return Evidence(closed=float(np.clip(closed, -np.inf, 1.0)), log_likelihood=gain, margin=margin, words=words)
 
 
+def _even(decision: Decision, i: int) -> tuple[str, ...]:
+    """Keys of the effects that explain the data as well as effect number i of the chosen model.
+
+    Two laws of one motion at one place are one law: any other of the same shape would do.
+    """
+    placements = decision.node.fitted.assembly.placements
+    item = placements[i]
+    found = [key for key, _ in decision.even[i]] if decision.even else []
+    if isinstance(item.effect, ForceEffect) and not item.effect.n_memory:
+        like = [
+            other
+            for other in placements
+            if other.where == item.where
+            and isinstance(other.effect, ForceEffect)
+            and other.effect.needs == item.effect.needs
+        ]
+        free = {frozenset({"displacement"}): "smooth_stiffness", frozenset({"velocity"}): "smooth_damping"}
+        found += [free[item.effect.needs]] if len(like) > 1 and item.effect.needs in free else []
+    return tuple(dict.fromkeys(found))
+
+
 def _others(effect: str, circumstances: frozenset[Circumstance], even: tuple[str, ...]) -> tuple[str, ...]:
+    """What an effect cannot be told from, by the evidence and by the table, nor what is like these from anything else.
+
+    A sensor's zero is like a constant force, and that like friction where the motion never reverses.
+    """
     rows = ambiguous_with(effect, circumstances=circumstances, even_with=even)
-    return tuple(dict.fromkeys(other for row in rows for other in row.others(effect)))
+    every = dict.fromkeys([*even, *(other for row in rows for other in row.others(effect))])
+    for other in list(every):
+        every |= dict.fromkeys(
+            key for row in ambiguous_with(other, circumstances=circumstances) for key in row.others(other)
+        )
+    return tuple(other for other in every if other != effect)
 
 
 def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[DetectionLimit, ...]:
@@ -152,38 +183,12 @@ def detection_limits(current: Estimate, task: Task, plant: Plant) -> tuple[Detec
     return tuple(found)
 
 
-def circumstances_of(plant: Plant, fits: Sequence[Record], root: Node) -> frozenset[Circumstance]:
-    """What holds of the plant and its records, for the table of ambiguities."""
-    found: set[Circumstance] = set()
-    if plant.n_states <= 2 and plant.n_outputs == 1 and plant.n_inputs <= 1:
-        found.add("one_dof")
-    per_mass = [port for port in plant.ports if port.mass is not None and port.force_unit == f"{port.length_unit}/s^2"]
-    if per_mass and "one_dof" not in found:
-        found.add("unknown_masses")  # forces are counted per effective mass
-    if plant.n_outputs == 1:
-        found.add("one_output")
-    sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]
-    if min(sizes) <= 0.0 or max(sizes) / min(sizes) < SAME_LEVEL:
-        found.add("one_level")
-    n = plant.n_states
-    states = root.coarse.trajectory.states[:, :n]
-    drive = root.coarse.trajectory.drive
-    speeds = [
-        states @ port.velocity[:n] + drive.sample @ port.velocity[n:]
-        for port in plant.ports
-        if port.velocity is not None
-    ]
-    if speeds and all(min(-speed.min(), speed.max()) < 0.01 * np.abs(speed).max() for speed in speeds):
-        found.add("one_way")
-    return frozenset(found)
-
-
 def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
     """What to measure next."""
     words: list[str] = []
     by_level = False
     for i, ((effect, where), runner) in enumerate(zip(decision.node.effects, decision.runners, strict=False)):
-        rows = ambiguous_with(effect, circumstances=circumstances, even_with=even_rivals(decision, i))
+        rows = ambiguous_with(effect, circumstances=circumstances, even_with=_even(decision, i))
         by_level |= any(row.circumstance == "one_level" for row in rows)
         words += [_apart(effect, where, row.others(effect), row.separates) for row in rows]
         if runner is not None and decision.status == "unresolved":

@@ -23,6 +23,7 @@ from modal.discrepancy.results import LawCurve
 from modal.discrepancy.validation.law_forces import binned_force, force_law, loaded_law, reading_of
 from modal.discrepancy.validation.law_points import Bins, Told, bins_of, drive_before, input_sources, told_by_sources
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect
+from modal.effects.smooth_law import SmoothLaw
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at
@@ -53,6 +54,8 @@ class _LawTask:
         plant: The plant.
         placement: Index of the effect.
         spread: (p, p) covariance of its parameters that all records share.
+        beside: Standard deviation of the linear coefficient of the same motion, for a law of unknown form: what is law
+            and what is linear part is known no better.
     """
 
     fitted: Estimate
@@ -60,6 +63,7 @@ class _LawTask:
     plant: Plant
     placement: int
     spread: FloatArray
+    beside: float = 0.0
 
     @property
     def drive(self) -> Drive:
@@ -126,7 +130,9 @@ class _LawTask:
             against=against,
             motion=grid,
             force=value,
-            deviation=np.sqrt(np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0)),
+            deviation=np.sqrt(
+                np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0) + (self.beside * grid) ** 2
+            ),
             points_motion=knots,
             points_force=force,
             points_deviation=deviation,
@@ -185,6 +191,19 @@ def _sensor_curve(task: _LawTask, effect: SensorEffect) -> LawCurve:
     """The law of an effect at a sensor."""
     item, drive = task.item, task.drive
     unit = task.plant.output_units[item.channel]
+    if effect.n_memory:
+        about, assembly = task.fitted.trajectory.linearisation, task.fitted.assembly
+        force = about.acting[assembly.forces.index(task.placement)].force.value
+        shown = about.states[:, assembly.memory_of(task.placement)][:, 0]
+        return task.curve(
+            lambda motion: (motion, np.zeros((len(motion), len(item.common)))),
+            np.linspace(float(shown.min()), float(shown.max()), N_GRID),
+            bins=None,
+            points=task.by_sources([]),
+            against="output",
+            units=(unit, unit),
+            loop=_loop(shown - force, shown, drive),
+        )
     values = [float(np.mean(value)) for value in task.values]
     gain = float(np.mean(effect.gain(values)))
     time = drive.time[drive.rows]
@@ -224,7 +243,14 @@ def law_curves(fitted: Estimate, problem: Problem, plant: Plant, spread: FloatAr
     for i, item in enumerate(fitted.assembly.placements):
         first = fitted.assembly.common_of(i).start
         own = slice(first, first + len(item.common))
-        task = _LawTask(fitted=fitted, problem=problem, plant=plant, placement=i, spread=spread[own, own])
+        beside = 0.0
+        if isinstance(item.effect, SmoothLaw):
+            name = item.effect.linear_name(item.where)
+            linear = [spread[j, j] for j, one in enumerate(plant.parameters) if one.name == name]
+            beside = float(np.sqrt(max(sum(linear), 0.0)))
+        task = _LawTask(
+            fitted=fitted, problem=problem, plant=plant, placement=i, spread=spread[own, own], beside=beside
+        )
         if isinstance(item.effect, ForceEffect) and item.port is not None:
             found.append(_force_curve(task, item.effect, item.port))
         elif isinstance(item.effect, InputEffect):

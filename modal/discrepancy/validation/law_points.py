@@ -295,7 +295,7 @@ def _source(fitted: Estimate, start: FloatArray, end: FloatArray, sample: FloatA
     outputs = sample[rows] @ scheme.D.T
     for position, i in enumerate(assembly.forces):
         port, force = assembly.placements[i].port, about.acting[position].force
-        if port is None:
+        if port is None or assembly.placements[i].channel >= 0:
             continue
         moved = np.zeros(len(flow))
         if port.displacement is not None:

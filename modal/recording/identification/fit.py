@@ -67,7 +67,7 @@ def _log_output(
     measured = [record.outputs[:, output] for record in identification.records]
     predicted = [record.outputs[:, output] for record in identification.predicted]
     simulated = [record.outputs[:, output] for record in identification.simulated]
-    driven = identification.records[0].n_inputs > 0
+    driven = identification.channels.n_inputs > 0
     colour, width = (PREDICTED, 1.0) if driven else (ORANGE, 1.3)
     models = [Line(channels=predicted, name="one step ahead", colour=colour, width=width)]
     residuals = [
@@ -86,7 +86,7 @@ def _less(first: list[FloatArray], second: list[FloatArray]) -> list[FloatArray]
 
 
 def _log_numbers(identification: Identification, recording: "rerun.RecordingStream") -> None:
-    fit, first = identification.fit, identification.records[0]
+    fit, first = identification.fit, identification.channels
     outputs: dict[str, Iterable[object]] = {
         "name": first.output_names,
         "unit": first.output_units,
@@ -99,7 +99,7 @@ def _log_numbers(identification: Identification, recording: "rerun.RecordingStre
 
 def _log_markov(identification: Identification, recording: "rerun.RecordingStream") -> None:
     """All of them as numbers, the strongest of each of a few outputs as lines, scaled by the size of the channels."""
-    markov, first = identification.markov, identification.records[0]
+    markov, first = identification.markov, identification.channels
     lags = np.arange(markov.n_lags + 1.0)
     if markov.n_inputs:
         system, into = markov.system, first.input_names
@@ -127,7 +127,9 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
 
 
 def _log_whiteness(identification: Identification, recording: "rerun.RecordingStream") -> None:
-    residuals, first = identification.residuals, identification.records[0]
+    residuals, first = identification.residuals, identification.channels
+    if residuals is None:
+        return
     correlation = residuals.autocorrelation
     lags = np.arange(float(correlation.shape[0]))
     names = [label(name, 60) for name in first.output_names]
@@ -172,7 +174,7 @@ def inputs_view(plan: DataPlan) -> list[Any]:
 def run_view(identification: Identification, plan: Plan, output: int, *, legend: bool = True) -> Any:
     """One output over the whole time: measured under predicted and simulated."""
     fit = identification.fit.cross_validated[output]
-    first = identification.records[0]
+    first = identification.channels
     name = name_with_unit(first.output_names[output], first.output_units[output])
     title = f"{name}: fit {fit_text(fit)}" if np.isfinite(fit) else name
     return series_view(plan.fit_paths[output], title, _lines(plan, output), legend=legend)
@@ -229,4 +231,4 @@ def _lines(plan: Plan, output: int) -> list[str]:
 
 
 def _name(identification: Identification, output: int) -> str:
-    return identification.records[0].output_names[output]
+    return identification.channels.output_names[output]

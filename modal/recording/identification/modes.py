@@ -27,13 +27,14 @@ from modal.geometry.scene import (
 from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.modes.shape_comparison import assurance
+from modal.modes.shape_sets import assurance
 from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, WHITE, Pane, document_view, plot_view
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
 from modal.wording.numbers import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
+from okid.frequency_response import FrequencyResponse
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _cells(n_shapes: int) -> tuple[int, int, float]:
     return n_columns, n_rows, min(ROOM[0] / MOST_COLUMNS, height - WORDS) / 2 - GAP
 
 
-def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record) -> None:
+def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record | FrequencyResponse) -> None:
     """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words.
 
     Args:
@@ -224,7 +225,7 @@ def _key(identification: Identification, plan: Plan) -> str:
 
 
 def _assurance_words(identification: Identification, plan: Plan) -> list[str]:
-    first = identification.records[0]
+    first = identification.channels
     words = comparison_words(first.output_names, first.output_units) if plan.compared else ""
     return [words] if words else []
 
@@ -322,7 +323,7 @@ def placement_in(identification: Identification, plan: Plan) -> Placement:
     Raises:
         InvalidDataError: no output has a place in the geometry.
     """
-    first = identification.records[0]
+    first = identification.channels
     return placed(plan.geometry, first.output_names, first.output_units)
 
 
@@ -339,7 +340,7 @@ def log_modes_page(identification: Identification, recording: "rerun.RecordingSt
         scene = scene_of(placement)
         for number in plan.shapes:
             log_shape(plan.modes[number - 1], number, recording, plan, scene)
-        log_complexity(recording, plan, identification.records[0])
+        log_complexity(recording, plan, identification.channels)
         _log_geometry(identification, recording, plan, placement)
     words = modes_text(identification, plan, placement)
     for path, text in ((MODES_TEXT, words), (CHOICES_TEXT, choices_text(identification))):
@@ -369,7 +370,7 @@ def _log_geometry(
     identification: Identification, recording: "rerun.RecordingStream", plan: Plan, placement: Placement
 ) -> None:
     """The structure as numbers: nodes, sensors, and the deflections that are drawn."""
-    geometry, names = placement.geometry, identification.records[0].output_names
+    geometry, names = placement.geometry, identification.channels.output_names
     places = {axis: geometry.positions[:, k].tolist() for k, axis in enumerate("xyz")}
     log_table(
         recording, NODES_TABLE, "node", np.arange(geometry.n_nodes), {"name": list(geometry.node_names), **places}
@@ -395,7 +396,7 @@ def _log_assurance(identification: Identification, recording: "rerun.RecordingSt
     import rerun as rr
 
     modes = [plan.modes[number - 1] for number in plan.shapes]
-    first = identification.records[0]
+    first = identification.channels
     shapes = comparable_shapes(modes, first.output_names, first.output_units)
     matrix = assurance(shapes, shapes)
     n = len(modes)

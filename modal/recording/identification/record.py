@@ -11,7 +11,8 @@ import numpy as np
 
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
-from modal.quality.findings import DataQuality, Finding
+from modal.preparation.channel import Finding
+from modal.quality.findings import DataQuality
 from modal.recording.figure import (
     BLUE,
     COLOURS,

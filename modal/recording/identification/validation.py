@@ -98,7 +98,7 @@ def two_line_limits(seen: FloatArray, made: FloatArray, *, decades: float = DECA
 
 def validation_text(identification: Identification, evidence: Gathered) -> str:
     """What the pictures beside it show, on which rows, and the numbers of each output."""
-    first = identification.records[0]
+    first = identification.channels
     if first.n_inputs:
         title = "### Free run on all rows"
         meaning = (
@@ -128,7 +128,7 @@ def validation_text(identification: Identification, evidence: Gathered) -> str:
 
 
 def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
-    first, fit = identification.records[0], identification.fit
+    first, fit = identification.channels, identification.fit
     driven = bool(first.n_inputs)
     head = ["output", "unit", "cross-validated", "all rows" if driven else "one step", "left over", "output"]
     rows = []
@@ -269,7 +269,7 @@ def _draw_response(
 def _fill_magnitude(
     panel: Panel, identification: Identification, evidence: Gathered, *, output: int, source: int
 ) -> None:
-    first, measured = identification.records[0], evidence.measured
+    first, measured = identification.channels, evidence.measured
     if measured is None:
         return
     units = (first.output_units[output], first.input_units[source])
@@ -300,7 +300,7 @@ def _draw_density(
     *,
     output: int,
 ) -> None:
-    first, model = identification.records[0], evidence.model_density[:, output]
+    first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
     chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
     frequencies = evidence.density_frequencies
@@ -388,8 +388,8 @@ def _one_output(identification: Identification, plan: Plan, evidence: Gathered, 
 
 
 def _output(identification: Identification, output: int) -> str:
-    return identification.records[0].output_names[output]
+    return identification.channels.output_names[output]
 
 
 def _input(identification: Identification, source: int, longest: int) -> str:
-    return label(identification.records[0].input_names[source], longest)
+    return label(identification.channels.input_names[source], longest)

@@ -267,7 +267,8 @@ def test_settled_verdicts(measured):
 def test_trust(measured):
     carried, care = AcceptanceLimit(kind="trust", trust="carried"), AcceptanceLimit(kind="trust", trust="with care")
     warned = replace(measured, warnings=("something",))
-    poor = replace(measured, fit=replace(measured.fit, cross_validated=np.full(3, 0.2)))
+    doubted = tuple(replace(mode, verdict="doubtful") for mode in measured.modes)
+    poor = replace(measured, modes=replace(measured.modes, modes=doubted))
     assert [state(one, carried) for one in (measured, warned, poor)] == ["met", "not met", "not met"]
     assert [state(one, care) for one in (measured, warned, poor)] == ["met", "met", "not met"]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.command.main import _status
+from modal.command.main import status as _status
 from modal.comparison.changes import compare_results
 from modal.comparison.source import summary_of
 from modal.report.comparison import comparison_html, comparison_json, comparison_markdown, write_comparison

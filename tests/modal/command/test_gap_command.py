@@ -7,7 +7,7 @@ import pytest
 
 import modal.recording
 from modal.command.gap import chosen_effects
-from modal.command.main import _status
+from modal.command.main import status as _status
 from modal.command.options import spread_files
 from modal.effects.catalogue import CATALOGUE
 from modal.structure.structural_model import StructuralModel

@@ -1,11 +1,14 @@
-"""Time left in words, and requests to stop that are put off or raised."""
+"""Time left in words, and requests to stop that are put off or answered."""
 
 import signal
+import subprocess
+import sys
 
 import pytest
 
+from modal.command.stopping import Requests
 from modal.command.terminal import progress_bar, time_left_text
-from modal.report.folder import stop_politely, uninterrupted
+from modal.report.folder import uninterrupted
 
 
 @pytest.mark.parametrize(
@@ -65,15 +68,39 @@ def test_a_block_without_a_request_changes_nothing(handlers):
     assert [signal.getsignal(number) for number in handlers] == before
 
 
-def test_every_request_to_stop_is_an_interrupt_and_a_second_one_does_not_stop_the_clearing_up(handlers):
+def test_a_request_is_a_flag_that_the_next_step_answers(handlers, capfd):
     for number in handlers:
-        stop_politely()
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(number)
-        signal.raise_signal(number)  # at once again: nothing
+        Requests.listen()
+        signal.raise_signal(number)  # nothing is raised here
+        with progress_bar() as tell, pytest.raises(KeyboardInterrupt):
+            tell("the next step", 0.5)
+        assert capfd.readouterr().err.count("\n") <= 1  # said on a terminal alone
+    Requests.asked = 0
 
 
 def test_what_nohup_ignores_stays_ignored(handlers):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    stop_politely()
+    Requests.listen()
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_from_the_first_line_of_the_entry_point_on(tmp_path, twice):
+    """The handler is there before anything is imported; the signals come while the imports go on."""
+    again = "signal.raise_signal(signal.SIGTERM)" if twice else ""
+    script = (
+        "import importlib.abc, signal, sys\n"
+        "class Asks(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'modal.command.main':\n"
+        f"            signal.raise_signal(signal.SIGINT); {again or 'pass'}\n"
+        "from modal.command.entry import main\n"
+        "sys.meta_path.insert(0, Asks())\n"
+        f"sys.argv = ['modal-report', 'demo', '-o', {str(tmp_path / 'out')!r}]\n"
+        "main()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert "Traceback" not in run.stderr
+    assert run.stderr.strip().endswith("stopped; nothing was left half-written.")
+    assert not list(tmp_path.iterdir())

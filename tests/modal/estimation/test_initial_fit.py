@@ -40,7 +40,7 @@ def test_the_fit_is_regularised_least_squares(runs):
     powers = poles ** np.arange(120)[:, np.newaxis]
     products = ((powers[:, np.newaxis, :] * shapes) * signals[:, :, np.newaxis])[rows].sum(axis=(0, 1))
     state, level = fit_initial_state(
-        poles, shapes, products, signals[rows].sum(axis=0), patterns=[(np.arange(2), runs)], n_samples=120
+        poles, shapes, products, signals[rows].sum(axis=0), patterns=[(np.arange(2), runs, 1)], n_samples=120
     )
     # imaginary part of a real pole's state: with complex shapes it counts like any other
     np.testing.assert_allclose(np.concatenate([state.real, state.imag, level]), expected, rtol=1e-7, atol=1e-9)
@@ -49,7 +49,7 @@ def test_the_fit_is_regularised_least_squares(runs):
 def test_no_rows_no_state():
     _, poles, shapes, _ = a_problem(2)
     state, level = fit_initial_state(
-        poles, shapes, np.zeros(3, complex), np.zeros(2), patterns=[(np.arange(2), [])], n_samples=120
+        poles, shapes, np.zeros(3, complex), np.zeros(2), patterns=[(np.arange(2), [], 1)], n_samples=120
     )
     np.testing.assert_array_equal(state, 0.0)
     np.testing.assert_array_equal(level, 0.0)
@@ -62,7 +62,7 @@ def test_no_poles_leave_the_mean():
         np.zeros((2, 0), complex),
         nothing,
         np.array([10.0, -20.0]),
-        patterns=[(np.arange(2), [(0, 10)])],
+        patterns=[(np.arange(2), [(0, 10)], 1)],
         n_samples=10,
     )
     assert state.size == 0

@@ -61,7 +61,7 @@ def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, ch
     monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
-    layout, grams = signal_grams(parameters_of(model), records, rows, blocks)
+    layout, grams = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
     assert grams.shape == (len(blocks), layout.alone.size, layout.alone.size)
     signals = [loop_signals(model, r, record.inputs, record.outputs) for r, record in enumerate(records)]
     for i, block in enumerate(blocks):
@@ -107,7 +107,7 @@ def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
     )
     record = Record(np.zeros((400, 1)), np.zeros((400, 1)), 0.1)
     rows = [np.arange(400) >= 50]
-    layout, grams = signal_grams(parameters, [record], rows, blocks_of([record], []))
+    layout, grams = signal_grams(parameters, [record], rows, blocks_of([record], []), n_direct=record.n_inputs)
     start = layout.real.start + 2 * 2
     assert grams[0, start, start] == 0.0
     np.testing.assert_allclose(grams[0, start + 1, start + 1], 0.9**100 / (1 - 0.81), rtol=1e-12)
@@ -124,7 +124,9 @@ def test_a_hundred_thousand_samples_lose_no_digits():
     )
     n = 100_000
     record = Record(np.zeros((n, 1)), np.zeros((n, 1)), 0.1)
-    _, grams = signal_grams(parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []))
+    _, grams = signal_grams(
+        parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []), n_direct=record.n_inputs
+    )
     plain, conjugate = (1 - pole ** (2 * n)) / (1 - pole**2), (1 - abs(pole) ** (2 * n)) / (1 - abs(pole) ** 2)
     expected = 0.5 * np.array([[conjugate + plain.real, plain.imag], [plain.imag, conjugate - plain.real]])
     np.testing.assert_allclose(grams[0, :2, :2], expected, rtol=0, atol=1e-10 * conjugate)
@@ -159,7 +161,7 @@ def test_blocks_hold_every_row_once_with_its_fold(cut):
 
 
 def test_every_signal_has_one_place_and_records_share_what_they_share():
-    layout = SignalLayout(n_poles=3, n_inputs=2, n_outputs=2, n_records=4)
+    layout = SignalLayout(n_poles=3, n_inputs=2, n_outputs=2, n_records=4, n_direct=2)
     slices = (layout.regressors, layout.real, layout.imaginary, layout.outputs)
     assert [i for one in slices for i in range(one.start, one.stop)] == list(range(layout.size))
     places = [layout.places(r) for r in range(4)]

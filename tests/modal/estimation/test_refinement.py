@@ -22,7 +22,7 @@ from textbook_output_error import (
 )
 
 from modal.estimation.modal_states import ModalParameters, blocks_of
-from modal.estimation.output_error import NONE, OutputError, moved, refine, step_at, step_equations
+from modal.estimation.output_error import NONE, OutputError, PolesAndParticipations, refine, step_at, step_equations
 from okid.record import Record
 
 
@@ -114,8 +114,8 @@ def test_gradient_is_that_of_the_projected_error(kind):
     rng, model, data = a_problem(2, kind, noise=0.2, missing=0.1, held_out=held_out_runs(kind))
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
-    step = step_at(parameters_of(model), data, held_out=0, weights=weights)
-    found = step_equations(step, data, held_out=0, weights=weights)
+    step = step_at(parameters_of(model), data, held_out=0, weights=np.diag(weights))
+    found = step_equations(step, data, held_out=0, weights=np.diag(weights))
     arrays = arrays_of(data, 0)
     slopes = differences(lambda one: weights @ projected_errors(one, *arrays), model, free_places(model), step=3e-4)
     assert found.gradient.shape == slopes.shape
@@ -127,8 +127,8 @@ def test_normal_matrix_is_that_of_the_projected_jacobian(kind):
     rng, model, data = a_problem(3, kind, noise=0.2, missing=0.1, held_out=held_out_runs(kind))
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
-    step = step_at(parameters_of(model), data, held_out=0, weights=weights)
-    found = step_equations(step, data, held_out=0, weights=weights)
+    step = step_at(parameters_of(model), data, held_out=0, weights=np.diag(weights))
+    found = step_equations(step, data, held_out=0, weights=np.diag(weights))
     inputs, _, rows = arrays_of(data, 0)
     model = replace(model, c=step.linear.shapes)
     phi = np.vstack([block[there] for block, there in zip(regressors(model, inputs), rows, strict=True)])
@@ -168,15 +168,15 @@ def jacobian(model, r, inputs, output):
 def test_a_move_changes_each_parameter_by_what_it_says():
     rng, model, data = a_problem(4, "two inputs, two records, real pole", noise=0.1)
     step = step_at(parameters_of(model), data)
-    free = step_equations(step, data, held_out=NONE, weights=np.ones(2)).free
+    chart, n_free = PolesAndParticipations(), step_equations(step, data, held_out=NONE, weights=np.eye(2)).gradient.size
     for i, place in enumerate(free_places(model)):
         expected = changed(model, place, 0.01)
-        found = moved(step, free, np.where(np.arange(free.size) == i, 0.01, 0.0))
+        found = chart.moved(step.parameters, np.where(np.arange(n_free) == i, 0.01, 0.0))
         np.testing.assert_allclose(found.poles, expected.poles, rtol=1e-13)
         np.testing.assert_allclose(found.inputs, expected.b, rtol=1e-13)
         np.testing.assert_allclose(found.states, expected.starts, rtol=1e-13)
     for size in np.geomspace(0.1, 1e6, 50):
-        wild = moved(step, free, size * rng.standard_normal(free.size))
+        wild = chart.moved(step.parameters, size * rng.standard_normal(n_free))
         assert np.all(np.abs(wild.poles) < 1)
         assert np.all(np.abs(wild.poles) > 0)
         assert np.all(wild.poles[model.is_pair].imag > 0)
@@ -226,8 +226,8 @@ def test_the_end_is_that_of_a_general_least_squares_solver(seed):
     truth = random_loop_model(rng, n_pairs=1, n_real=1, n_inputs=2, n_outputs=2)
     data = problem(rng, truth, (150,), noise=0.3)
     weights = np.array([1.0, 4.0])
-    start = step_at(parameters_of(disturbed(rng, truth, 0.01)), data, weights=weights)
-    last = refine(start, data, n_steps=60, least_gain=1e-15, weights=weights)[-1]
+    start = step_at(parameters_of(disturbed(rng, truth, 0.01)), data, weights=np.diag(weights))
+    last = refine(start, data, n_steps=60, least_gain=1e-15, weights=np.diag(weights))[-1]
     places, (u,), (y,) = free_places(truth), *arrays_of(data)[:2]
 
     def residuals(values):
@@ -313,6 +313,7 @@ def test_no_step_is_made_where_none_helps():
 
 
 def refined(model, data, weights=None):
+    weights = None if weights is None else np.diag(weights)
     return refine(step_at(parameters_of(model), data, weights=weights), data, n_steps=40, weights=weights)[-1]
 
 

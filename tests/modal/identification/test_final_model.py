@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from signals import random_inputs
@@ -24,7 +26,9 @@ def trial(observer_order, model_order, *, ridge=0.0, error=0.1):
 
 def found_of(record, *trials):
     limits = search_limits([record], observer_order=None, ridge=None, model_order=None)
-    return Search(trials=trials, chosen=trials[0], power=np.ones((3, 1)), limits=limits, ground=None)
+    return Search(
+        trials=trials, chosen=trials[0], power=np.ones((3, 1)), limits=limits, ground=SimpleNamespace(by="blocks")
+    )
 
 
 def growing(n_samples=600, *, radius=1.001):

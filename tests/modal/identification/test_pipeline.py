@@ -80,6 +80,7 @@ def test_all_modes_of_a_noisy_record_are_found(noisy):
 def test_every_choice_has_its_reason(noisy):
     _, result, _ = noisy
     assert [choice.what for choice in result.choices] == [
+        "record kind",
         "mean",
         "frequency band",
         "integrators",

@@ -96,7 +96,7 @@ def by_explicit_jacobian(model: RefinedModel, variance):
         return np.vstack([loop_run(one, r, u)[rows[r]] for r, u in enumerate(inputs)])
 
     J = differences(run, loop, places)  # (n_parameters, n_rows, n_outputs)
-    weighted = J * model.weights
+    weighted = J * np.diag(model.weights)
     bread = np.linalg.inv(np.einsum("ako,bko->ab", weighted, J))
     if variance is None:  # the scores of each block of rows
         error = np.vstack([record.outputs[there] for record, there in zip(model.data.records, rows, strict=True)])
@@ -130,7 +130,7 @@ def test_white_noise_gives_what_an_explicit_jacobian_of_all_parameters_gives(cas
         outputs[0][100:130] = np.nan
     model = replace(refined_of(truth, inputs, outputs), whiteness_ratio=1.0)
     if case == "other weights":
-        model = replace(model, weights=np.array([1.0, 5.0]))
+        model = replace(model, weights=np.diag([1.0, 5.0]))
     modes = extract_modes(model.realisation).modes
     found = output_error_uncertainty(model, modes, n_lags=N_LAGS)
     n_rows = sum(int(rows.sum()) for rows in model.data.rows)
@@ -150,7 +150,7 @@ def test_blocks_give_what_the_scores_of_all_parameters_give(case):
         outputs[0][100:130] = np.nan
     model = replace(refined_of(truth, inputs, outputs), whiteness_ratio=9.0)
     if case == "other weights":
-        model = replace(model, weights=np.array([1.0, 5.0]))
+        model = replace(model, weights=np.diag([1.0, 5.0]))
     modes = extract_modes(model.realisation).modes
     found = output_error_uncertainty(model, modes, n_lags=N_LAGS)
     assert found.degrees_of_freedom == len(model.data.blocks) - 1

@@ -1,5 +1,6 @@
 """A chart as a matplotlib figure: the same numbers, axes, words and keys, and nothing of the caller's is touched."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -7,9 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from modal import plots
 from modal.plots import figure_of
 from modal.plots.layout import Key, grid_of
 from modal.plots.panels import COLOURS
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 
@@ -47,7 +50,7 @@ def test_a_figure_shows_what_the_chart_holds(chart):
     assert band.get_paths()[0].get_extents().x1 == lower.get_xlim()[1]
     np.testing.assert_array_equal(pieces.get_segments(), chart.panels[1].marks[1].ends)
     assert [text.get_text() for text in lower.get_legend().get_texts()] == ["band", "pieces"]
-    assert upper.get_legend().get_title().get_text() == "what it is"
+    assert figure.legends[0].get_title().get_text() == "what it is"
     assert figure.get_suptitle() == "both"
 
 
@@ -81,3 +84,52 @@ def test_no_window_opens_and_modal_does_not_import_matplotlib():
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    "name", ["stabilisation", "modes", "frequency_responses", "assurance", "complexity", "spectra", "fit"]
+)
+def test_each_figure_of_an_identification_is_one_call(identification, name):
+    figure = getattr(plots, name)(identification)
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()
+    assert any(axes.lines or axes.collections or axes.texts for axes in figure.axes)
+    own = Figure()
+    with pytest.raises(InvalidDataError, match="each panel needs axes of its own"):
+        getattr(plots, name)(identification, axes=list(own.subplots(1, 40)))
+
+
+@pytest.mark.parametrize("name", ["gap", "law"])
+def test_each_figure_of_a_diagnosis_is_one_call(diagnosis, name):
+    figure = getattr(plots, name)(diagnosis)
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()
+
+
+def test_a_figure_without_anything_to_draw_says_so(identification, diagnosis):
+    nothing = dataclasses.replace(identification, modes=dataclasses.replace(identification.modes, modes=()))
+    for name in ("modes", "assurance", "complexity"):
+        with pytest.raises(InvalidDataError, match="no system mode"):
+            getattr(plots, name)(nothing)
+    with pytest.raises(InvalidDataError, match="found no effect"):
+        plots.law(dataclasses.replace(diagnosis, laws=()))
+
+
+def test_representations_of_results_are_short(identification, diagnosis):
+    """Everything that a result holds, to any depth."""
+    seen, queue = set(), [identification, diagnosis]
+    while queue:
+        one = queue.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        if dataclasses.is_dataclass(one):
+            if isinstance(one, Displayed):
+                assert len(repr(one)) <= 2000
+                assert repr(one).count("\n") < 20
+                assert one._repr_html_().startswith("<table>")
+            queue += [getattr(one, field.name) for field in dataclasses.fields(one)]
+        elif isinstance(one, tuple):
+            queue += list(one[:20])
+    assert isinstance(identification, Displayed)
+    assert isinstance(diagnosis, Displayed)

@@ -23,7 +23,7 @@ def all_figures(result):
         "stabilisation": plots.stabilisation_diagram(result.order_evidence, result.modes, measured=result.records),
         "histories": plots.measured_against_simulated(record, result.simulated[0]),
         "spectra": plots.output_spectra(result.records, result.simulated),
-        "responses": plots.frequency_responses(measured_frf(result.records), result.realisation),
+        "responses": plots.response_chart(measured_frf(result.records), result.realisation),
         "markov": plots.markov_parameters(result.markov, result.markov.system),
         "residuals": plots.residual_autocorrelation(result.residuals),
         "shapes": plots.mode_shapes(result.modes.system, output_names=record.output_names),
@@ -207,7 +207,7 @@ def test_a_response_is_pale_where_the_coherence_is_low_and_the_strip_shows_it(id
     measured = measured_frf(identification.records)
     coherence = np.full_like(measured.multiple_coherence, 0.9)
     coherence[: coherence.shape[0] // 2] = 0.1
-    figure = plots.frequency_responses(replace(measured, multiple_coherence=coherence), identification.realisation)
+    figure = plots.response_chart(replace(measured, multiple_coherence=coherence), identification.realisation)
     above, strip = figure.rows[0][0], figure.rows[1][0]
     trusted = next(line for line in above.lines if line.label == "measured")
     hidden = np.isnan(trusted.y)

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from modal.quality.findings import Channel, channels_of
+from modal.preparation.channel import Channel, channels_of
 from okid.record import Record
 from okid.scaling import channel_scaling
 

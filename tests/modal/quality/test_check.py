@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_records import KINDS, clean_record, with_fault
 
+from modal.preparation.channel import Finding
 from modal.quality import check_quality
-from modal.quality.findings import DataQuality, Finding
+from modal.quality.findings import DataQuality
 from okid.errors import InvalidDataError
 from okid.record import Record
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.quality.amplitude import clipping_findings
+from modal.preparation.amplitude import clipping_findings
 
 
 def noise(n=4000, width=30, seed=0):

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from modal.modes.response_synthesis import averaged_spectra, measured_frf, segment_length
+from modal.modes.response_synthesis import measured_frf
 from modal.quality.check import check_quality
 from modal.quality.coherence import explained_share, in_excess_of_chance, modelled_share
+from okid.frequency_response import averaged_spectra, segment_length
 from okid.record import Record
 
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from modal.preparation.samples import length_findings
 from modal.quality import check_quality
-from modal.quality.samples import length_findings
 from okid.record import Record
 
 

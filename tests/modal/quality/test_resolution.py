@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.quality.amplitude import resolution_findings, resolution_of
+from modal.preparation.amplitude import resolution_findings, resolution_of
 
 
 @pytest.mark.parametrize("step", [1e-9, 0.03, 5e6])

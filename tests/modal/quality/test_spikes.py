@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.quality.samples import sharp_samples, spike_findings
+from modal.preparation.samples import sharp_samples, spike_findings
 
 
 def spikes(channel, hits=None):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.quality.amplitude import constant_findings, repeat_findings, stuck_findings
+from modal.preparation.amplitude import constant_findings, repeat_findings, stuck_findings
 from okid.record import Record
 
 

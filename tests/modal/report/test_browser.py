@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modal.modes.response_synthesis import measured_frf
-from modal.plots import frequency_responses, order_fits, svg_text
+from modal.plots import order_fits, response_chart, svg_text
 from modal.report.pages import html_text
 from modal.report.pictures import Picture, readable
 from modal.sections.provenance import Provenance
@@ -123,7 +123,7 @@ def test_values_are_read_with_pointer_and_keys(identification, browse, tmp_path)
 
 def test_a_response_is_read_together_with_its_coherence(identification, browse, tmp_path):
     measured = measured_frf(identification.records)
-    figure = frequency_responses(measured, identification.realisation, input_names=["in"], output_names="abc")
+    figure = response_chart(measured, identification.realisation, input_names=["in"], output_names="abc")
     picture = readable(figure, "responses", "words")
     said = answers(identification, picture, browse, tmp_path)
     title, *rows = said["middle"].split("|")

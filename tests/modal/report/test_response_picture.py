@@ -9,7 +9,8 @@ from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
 from modal.modes.response_synthesis import frf, measured_frf
 from modal.plots.responses import model_grid
-from modal.report.pictures import response_pictures, synthesised_alone
+from modal.plots.results import synthesised_alone
+from modal.report.pictures import response_pictures
 
 
 @pytest.fixture
@@ -56,7 +57,8 @@ def test_the_words_follow_what_is_drawn(believed):
 
 
 def test_only_the_strongest_pairs_of_many_are_drawn(believed, monkeypatch):
-    monkeypatch.setattr("modal.report.pictures.MOST_PAIRS", 2)
+    for place in ("modal.report.pictures", "modal.plots.results"):
+        monkeypatch.setattr(f"{place}.MOST_SHOWN", 2)
     assert "The 2 strongest of 3 are shown." in response_pictures(believed)["responses"].caption
 
 

@@ -164,13 +164,13 @@ def test_a_python_file_is_run_because_it_was_named(tmp_path: Path) -> None:
         ("masses = [1.0]\n", "a chain needs .* but stiffnesses, dampings, force_dofs, sensor_dofs is missing"),
         ("title = 'x'\n", "a model file holds masses .* but this one holds title"),
         ("", "this one holds nothing"),
-        ("masses = [1.0\n", "is damaged or no model file"),
+        ("masses = [1.0\n", "is damaged, cut off or no model file"),
         ("A = [[-1.0]]\nB = [[1.0]]\nC = [[1.0]]\nD = [[0.0]]\n", "a state space needs sensor_kind"),
         (CHAIN_TOML.replace("k3 = 2e5", "k4 = 1.0"), "cubic_stiffness lacks k3"),
         (CHAIN_TOML.replace('where = "element_1"', 'place = "element_1"'), "an effect is a table of effect, where"),
         (CHAIN_TOML.replace("cubic_stiffness", "magic"), "there is no effect 'magic' in the catalogue"),
         (CHAIN_TOML.replace("[0, 1]", "[0, 5]"), "sensor_dofs must be DOF numbers from 0 to 1, but holds 5"),
-        (CHAIN_TOML.replace("900.0", '"stiff"'), "stiffnesses must be an array of real numbers"),
+        (CHAIN_TOML.replace("900.0", '"stiff"'), "stiffnesses must be real numbers"),
         (
             CHAIN_TOML.replace("900.0", "-900.0"),
             "stiffness must be positive semidefinite|must be finite and not negative",
@@ -199,10 +199,10 @@ def test_refuses_what_is_no_model_file(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match="a table of keys and values, but this is a list"):
         read_model(tmp_path / "list.json")
     (tmp_path / "deep.json").write_text("[" * 100_000)
-    with pytest.raises(UnreadableFileError, match="damaged or no model file"):
+    with pytest.raises(UnreadableFileError, match="damaged, cut off or no model file"):
         read_model(tmp_path / "deep.json")
     (tmp_path / "not.npz").write_bytes(b"PK\x03\x04 no archive")
-    with pytest.raises(UnreadableFileError, match="damaged or no model file"):
+    with pytest.raises(UnreadableFileError, match="damaged, cut off or no model file"):
         read_model(tmp_path / "not.npz")
 
 
@@ -219,7 +219,7 @@ def test_nothing_of_a_file_is_run(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("M.npy", stream.getvalue())
         archive.writestr("K.npy", pickle.dumps(Evil()))
-    with pytest.raises(UnreadableFileError, match="damaged or no model file"):
+    with pytest.raises(UnreadableFileError, match="holds pickled Python objects, which are never loaded"):
         read_model(path)
     assert not marker.exists()
 
@@ -229,12 +229,12 @@ def test_a_file_cannot_ask_for_more_memory_than_it_has(tmp_path: Path) -> None:
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**7, 10**6)})
     with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
         archive.writestr("mass.npy", header.getvalue())
-    with pytest.raises(UnreadableFileError, match="no plain array"):
+    with pytest.raises(UnreadableFileError, match=r"pickled Python objects|announces 80000000000000 bytes"):
         read_model(tmp_path / "huge.npz")
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         for number in range(5):
             archive.writestr(f"mass_{number}.npy", bytes(1 << 26))
-    with pytest.raises(UnreadableFileError, match="unpacks to 335544320 bytes, and a model to at most"):
+    with pytest.raises(UnreadableFileError, match="unpacks to 335544320 bytes, and may to 268435456"):
         read_model(tmp_path / "bomb.npz")
     with (tmp_path / "long.json").open("wb") as stream:
         stream.truncate((1 << 25) + 1)

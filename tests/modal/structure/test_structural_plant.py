@@ -5,7 +5,7 @@ import pytest
 import scipy
 from systems import chain_matrices, structure
 
-from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
+from modal.simulation.plant import Plant, PlantMatrices, plant_matrices, with_masses
 from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import place_name, structural_plant
@@ -192,3 +192,32 @@ def test_only_a_single_dof_carries_an_absorber() -> None:
     assert [port.name for port in plant.ports if "mass" in port.accepts] == ["element_0", "dof_1", "dof_2"]
     assert plant.port("element_1").stiffness == pytest.approx(700.0)
     assert plant.port("dof_1").mass == pytest.approx(0.8)
+
+
+def test_released_masses_give_the_plant_of_the_heavier_structure() -> None:
+    """Base motion and accelerometers too: everything that a mass enters."""
+    mass = np.diag(MASSES) + 0.1 * (np.eye(3, k=1) + np.eye(3, k=-1))
+    _, damping, stiffness = chain_matrices(MASSES, SPRINGS, DAMPERS)
+
+    def plant_of(mass: np.ndarray) -> Plant:
+        return structural_plant(
+            StructuralModel(
+                mass,
+                damping,
+                stiffness,
+                force_map=[[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
+                sensor_map=np.eye(3),
+                sensor_kind=("acceleration", "displacement", "acceleration"),
+                base_motion=[[0.0, 1.0]] * 3,
+            )
+        )
+
+    released = with_masses(plant_of(mass), ["mass of dof_2", "mass of dof_0"])
+    assert [one.name for one in released.parameters[-2:]] == ["mass of dof_0", "mass of dof_2"]
+    found = plant_matrices(released, np.append(released.nominal[:-2], [1.7, 0.9]))
+    wanted = nominal(plant_of(mass + np.diag([0.2, 0.0, -0.2])))
+    for name in "ABCDEG":
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-12, atol=1e-10)
+    back = with_masses(released, [])
+    assert [one.parameter.name for one in back.masses] == [f"mass of dof_{i}" for i in range(3)]
+    np.testing.assert_allclose(nominal(back).A, nominal(plant_of(mass)).A, rtol=1e-12, atol=1e-10)

@@ -237,6 +237,13 @@ def test_no_mode_of_a_model_that_explains_little_is_certain(fit, verdict, words)
     assert mode.reason.startswith(words)
 
 
+@pytest.mark.parametrize(("missed", "verdict"), [(np.nan, "system"), (0.49, "system"), (0.51, "doubtful")])
+def test_a_model_that_leaves_most_of_what_the_inputs_explain_has_no_certain_mode(missed, verdict):
+    mode = judged(vibration(), found_with(), missed=missed)
+    assert mode.verdict == verdict
+    assert (mode.probability >= 0.8) == (verdict == "system")
+
+
 @pytest.mark.parametrize(
     ("duration", "verdict", "words"),
     [
@@ -287,6 +294,13 @@ def test_a_mode_that_the_input_does_not_drive_is_not_certain(gains, duration, ve
     result = judged(mode, found_driven(*gains, mode), duration=duration)
     assert result.verdict == verdict
     assert result.reason.startswith(words)
+
+
+def test_where_the_held_out_gain_is_not_known_the_modes_own_counts():
+    mode = vibration(5.0, 0.02)
+    runs = found_driven(np.nan, np.nan, mode)
+    driven, hum = (judged(mode, runs, duration=1.5, gain=np.array([gain]), n_values=5000) for gain in (0.4, 0.02))
+    assert (driven.verdict, hum.verdict) == ("system", "doubtful")
 
 
 def test_an_undriven_real_pole_is_no_periodic_disturbance():

@@ -41,5 +41,5 @@ def test_channels_of_different_rates(tmp_path):
 
 def test_damage(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"hello" * 10)
-    with pytest.raises(UnreadableFileError, match="damaged or is no TDMS"):
+    with pytest.raises(UnreadableFileError, match="damaged, cut off or no TDMS"):
         read_record(tmp_path / "a.tdms")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
 from okid.readers import read_record
 
 N_SAMPLES = 200
@@ -81,11 +81,12 @@ def test_one_sample_is_no_time_axis(file_with_time):
         read_record(file_with_time([0.0]))
 
 
-def test_a_given_step_may_differ_by_rounding_only(file_with_time):
+def test_a_given_step_wins_and_a_contradiction_is_said(file_with_time):
     path = file_with_time(TIME)
     assert read_record(path, dt=0.010005).dt == 0.010005
-    with pytest.raises(InvalidDataError, match=r"dt = 0\.0102 s was given, but .* 0\.01 s, which is 2\.00% off"):
-        read_record(path, dt=0.0102)
+    with pytest.warns(IdentificationWarning, match=r"dt = 0\.0102 s was given and is used, but .* 2\.00% off"):
+        assert read_record(path, dt=0.0102).dt == 0.0102
+    assert read_record(file_with_time(np.delete(TIME, [100, 101])), dt=0.02).dt == 0.02
     for dt in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(InvalidDataError, match="positive time step"):
             read_record(path, dt=dt)
@@ -108,3 +109,50 @@ def test_no_time_and_no_step(file_with_time):
 def test_a_time_column_in_another_unit(file_with_time):
     with pytest.raises(InvalidDataError, match="is in 'kg', which is no unit of time"):
         read_record(file_with_time(TIME, "time [kg]"))
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        *(
+            "t",
+            "Time",
+            "TIME [s]",
+            "Zeit",
+            "Zeit [s]",
+            "Zeit in s",
+            "Zeitstempel",
+            "Temps",
+            "Temps (s)",
+            "sec",
+            "Seconds",
+        ),
+        *("X_Value", "x value", "time_s", "t_s", "Time, s", "Time / s", "Relative Time", "Elapsed Time (s)", "Tiempo"),
+    ],
+)
+def test_time_columns_of_loggers(file_with_time, header):
+    header = f'"{header}"' if "," in header else header
+    assert read_record(file_with_time(TIME, header)).dt == pytest.approx(0.01, rel=1e-12)
+
+
+@pytest.mark.parametrize("header", ["time_ms", "Time (ms)", "Zeit [ms]", "t_ms", "Zeit in ms", "Temps ms"])
+def test_time_columns_in_milliseconds(file_with_time, header):
+    assert read_record(file_with_time(TIME, header)).dt == pytest.approx(1e-5, rel=1e-12)
+
+
+@pytest.mark.parametrize("header", ["T", "tip_ms", "times", "dt", "x", "timer_h"])
+def test_columns_that_are_no_time(file_with_time, header):
+    with pytest.raises(InvalidDataError, match="no time column"):
+        read_record(file_with_time(TIME, header))
+
+
+@pytest.mark.parametrize(("rate", "digits"), [(1024.0, 3), (48.0, 2), (2000.0 / 3.0, 3), (5000.0, 4), (3333.0, 3)])
+def test_stamps_rounded_to_their_digits(file_with_time, rate, digits):
+    path = file_with_time(np.round(np.arange(4000) / rate, digits))
+    assert read_record(path).dt == pytest.approx(1.0 / rate, rel=1e-4)
+
+
+@pytest.mark.parametrize("lost", [[40], [40, 90], [3, 4, 5, 120], [10, 30, 50, 52, 130]])
+def test_lost_samples_are_no_rounding(file_with_time, lost):
+    with pytest.raises(InvalidDataError, match="not uniform"):
+        read_record(file_with_time(np.round(np.delete(TIME, lost), 2)))

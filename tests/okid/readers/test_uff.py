@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import IdentificationWarning, UnreadableFileError
 from okid.readers import describe_file, read_record
 
 RNG = np.random.default_rng(10)
@@ -162,5 +162,5 @@ def test_no_measurement(tmp_path, content):
 
 
 def test_given_step_must_agree(tmp_path):
-    with pytest.raises(InvalidDataError, match=r"dt = 0\.02 s was given"):
-        read_record(write(tmp_path / "a.uff"), dt=0.02)
+    with pytest.warns(IdentificationWarning, match=r"dt = 0\.02 s was given"):
+        assert read_record(write(tmp_path / "a.uff"), dt=0.02).dt == 0.02

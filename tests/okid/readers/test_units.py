@@ -139,3 +139,62 @@ def test_units_already_in_si_do_not_cost_the_import_of_pint():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True"]
+
+
+POUND_FORCE, TURN = 4.4482216152605, 2 * np.pi / 60
+
+
+@pytest.mark.parametrize(
+    ("header", "factor", "unit"),
+    [
+        *(
+            (f"speed [{text}]", TURN, "rad/s")
+            for text in ("RPM", "rpm", "r/min", "1/min", "U/min", "tr/min", "rev/min")
+        ),
+        *(
+            (f"{name} ({text})", TURN, "rad/s")
+            for name in ("Motor Electrical Speed", "Drehzahl")
+            for text in ("RPM", "U/min")
+        ),
+        *((f"disp {text}", INCH / 1000, "m") for text in ("[mil]", "[mils]", "(mil)", "[thou]", "<mil>", "{mil}")),
+        *((f"vel {text}", INCH, "m/s") for text in ("[ips]", "(in/s)", "[in/s]", "{in/s}")),
+        *((f"thrust {text}", 9.80665e-3, "N") for text in ("[gf]", "(gf)")),
+        *((f"thrust {text}", 9.80665, "N") for text in ("[kgf]", "(kgf)", "[kp]")),
+        *((f"{name} [{text}]", POUND_FORCE, "N") for name in ("force", "Load cell") for text in ("lbf", "lbs", "lb")),
+        *((f"torque [{text}]", INCH * POUND_FORCE, "N m") for text in ("in-lb", "in-lbf", "lbf in")),
+        *((f"torque {text}", INCH * POUND_FORCE / 16, "N m") for text in ("[oz-in]", "(ozf-in)")),
+        *((f"rate {text}", np.pi / 180, "rad/s") for text in ("[dps]", "[°/s]", "[deg/s]", "(deg/s)")),
+        *((f"acc {text}", 1.0, "m/s^2") for text in ("[ms-2]", "[m/s/s]", "(m/s2)", "[m·s⁻²]", "[m/s²]")),
+        *((f"p {text}", 1000.0, "Pa") for text in ("[kPa]", "{kPa}", "<kPa>", "(kPa)")),
+    ],
+)
+def test_spellings_of_loggers_and_languages(header, factor, unit):
+    name, written = split_header(header)
+    found = convert_unit(name, written)
+    assert found.factor == pytest.approx(factor, rel=1e-9)
+    assert found.unit == unit
+
+
+@pytest.mark.parametrize(
+    "header", ["strain [ue]", "strain [µε]", "phase [U]", "gain [a.u.]", "x [bananas]", "level [dB]"]
+)
+def test_what_is_no_unit_is_kept_and_said(header):
+    found = convert_unit(*split_header(header))
+    assert found.factor == 1.0
+    assert "kept as it is" in found.note
+
+
+@pytest.mark.parametrize("header", ["speed RPM", "Speed_rpm", "acc_g", "disp, mm", "thrust gf", "angle/deg"])
+def test_a_unit_without_brackets_is_not_read_and_said(header):
+    found = convert_unit(*split_header(header))
+    assert (found.factor, found.unit) == (1.0, "")
+    assert "write it in brackets" in found.note
+
+
+@pytest.mark.parametrize(
+    "header", ["tip", "tip (left)", "tip (1)", "sensor_A", "floor_2", "node_m", "top min", "ch_in"]
+)
+def test_a_name_is_no_unit(header):
+    found = convert_unit(*split_header(header))
+    assert (found.factor, found.unit, found.note) == (1.0, "", "")
+    assert split_header(header)[0] == header

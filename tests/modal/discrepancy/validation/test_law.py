@@ -8,8 +8,7 @@ import scipy
 import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
-from modal.discrepancy.fitting.estimation import Problem, estimate, simulate_at
-from modal.discrepancy.selection.decision import covariance
+from modal.discrepancy.fitting.estimation import Problem, covariance, estimate, simulate_at
 from modal.discrepancy.validation.law_curves import law_curves
 from modal.discrepancy.validation.law_points import bins_of
 from modal.effects.catalogue import CATALOGUE

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from modal.modes.response_synthesis import MeasuredFrf
+from modal.preparation.channel import Finding
 from modal.quality import check_quality
-from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality, Finding
+from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.recording import save_recording
 from modal.recording.identification.record import MOST_MARKS, _density_unit, marked, quality_text
 from modal.recording.plan import gather, planned

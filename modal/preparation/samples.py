@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from modal.quality.findings import (
+from modal.preparation.channel import (
     BLOCK,
     FALSE_ALARM,
     HARDLY,
@@ -34,7 +34,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
 
-__all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings"]
+__all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings", "spikes_of"]
 
 LEFT_OVER = 0.2
 """Ask that the neighbours of a spike lie within this share of it, or a third of the limit, once it is taken out."""
@@ -63,19 +63,7 @@ def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray
         hits: (n_samples,) a record, True where an input moves sharply: an output's answer to it is no spike.
         n_records: number of records.
     """
-    if channel.std == 0.0:
-        return []
-    found: list[tuple[int, int]] = []
-    largest = 0.0
-    for number, part in enumerate(channel.parts):
-        off = _off_curve(part)
-        for k in _sharp(part, off, channel, resolution):
-            if channel.role == "output" and hits[number][max(0, k - _REACH) : k + _REACH + 1].any():
-                continue
-            if channel.role == "input" and not _moves_nearby(part, k, channel):
-                continue
-            found.append((number, k))
-            largest = max(largest, abs(float(off[k])))
+    found, largest = spikes_of(channel, resolution, hits)
     if not found:
         return []
     spans = tuple(channel.span(number, k, k + 1) for number, k in found[:MOST_SPANS])
@@ -95,6 +83,22 @@ def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray
             share=share,
         )
     ]
+
+
+def spikes_of(channel: Channel, resolution: float, hits: Sequence[BoolArray]) -> tuple[list[tuple[int, int]], float]:
+    """Record and sample of each spike, and how far the largest is off; arguments as in `spike_findings`."""
+    found: list[tuple[int, int]] = []
+    largest = 0.0
+    for number, part in enumerate(channel.parts if channel.std > 0.0 else ()):
+        off = _off_curve(part)
+        for k in _sharp(part, off, channel, resolution):
+            if channel.role == "output" and hits[number][max(0, k - _REACH) : k + _REACH + 1].any():
+                continue
+            if channel.role == "input" and not _moves_nearby(part, k, channel):
+                continue
+            found.append((number, k))
+            largest = max(largest, abs(float(off[k])))
+    return found, largest
 
 
 def _level(channel: Channel, share: float, largest: float) -> Level:

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.quality.findings import (
+from modal.preparation.channel import (
     MOST_ROWS,
     MOST_SPANS,
     MOSTLY,
@@ -178,7 +178,7 @@ def resolution_of(channel: Channel) -> float:
     Example:
         >>> from okid.record import Record
         >>> from okid.scaling import channel_scaling
-        >>> from modal.quality.findings import channels_of
+        >>> from modal.preparation.channel import channels_of
         >>> record = Record([], 0.5 * np.random.default_rng(0).integers(-9, 9, 400), 0.1)
         >>> [resolution_of(channel) for channel in channels_of([record], channel_scaling([record]))]
         [0.5]

@@ -1,0 +1,240 @@
+"""The tables of a batch: one row a mode, one row a record; made from the results that are kept, in the order of names.
+
+They follow from the results alone, so whatever executor worked, the bytes are the same (but for the seconds).
+"""
+
+import contextlib
+import json
+import os
+import secrets
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modal.batch.task import RESULT, Outcome
+from modal.comparison.source import ResultSummary, read_result
+from modal.identification.result import Identification, load
+from modal.modes.mode import numbered
+from modal.wording.names import shorten, visible
+from okid.errors import InvalidDataError, UnreadableFileError
+
+__all__ = ["MODE_CSV", "MODE_TABLE", "PLACES", "RECORD_TABLE", "Batch", "part_file", "with_oddities", "write_tables"]
+
+MODE_TABLE, RECORD_TABLE, MODE_CSV = "modes.parquet", "records.parquet", "modes.csv"
+PLACES = "records"
+"""Folder of the folders of all records."""
+OUTPUTS = b"outputs"
+"""Name of the list of channels in the description of the column "shape"."""
+ROWS_AT_ONCE = 500
+"""Write the modes of so many records at once: some ten megabytes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """The results of many records, in a folder; read when asked for.
+
+    Args:
+        folder: that `modal.identify_batch` or `modal-report batch` filled.
+
+    Raises:
+        UnreadableFileError: there is no batch in the folder.
+    """
+
+    folder: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+        if not all((self.folder / name).is_file() for name in (MODE_TABLE, RECORD_TABLE)):
+            raise UnreadableFileError(
+                f"{shorten(visible(str(self.folder)), 200)!r} holds no {MODE_TABLE} and {RECORD_TABLE}; give the "
+                "folder of a finished modal-report batch."
+            )
+
+    def __repr__(self) -> str:
+        status = self.records.column("status").to_pylist()
+        return f"Batch({str(self.folder)!r}: {len(status)} records, {status.count('failed')} failed)"
+
+    @property
+    def records(self) -> Any:
+        """pyarrow.Table, one row a record: record, path, hash, status, message, seconds."""
+        return read_table(self.folder / RECORD_TABLE)
+
+    @property
+    def modes(self) -> Any:
+        """pyarrow.Table, one row a pole and record, by record and number.
+
+        Columns: record, start_time [s], mode, frequency [Hz], frequency_std, damping_ratio, damping_ratio_std,
+        probability, verdict, shape (a list of real and imaginary parts over the channels of all records, which the
+        column's metadata names; nan where a record lacks the channel).
+        """
+        return read_table(self.folder / MODE_TABLE)
+
+    def results(self) -> Iterator[Identification]:
+        """Every result that is done, by name of the record, read one by one.
+
+        Raises:
+            UnreadableFileError: a result that is damaged or gone, or one so large that its file keeps a summary alone.
+        """
+        outcomes = self.records.select(["status", "folder"]).to_pylist()
+        for one in outcomes:
+            if one["status"] == "done":
+                yield load(self.folder / PLACES / one["folder"] / RESULT)
+
+
+def read_table(path: Path) -> Any:
+    """A Parquet file as a pyarrow.Table.
+
+    Raises:
+        UnreadableFileError: it cannot be read.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        words = " ".join(str(error).split())[:200]
+        raise UnreadableFileError(f"{path} is damaged or no table ({words}); run modal-report batch again.") from error
+
+
+def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
+    """The same, with a sentence on each record whose time step, channels or units are not those of most records."""
+    done = [one for one in outcomes if one.status == "done"]
+    usual = {what: Counter(value(one) for one in done).most_common(1)[0][0] for what, value in _TRAITS.items() if done}
+    return tuple(replace(one, message=_oddity(one, usual)) if one.status == "done" else one for one in outcomes)
+
+
+_TRAITS: Mapping[str, Callable[[Outcome], str]] = {
+    "time step": lambda one: f"{one.dt:.6g} s",
+    "inputs": lambda one: ", ".join(one.inputs) or "none",
+    "outputs": lambda one: ", ".join(one.outputs),
+}
+
+
+def _oddity(one: Outcome, usual: Mapping[str, str]) -> str:
+    differs = [
+        f"{what} ({shorten(value(one), 120)}; most: {shorten(usual[what], 120)})"
+        for what, value in _TRAITS.items()
+        if value(one) != usual[what]
+    ]
+    return f"unlike most records in {' and '.join(differs)}; compare its modes with care." if differs else ""
+
+
+def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Path) -> None:
+    """Write both tables, and the modes without their shapes as CSV; each appears when it is complete.
+
+    Args:
+        outcomes: by name of the record.
+        places: folder of each.
+        folder: of the batch.
+
+    Raises:
+        InvalidDataError: the folder cannot be written.
+        UnreadableFileError: a result that is damaged or gone.
+    """
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+    import pyarrow.parquet as pq
+
+    with part_file(folder / RECORD_TABLE) as part:
+        told = [_record_row(one, place) for one, place in zip(outcomes, places, strict=True)]
+        pq.write_table(pa.Table.from_pylist(told, schema=_record_schema()), part)
+    channels = list(dict.fromkeys(name for one in outcomes for name in one.outputs))
+    schema = _mode_schema(channels)
+    without_shape = pa.schema([field for field in schema if field.name != "shape"])
+    done = [(one, place) for one, place in zip(outcomes, places, strict=True) if one.status == "done"]
+    with (
+        part_file(folder / MODE_TABLE) as part,
+        part_file(folder / MODE_CSV) as plain,
+        pq.ParquetWriter(part, schema) as writer,
+        pa_csv.CSVWriter(plain, without_shape) as lines,
+    ):
+        for first in range(0, len(done), ROWS_AT_ONCE):
+            rows = [
+                row
+                for one, place in done[first : first + ROWS_AT_ONCE]
+                for row in _mode_rows(one, read_result(place / RESULT), channels)
+            ]
+            table = pa.Table.from_pylist(rows, schema=schema)
+            writer.write_table(table)
+            lines.write_table(table.select(without_shape.names).replace_schema_metadata(None))
+
+
+def _record_schema() -> Any:
+    import pyarrow as pa
+
+    texts = ("record", "path", "hash", "status", "message")
+    return pa.schema([*((name, pa.string()) for name in texts), ("seconds", pa.float64()), ("folder", pa.string())])
+
+
+def _record_row(one: Outcome, place: Path) -> dict[str, object]:
+    return {
+        "record": one.record,
+        "path": os.pathsep.join(one.paths),
+        "hash": one.hash,
+        "status": one.status,
+        "message": one.message,
+        "seconds": one.seconds,
+        "folder": place.name,
+    }
+
+
+def _mode_schema(channels: Sequence[str]) -> Any:
+    import pyarrow as pa
+
+    number, text = pa.float64(), pa.string()
+    part = pa.struct([("real", number), ("imag", number)])
+    return pa.schema(
+        [
+            pa.field("record", text),
+            pa.field("start_time", number, metadata={"unit": "s"}),
+            pa.field("mode", pa.int32()),
+            *(pa.field(name, number, metadata={"unit": "Hz"}) for name in ("frequency", "frequency_std")),
+            *(pa.field(name, number) for name in ("damping_ratio", "damping_ratio_std", "probability")),
+            pa.field("verdict", text),
+            pa.field("shape", pa.list_(part), metadata={OUTPUTS: json.dumps(list(channels)).encode()}),
+        ]
+    )
+
+
+def _mode_rows(one: Outcome, summary: ResultSummary, channels: Sequence[str]) -> Iterator[dict[str, object]]:
+    where = [channels.index(name) for name in one.outputs]
+    for number, mode in numbered(summary.modes):
+        shape = np.full(len(channels), np.nan + 0j)
+        shape[where] = mode.shape
+        yield {
+            "record": one.record,
+            "start_time": one.start_time,
+            "mode": number,
+            "frequency": mode.frequency,
+            "frequency_std": mode.frequency_std,
+            "damping_ratio": mode.damping_ratio,
+            "damping_ratio_std": mode.damping_ratio_std,
+            "probability": mode.probability,
+            "verdict": mode.verdict,
+            "shape": [{"real": value.real, "imag": value.imag} for value in shape.tolist()],
+        }
+
+
+@contextlib.contextmanager
+def part_file(target: Path) -> Iterator[Path]:
+    """A file beside the target to write to, which takes its place when the block ends well.
+
+    Raises:
+        InvalidDataError: the folder cannot be written.
+    """
+    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    try:
+        yield part
+        part.replace(target)
+    except OSError as error:
+        raise InvalidDataError(
+            f"{shorten(visible(str(target)), 200)!r} cannot be written ({error.strerror or error}); the results of all "
+            "records are kept, so make room and give the same command again."
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)

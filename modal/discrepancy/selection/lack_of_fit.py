@@ -1,0 +1,533 @@
+"""Whether a model leaves something that is no noise, what kind of thing, where, and how large.
+
+A score test against laws of no particular form. The model, linearised about its own free run, responds to unit forces
+at every port along splines of the displacement, of the velocity and products of both, to forces that change with time,
+and to smooth changes of every input and output. The residual of fit and held-out records is regressed on each group of
+responses, after everything that the model could still adjust (all common unknowns, every initial state) is projected
+out; the noise may be coloured: residual and responses pass the same autoregressive filter, fitted to each record and
+output. Under the model the fall F of the sum of squares by a group of r columns has the F distribution with r and n - k
+degrees of freedom. With J what the model could adjust and G the group,
+
+    S = G' (I - J J+) G       v = G' (I - J J+) e       fall = v' S+ v       F = (fall / r) / ((e'e - fall) / (n - k))
+
+Corners and jumps of a law are seen badly by splines; beside the groups the correlation that is left in the held-out
+residual, once it is corrected for the parameters' own uncertainty, is tested as a whole.
+
+With many samples something is always left, so the size counts as well: the force of a group is compared with that of an
+effect by what both do to the outputs, the rest of the model free to make up for them.
+
+References:
+    Rao, Large sample tests of statistical hypotheses, Math. Proc. Cambridge Phil. Soc. 44, 1948,
+    https://doi.org/10.1017/S0305004100023987 (score test); Ljung, Box, On a measure of lack of fit in time series
+    models, Biometrika 65, 1978, https://doi.org/10.1093/biomet/65.2.297; Schwarz 1978 (order of the filter).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from modal.discrepancy.fitting.estimation import Estimate, Problem
+from modal.discrepancy.fitting.nodes import Node, Task
+from modal.discrepancy.fitting.observed_fits import CLEAR
+from modal.discrepancy.results import LackOfFit, ResidualKind
+from modal.discrepancy.selection.smaller_models import run_without
+from modal.effects.catalogue import effects_at
+from modal.effects.effect import ForceEffect
+from modal.simulation.assembly import EffectPlacement
+from modal.simulation.drive import Drive
+from modal.simulation.plant import Port
+from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
+from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
+from modal.wording.numbers import percent
+from okid.arrays import TINY, BoolArray, FloatArray
+
+__all__ = ["SLIGHT", "lack_of_fit", "only_noise", "something", "what_is_left", "worst_left"]
+
+N_SPLINES = 7
+"""Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the
+correlation sees it."""
+MOST_ORDER = 4
+"""Filter the residual by an autoregression of at most this order: more would take up the lack of fit itself."""
+N_LAGS = 20
+"""Test the correlation that is left over so many lags, as Ljung and Box do."""
+INDISTINCT = 0.01
+"""Leave out a direction of a group that the model can make up for but for this share of its response."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Whitened:
+    """One record of an estimate, every output filtered to white noise of deviation 1, its own unknowns projected out.
+
+    Attributes:
+        rows: Its rows.
+        filters: Of each output, 1 and the autoregression with its sign turned, over the noise's deviation.
+        valid: Of each output, which rows have all that the filter reads.
+        own: (n, n_local) orthonormal, what the record's own unknowns do.
+        shared: (n_common, n) what the common unknowns do.
+        residual: (n,).
+        held_out: Whether the record is held out.
+    """
+
+    rows: slice
+    filters: tuple[FloatArray, ...]
+    valid: tuple[BoolArray, ...]
+    own: FloatArray
+    shared: FloatArray
+    residual: FloatArray
+    held_out: bool
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Columns (n_columns, n_rows, n_outputs) of all records: those of this one, filtered, its own projected out."""
+        flat = _flat(columns[:, self.rows], self.filters, self.valid)
+        return np.asarray(flat - (flat @ self.own) @ self.own.T)
+
+
+def _log_f_tail(ratio: float, above: float, below: float) -> float:
+    """Ln P(F > ratio), by the leading term of the incomplete beta function where that is no number any more."""
+    a, b, x = 0.5 * below, 0.5 * above, below / (below + above * ratio)
+    tail = float(scipy.special.betainc(a, b, x))
+    if tail > TINY:
+        return float(np.log(tail))
+    return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - scipy.special.betaln(a, b))
+
+
+def _log_chi_square_tail(value: float, freedom: float) -> float:
+    """Ln P(chi-square > value), by its leading term where that is no number any more."""
+    tail = float(scipy.special.gammaincc(0.5 * freedom, 0.5 * value))
+    if tail > TINY:
+        return float(np.log(tail))
+    s = 0.5 * freedom
+    return float((s - 1.0) * np.log(0.5 * value) - 0.5 * value - scipy.special.gammaln(s))
+
+
+def _filtered(taps: FloatArray, values: FloatArray) -> FloatArray:
+    """Sum over j of taps[j] times the values j samples ago, along the last axis."""
+    filtered: FloatArray = taps[0] * values
+    for lag, tap in enumerate(taps[1:], start=1):
+        filtered[..., lag:] += tap * values[..., :-lag]
+    return filtered
+
+
+def _flat(columns: FloatArray, filters: Sequence[FloatArray], valid: Sequence[BoolArray]) -> FloatArray:
+    parts = [
+        _filtered(taps, columns[:, :, output])[:, kept]
+        for output, (taps, kept) in enumerate(zip(filters, valid, strict=True))
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Part:
+    """The records to fit or the held-out ones.
+
+    Attributes:
+        run: The model along them.
+        problem: The same records, as they were measured.
+        records: Those of which something is measured.
+    """
+
+    run: Estimate
+    problem: Problem
+    records: tuple[_Whitened, ...]
+
+    def responses(self, sources: Sequence[Source]) -> FloatArray:
+        """(n_sources, n_rows, n_outputs) of the linearised model."""
+        run = self.run
+        return respond(run.assembly, run.unknowns, run.trajectory, list(sources), gain=run.gain)[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Left:
+    """What is left of a model's residual, as normal equations of the common unknowns.
+
+    Attributes:
+        parts: Records to fit, and held-out ones.
+        inverse: (n_common, n_common) inverse of their Gram matrix.
+        step: (n_common,) step of the common unknowns that the residual asks for.
+        squares: Sum of squares after that step.
+        freedom: Values less unknowns.
+    """
+
+    parts: tuple[_Part, ...]
+    inverse: FloatArray
+    step: FloatArray
+    squares: float
+    freedom: int
+
+    def tested(self, columns: Sequence[FloatArray]) -> tuple[float, float, int]:
+        """What a group of responses, one array a part, takes away.
+
+        Returns:
+            log p, the fall, and the degrees of freedom of the group.
+        """
+        gram, plain, score = self._reduced(columns, held=())
+        size = np.sqrt(np.maximum(np.diag(plain), TINY))
+        metric = plain / np.outer(size, size) + ROUNDING * np.eye(len(size))
+        if not (np.isfinite(gram).all() and np.isfinite(score).all()):
+            return 0.0, 0.0, 0
+        share, directions = scipy.linalg.eigh(gram / np.outer(size, size), metric)
+        kept = share >= INDISTINCT
+        along = directions[:, kept].T @ (score / size)
+        fall, rank = float(np.sum(along**2 / share[kept])), int(kept.sum())
+        freedom = self.freedom - rank
+        if not rank or freedom <= 0:
+            return 0.0, 0.0, 0
+        ratio = (fall / rank) / max((self.squares - fall) / freedom, TINY)
+        return _log_f_tail(ratio, rank, freedom), fall, rank
+
+    def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
+        """Square of one response, the common unknowns but those `held` free to make up for it."""
+        return float(max(self._reduced(columns, held=held)[0][0, 0], 0.0))
+
+    def _reduced(
+        self, columns: Sequence[FloatArray], *, held: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Gram matrix less what the common unknowns can do, as it is, and the score of a group."""
+        n = len(columns[0])
+        plain, crossed, seen = np.zeros((n, n)), np.zeros((n, len(self.inverse))), np.zeros(n)
+        for part, all_columns in zip(self.parts, columns, strict=True):
+            for one in part.records:
+                own = one.filtered(all_columns)
+                plain += own @ own.T
+                crossed += own @ one.shared.T
+                seen += own @ one.residual
+        inverse = self.inverse
+        if held:
+            free = np.setdiff1d(np.arange(len(inverse)), held)
+            inverse = np.zeros_like(inverse)
+            whole = sum(one.shared[free] @ one.shared[free].T for part in self.parts for one in part.records)
+            inverse[np.ix_(free, free)] = _inverse(np.asarray(whole).reshape(len(free), len(free)))[0]
+        return plain - crossed @ inverse @ crossed.T, plain, seen - crossed @ self.step
+
+
+def _inverse(gram: FloatArray) -> tuple[FloatArray, int]:
+    """Inverse and rank of a Gram matrix, by columns of size 1."""
+    size = np.sqrt(np.maximum(np.diag(gram), TINY))
+    inverse, rank = scipy.linalg.pinvh(gram / np.outer(size, size), rtol=ROUNDING, return_rank=True)
+    return np.asarray(inverse / np.outer(size, size)), int(rank)
+
+
+def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, ...]:
+    """Test what a model leaves against laws of no particular form.
+
+    Args:
+        node: The model, fitted and judged.
+        task: Records to fit and held-out ones.
+        known: Number of effects that the model had from the start: the share is that of the least of the others.
+
+    Returns:
+        One test for each kind of thing at each place, the least probable first. `p_value` counts all tests together.
+    """
+    left = _left_of(node, task)
+    if left is None:
+        return ()
+    found: list[tuple[ResidualKind, str, float, float]] = []
+    for kind, where, sources in _groups(left.parts):
+        responses = [part.responses(own) for part, own in zip(left.parts, sources, strict=True)]
+        log_p, fall, rank = left.tested(responses)
+        if rank:
+            found.append((kind, where, log_p, fall))
+    found += _correlations(left)
+    effects = range(known, len(node.effects))
+    named = min((weight for i in effects if (weight := _effect_weight(left, i)) is not None), default=None)
+    signal = sum(float(np.sum(one.filtered(_outputs(part))[0] ** 2)) for part in left.parts for one in part.records)
+    tests = [
+        LackOfFit(
+            kind=kind,
+            where=where,
+            p_value=float(min(np.exp(min(log_p + np.log(len(found)), 0.0)), 1.0)),
+            share=float(np.sqrt(fall / max(named, TINY))) if named is not None else np.nan,
+            size=float(np.sqrt(fall / max(signal, TINY))),
+        )
+        for kind, where, log_p, fall in sorted(found, key=lambda one: (one[2], -one[3]))
+    ]
+    return tuple(tests)
+
+
+def _outputs(part: _Part) -> FloatArray:
+    return np.where(part.run.trajectory.drive.present, part.run.trajectory.drive.outputs, 0.0)[None]
+
+
+def _left_of(node: Node, task: Task) -> _Left | None:
+    runs = [(node.fitted, task.fit, task.fine_fit)]
+    if node.held_out is not None:
+        runs.append((node.held_out, task.held_out, task.fine_held_out))
+    parts = []
+    for run, coarse, fine in runs:
+        problem = coarse if len(coarse.drive.time) == len(run.trajectory.drive.time) else fine
+        held_out = run is not node.fitted
+        parts.append(_Part(run=run, problem=problem, records=tuple(_records(run, problem, held_out=held_out))))
+    every = [one for part in parts for one in part.records]
+    if not every:
+        return None
+    gram = sum(one.shared @ one.shared.T for one in every)
+    score = sum(one.shared @ one.residual for one in every)
+    inverse, rank = _inverse(np.asarray(gram))
+    step = inverse @ score
+    squares = sum(float(np.sum((one.residual - step @ one.shared) ** 2)) for one in every)
+    freedom = sum(len(one.residual) - one.own.shape[1] for one in every) - rank
+    if freedom <= 0 or not np.isfinite(squares):
+        return None
+    return _Left(parts=tuple(parts), inverse=inverse, step=step, squares=squares, freedom=freedom)
+
+
+def _records(run: Estimate, problem: Problem, *, held_out: bool) -> Iterator[_Whitened]:
+    drive = run.trajectory.drive
+    slopes = sensitivity(
+        run.assembly, run.unknowns, problem.drive, run.trajectory, run.scheme, slopes=run.slopes, gain=run.gain
+    )
+    residual = np.where(drive.present, drive.outputs - run.trajectory.outputs, 0.0)
+    if not all(np.isfinite(one).all() for one in (residual, slopes.local, slopes.common)):
+        return  # along a motion that hardly stays within numbers nothing is known
+    for record in range(drive.n_records):
+        rows = slice(drive.row_firsts[record], drive.row_firsts[record + 1])
+        present = drive.present[rows]
+        fitted = [_filter_of(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
+        filters, valid = tuple(one[0] for one in fitted), tuple(one[1] for one in fitted)
+        own = _flat(slopes.local[:, rows], filters, valid)
+        size = np.sqrt(np.sum(own**2, axis=1))
+        basis, sizes, _ = np.linalg.svd((own / np.maximum(size, TINY)[:, None]).T, full_matrices=False)
+        basis = basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)]
+        shared, error = _flat(slopes.common[:, rows], filters, valid), _flat(residual[None, rows], filters, valid)[0]
+        if len(error) <= basis.shape[1] + MOST_ORDER:
+            continue
+        yield _Whitened(
+            rows=rows,
+            filters=filters,
+            valid=valid,
+            own=basis,
+            shared=shared - (shared @ basis) @ basis.T,
+            residual=error - basis @ (basis.T @ error),
+            held_out=held_out,
+        )
+
+
+def _filter_of(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """The autoregression of least BIC that makes a residual white, over its deviation; and the rows that it reaches."""
+    n = len(residual)
+    lagged = np.zeros((MOST_ORDER + 1, n))
+    reach = np.zeros((MOST_ORDER + 1, n), dtype=bool)
+    for lag in range(min(MOST_ORDER + 1, n)):
+        lagged[lag, lag:], reach[lag, lag:] = residual[: n - lag], present[: n - lag]
+    whole = reach.all(axis=0)
+    best, taps, order = np.inf, np.array([1.0]), 0
+    if 2 * whole.sum() >= present.sum() > 0 and whole.sum() > N_LAGS:
+        for p in range(MOST_ORDER + 1):
+            weights = np.linalg.lstsq(lagged[1 : p + 1, whole].T, lagged[0, whole], rcond=None)[0]
+            error = lagged[0, whole] - weights @ lagged[1 : p + 1, whole]
+            score = whole.sum() * np.log(max(float(np.mean(error**2)), TINY)) + p * np.log(whole.sum())
+            if score < best:
+                best, taps, order = score, np.concatenate([[1.0], -weights]), p
+    valid: BoolArray = np.all(reach[: order + 1], axis=0)
+    white = _filtered(taps, residual)[valid]
+    deviation = float(np.sqrt(np.mean(white**2))) if white.size else 1.0
+    return taps / max(deviation, TINY), valid
+
+
+Sources = list[list[Source]]
+"""Those of a group, one list a part."""
+
+
+def _groups(parts: Sequence[_Part]) -> Iterator[tuple[ResidualKind, str, Sources]]:
+    plant = parts[0].run.assembly.plant
+    for port in plant.ports:
+        yield from _port_groups(parts, port)
+    for channel, name in enumerate(plant.input_names):
+        yield "input", name, [_input_sources(part.run, channel) for part in parts]
+    for channel, name in enumerate(plant.output_names):
+        yield "output", name, [_output_sources(part.run, channel) for part in parts]
+
+
+def _port_groups(parts: Sequence[_Part], port: Port) -> Iterator[tuple[ResidualKind, str, Sources]]:
+    """Forces of the displacement, of the velocity, of both, and of the time."""
+    motions = [_motion(part.run, port) for part in parts]
+    d_all, v_all = (np.concatenate([motion[k] for motion in motions]) for k in (0, 1))
+    d_size, v_size = (max(float(np.std(one)), TINY) for one in (d_all, v_all))
+    by_d = [_splines(d, d_all) for d, _, _ in motions]
+    by_v = [_splines(v, v_all) for _, v, _ in motions]
+    by_both, by_time = [], []
+    for d, v, t in ((d / d_size, v / v_size, t) for d, v, t in motions):
+        by_both.append(
+            np.array([d * v, d * d * v, d * v * v, np.abs(d) * v, np.abs(v) * d, d**3 * v, np.abs(d) * np.sign(v)])
+        )
+        by_time.append(np.array([t, t * d, t * v, t * t * d]))
+    has_d, has_v = port.displacement is not None, port.velocity is not None
+    groups: list[tuple[ResidualKind, list[FloatArray], bool]] = [
+        ("displacement", by_d, has_d),
+        ("velocity", by_v, has_v),
+        ("velocity", by_both, has_d and has_v),
+        ("time", by_time, has_d or has_v),
+    ]
+    for kind, histories, possible in groups:
+        if possible:
+            yield (
+                kind,
+                port.name,
+                [_force_sources(part.run, port, history) for part, history in zip(parts, histories, strict=True)],
+            )
+
+
+def _motion(run: Estimate, port: Port) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and time [shares of the longest record] along a run."""
+    drive, n = run.trajectory.drive, run.assembly.plant.n_states
+    states, none = run.trajectory.states[:, :n], np.zeros(drive.n_times)
+    d, v = (
+        none if row is None else states @ row[:n] + drive.sample @ row[n:] for row in (port.displacement, port.velocity)
+    )
+    return d, v, drive.time / max(float(drive.time.max()), TINY)
+
+
+def _splines(motion: FloatArray, every: FloatArray) -> FloatArray:
+    """(n_splines, n) cubic splines over the range of a motion; nothing where it rests."""
+    low, high = float(every.min()), float(every.max())
+    if not high - low > ROUNDING * max(abs(low), abs(high)):
+        return np.zeros((0, len(motion)))
+    knots = np.concatenate([[low] * 3, np.linspace(low, high, N_SPLINES - 2), [high] * 3])
+    at = np.clip(motion, low, np.nextafter(high, low))
+    splines: FloatArray = ((knots[:-1, np.newaxis] <= at) & (at < knots[1:, np.newaxis])).astype(np.float64)
+    for degree in range(1, 4):  # the recursion of Cox and de Boor
+        start, stop = knots[: -degree - 1, np.newaxis], knots[degree + 1 :, np.newaxis]
+        rise, fall = knots[degree:-1, np.newaxis] - start, stop - knots[1:-degree, np.newaxis]
+        splines = np.divide(at - start, rise, out=np.zeros_like(splines[:-1]), where=rise > 0) * splines[:-1] + (
+            np.divide(stop - at, fall, out=np.zeros_like(splines[1:]), where=fall > 0) * splines[1:]
+        )
+    return splines
+
+
+def _force_sources(run: Estimate, port: Port, histories: FloatArray) -> list[Source]:
+    drive, n_all = run.trajectory.drive, run.trajectory.states.shape[1]
+    return [force_response(drive, run.scheme, column, one, n_all) for column in port.columns for one in histories]
+
+
+def _input_sources(run: Estimate, channel: int) -> list[Source]:
+    """What an input's change by a delay, by a bend in time and by its own size adds."""
+    drive, n = run.trajectory.drive, run.assembly.plant.n_states
+    scale = max(float(np.std(drive.sample[:, channel])), TINY)
+    signals = [one[:, channel] / scale for one in (drive.start, drive.end, drive.sample)]
+    changed = np.array([_input_changes(one, drive) for one in signals])
+    found = []
+    for start, end, sample in changed.transpose(1, 0, 2):
+        flow = np.zeros_like(run.trajectory.states)
+        flow[:, :n] = np.outer(start, run.scheme.B0[:, channel]) + np.outer(end, run.scheme.B1[:, channel])
+        found.append(Source(flow=flow, outputs=np.outer(sample[drive.rows], run.scheme.D[:, channel])))
+    return found
+
+
+def _input_changes(signal: FloatArray, drive: Drive) -> list[FloatArray]:
+    step = int(drive.rows[1]) if len(drive.rows) > 1 else 1
+    late, later = signal.copy(), signal.copy()
+    for record in range(drive.n_records):
+        times = drive.times_of(record)
+        late[times] = np.concatenate([signal[times][:step], signal[times][:-step]])
+        later[times] = np.concatenate([late[times][:step], late[times][:-step]])
+    return [signal - late, signal - 2.0 * late + later, signal, signal**2, signal**3]
+
+
+def _output_sources(run: Estimate, channel: int) -> list[Source]:
+    drive = run.trajectory.drive
+    y, t = run.trajectory.linearisation.free[:, channel], drive.time[drive.rows]
+    y, t = y / max(float(np.std(y)), TINY), t / max(float(t.max()), TINY)
+    slope = np.concatenate([np.gradient(y[rows]) for rows in _rows(drive)])
+    found = []
+    for one in (np.ones_like(t), t, y, y**2, y**3, t * y, slope):
+        sensed = np.zeros_like(run.trajectory.outputs)
+        sensed[:, channel] = one
+        found.append(Source(sensed=sensed))
+    return found
+
+
+def _rows(drive: Drive) -> list[slice]:
+    return [slice(drive.row_firsts[r], drive.row_firsts[r + 1]) for r in range(drive.n_records)]
+
+
+def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
+    """Ljung and Box's test of each output of each held-out record, the parameters' own step taken first."""
+    found: list[tuple[ResidualKind, str, float, float]] = []
+    for part in left.parts:
+        names = part.run.assembly.plant.output_names
+        for one in part.records:
+            white = one.residual - left.step @ one.shared
+            first = 0
+            for output, (taps, valid) in enumerate(zip(one.filters, one.valid, strict=True)):
+                count = int(valid.sum())
+                series = np.zeros(len(valid))
+                series[valid] = white[first : first + count]
+                first += count
+                if not one.held_out or count <= 2 * N_LAGS:
+                    continue
+                total = max(float(series @ series), TINY)
+                sizes = [count - lag for lag in range(1, N_LAGS + 1)]
+                shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
+                q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
+                log_p = _log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
+                found.append(("output", names[output], log_p, q))
+    return found
+
+
+def _effect_weight(left: _Left, placement: int) -> float | None:
+    """Square of what an effect does to the outputs, all but its own parameters free to make up for it."""
+    changes = []
+    for part in left.parts:
+        run = part.run
+        item, assembly = run.assembly.placements[placement], run.assembly
+        if isinstance(item.effect, ForceEffect):
+            one = run.trajectory.linearisation.acting[assembly.forces.index(placement)]
+            flow = np.zeros_like(run.trajectory.states)
+            n = assembly.plant.n_states
+            flow[:, :n] = one.line.flow(one.E0, one.E1)
+            heard = np.outer(one.force.value[run.trajectory.drive.rows], one.G)
+            changes.append(part.responses([Source(flow=flow, outputs=heard)]))
+            continue
+        off = run_without(run, placement, part.problem, smoothing=run.smoothing)
+        if off is None or not np.isfinite(off.trajectory.outputs).all():
+            return None
+        changes.append((run.trajectory.outputs - off.trajectory.outputs)[None])
+    own = left.parts[0].run.assembly.common_of(placement)
+    return left.weight(changes, held=range(own.start, own.stop))
+
+
+SLIGHT, MUCH = 0.01, 0.1
+"""Overlook what is left below the first share of the named effect's force, and name nothing firmly above the second,
+whatever it depends on."""
+
+
+def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
+    """The test that noise alone fails least likely, where what is left is larger than errors of a simulation."""
+    return next((one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED), None)
+
+
+def only_noise(node: Node, root: Node, task: Task) -> bool:
+    """Whether a model explains nearly everything, and what it leaves depends on nothing: noise, of whatever colour."""
+    if node is root or not node.held_out_level - 1.0 <= CLEAR * (root.held_out_level - 1.0):
+        return False
+    tests = lack_of_fit(node, task, known=len(root.effects))
+    return bool(tests) and worst_left(tests) is None
+
+
+def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[list[str], list[str]]:
+    """Why a model is not firm for what it leaves, and what must be said beside a firm name."""
+    worst = worst_left(tests)
+    if worst is None or not worst.share > SLIGHT:
+        return [], []
+    known = len(root.effects)
+    names = effects_at(best.effects[known:])
+    what = f"{something(worst)} is left, {percent(worst.share)} of the force of {names}"
+    found = best.coarse.assembly.placements[known:]
+    if worst.share > MUCH or any(_same_motion(worst, item) for item in found):
+        return [f"{what}: the law is another one, or has company"], []
+    return [], [f"besides, {what}"]
+
+
+def something(test: LackOfFit) -> str:
+    """What is left, in words."""
+    at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
+    return f"something that depends on the {test.kind} {at}"
+
+
+def _same_motion(test: LackOfFit, item: EffectPlacement) -> bool:
+    """Whether what is left depends on what an effect depends on, at its place."""
+    if test.where != item.where or not isinstance(item.effect, ForceEffect):
+        return test.where == item.where
+    return test.kind in item.effect.needs or item.effect.n_memory > 0

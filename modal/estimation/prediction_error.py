@@ -1,0 +1,323 @@
+"""The innovation form, fitted by the engine of output error: one likelihood for a system and for the noise upon it.
+
+    x(k+1) = A x(k) + B u(k) + K e(k),   y(k) = C x(k) + D u(k) + e(k),   e white with covariance R
+
+Its one-step predictor x(k+1) = (A - K C) x + (B - K D) u + K y is a free run with the inputs [u, y], no direct part
+for y, and white errors: what `modal.estimation.output_error` fits. K = 0 is output error itself. With the errors
+weighted by R^-1, and R taken from them in turn, the fit is the likeliest: -2 ln L = N ln det R + constant.
+
+Poles of a predictor are often real and meet on the axis, so steps are made in sections of two states,
+
+    x+ = [[m, d], [1, m]] x + [b1, b2]' z,   poles m +- sqrt(d),
+
+which are smooth where two real poles become a pair.
+
+References:
+    Ljung, System Identification: Theory for the User, 2nd edition, 1999, sections 4.3 (innovations form), 7.2
+    (prediction errors), 9.4 (asymptotic covariance); Schwarz, Annals of Statistics 6(2), 1978, 461-464,
+    doi 10.1214/aos/1176344136 (criterion).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from era.balanced import decompose, realise_from
+from era.realisation import Realisation
+from modal.estimation.free_run import driven_by_outputs, one_step_predictor
+from modal.estimation.modal_parameters import real_modal_form, starting_parameters
+from modal.estimation.modal_states import ModalParameters, blocks_of
+from modal.estimation.output_error import Coordinates, OutputError, RefinementStep, refine
+from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.markov import MarkovParameters
+from okid.observer import ObserverFit
+from okid.record import Record
+
+__all__ = [
+    "LikeliestFit",
+    "Sections",
+    "innovation_form",
+    "leaves_rounding",
+    "likeliest",
+    "n_rows_of",
+    "predictor_data",
+    "predictor_of_observer",
+    "predictor_start",
+]
+
+ROUNDS = 8
+"""End after so many rounds in which weights and model settle."""
+STEPS_A_ROUND = 12
+"""Make at most so many steps with the same weights."""
+STILL = 0.01
+"""End where -2 ln L falls by less: a tenth of a standard deviation in whatever direction."""
+SMALLEST_NOISE = 1e-3
+"""Weight no combination of outputs as if it had less than this share of the noisiest output's noise."""
+NOISE_FREE = 1e-7
+"""Stop where the errors are smaller than this, relative to the outputs: they are rounding, and have no covariance."""
+EDGE = 1.0 - 1e-9
+"""Take no predictor with a pole beyond: it never forgets what it started from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LikeliestFit:
+    """A model of greatest likelihood of its class.
+
+    Attributes:
+        step: where the refinement stands still.
+        data: what it was fitted to.
+        weights: (n_outputs, n_outputs) R^-1.
+        coordinates: that its numbers are counted in.
+        log_likelihood: -2 ln L up to a constant of the data.
+        n_numbers: fitted.
+    """
+
+    step: RefinementStep
+    data: OutputError
+    weights: FloatArray
+    coordinates: Coordinates
+    log_likelihood: float
+    n_numbers: int
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's: the least is taken."""
+        return self.log_likelihood + self.n_numbers * float(np.log(n_rows_of(self.data)))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(n_outputs, n_outputs) R of the errors, the numbers fitted to each output taken off."""
+        n_rows = n_rows_of(self.data)
+        return self.step.linear.error_products / max(1.0, n_rows - self.n_numbers / self.step.layout.n_outputs)
+
+
+def n_rows_of(data: OutputError) -> int:
+    """Rows that count."""
+    return sum(int(rows.sum()) for rows in data.rows)
+
+
+def likeliest(
+    start: RefinementStep, data: OutputError, coordinates: Coordinates, *, rounds: int = ROUNDS
+) -> LikeliestFit:
+    """Refined with the inverse covariance of the errors as their weights, until neither moves."""
+    n_rows, n_outputs = n_rows_of(data), start.layout.n_outputs
+    step = start
+    weights, size = _weights(step, n_rows)
+    for _ in range(rounds):
+        if leaves_rounding(step, n_rows):
+            break
+        least = STILL / (n_rows * n_outputs)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a pole that the data do not show
+            done = refine(step, data, n_steps=STEPS_A_ROUND, least_gain=least, weights=weights, coordinates=coordinates)
+        step = done[-1]
+        weights, new = _weights(step, n_rows)
+        gain, size = size - new, new
+        if gain < STILL:
+            break
+    n_free = coordinates.slopes(step.parameters).shape[1]
+    return LikeliestFit(
+        step=step,
+        data=data,
+        weights=weights,
+        coordinates=coordinates,
+        log_likelihood=size,
+        n_numbers=n_free + step.layout.n_regressors * n_outputs,
+    )
+
+
+def leaves_rounding(step: RefinementStep, n_rows: int) -> bool:
+    """Whether the model explains its outputs, of unit size, to rounding."""
+    return float(step.linear.squared_errors.mean()) <= NOISE_FREE**2 * n_rows
+
+
+def _weights(step: RefinementStep, n_rows: int) -> tuple[FloatArray, float]:
+    """R^-1 and N ln det R; what is too small for a weight of its own, or rounding, is taken as larger."""
+    values, vectors = np.linalg.eigh(step.linear.error_products / n_rows)
+    values = np.maximum(values, max(SMALLEST_NOISE**2 * values[-1], np.finfo(np.float64).tiny))
+    return (vectors / values) @ vectors.T, n_rows * float(np.log(values).sum())
+
+
+def predictor_data(records: Sequence[Record], rows: Sequence[BoolArray]) -> OutputError:
+    """Scaled records with their outputs among their inputs; all rows in one block a record."""
+    twins = tuple(driven_by_outputs(record) for record in records)
+    return OutputError(
+        records=twins, rows=tuple(rows), blocks=blocks_of(twins, [[[] for _ in twins]]), n_direct=records[0].n_inputs
+    )
+
+
+def predictor_start(model: Realisation, data: OutputError) -> RefinementStep | None:
+    """Where to start from a model with a gain, in scaled channels; None where its predictor is not stable."""
+    return starting_parameters(one_step_predictor(model), data)
+
+
+def predictor_of_observer(observer: ObserverFit, order: int) -> Realisation | None:
+    """The model of scaled channels with this many states whose predictor has the observer's own pulse response.
+
+    An observer is a predictor of finite memory: y = D u + sum of alpha_i u(k-i) + beta_i y(k-i).
+    """
+    into, out = observer.input_scale, observer.output_scale[:, np.newaxis]
+    n_outputs, m = observer.n_outputs, observer.n_inputs
+    pulse = np.zeros((observer.order + 1, n_outputs, m + n_outputs))
+    pulse[0, :, :m] = observer.feedthrough * into / out
+    pulse[1:, :, :m] = observer.input_coefficients * into / out
+    pulse[1:, :, m:] = observer.output_coefficients * observer.output_scale / out
+    if observer.order < 2:
+        return None
+    found = decompose(MarkovParameters(system=pulse, dt=observer.dt))
+    if order > min(found.rank, found.max_order):
+        return None
+    predictor = realise_from(found, order)
+    return _model(predictor.A, predictor.B, predictor.C, predictor.D[:, :m], observer.dt)
+
+
+def innovation_form(step: RefinementStep, dt: float) -> Realisation:
+    """A, B, C, D, K of scaled channels from a fitted predictor."""
+    A, B, C = real_modal_form(step)
+    n = step.layout.n_poles
+    return _model(A, B, C, step.linear.coefficients[2 * n : 2 * n + step.layout.n_direct].T, dt)
+
+
+def _model(closed: FloatArray, feed: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Realisation:
+    m = D.shape[1]
+    K = feed[:, m:]
+    return Realisation(closed + K @ C, feed[:, :m] + K @ D, C, D, dt, K=K)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Layout:
+    """Which poles make up each section: (first, second), second -1 for a pair and -2 for a real pole alone."""
+
+    members: tuple[tuple[int, int], ...]
+    held: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Sections:
+    """Sections of two states; the participations of one input in each are held, which fixes its coordinates."""
+
+    def slopes(self, parameters: ModalParameters) -> FloatArray:
+        """See `Coordinates`."""
+        n_poles, n_inputs = parameters.inputs.shape
+        n_drives = n_inputs + parameters.states.shape[0]
+        n_sensitivities = n_poles * (1 + n_drives)
+        drives = np.vstack([parameters.inputs.T, parameters.states])  # (n_drives, n_poles)
+        columns: list[FloatArray] = []
+
+        def add(entries: Sequence[tuple[int, int, complex]]) -> None:
+            column = np.zeros(2 * n_sensitivities)
+            for kind, pole, value in entries:
+                place = kind * n_poles + pole
+                column[place] = value.real
+                column[n_sensitivities + place] = value.imag if parameters.is_pair[pole] else 0.0
+            columns.append(column)
+
+        layout = _sections(parameters)
+        for (first, second), held in zip(layout.members, layout.held, strict=True):
+            pole = complex(parameters.poles[first])
+            if second == -2:
+                add([(0, first, 1 / pole)])
+                for j in range(n_drives):
+                    if j != held:
+                        add([(1 + j, first, 1.0)])
+                continue
+            own = [first] if second == -1 else [first, second]
+            _, s = _mean_and_root(parameters, first, second)
+            roots = [s] if second == -1 else [s, -s]
+            at = [complex(parameters.poles[i]) for i in own]
+            b1 = self._of_section(drives, first, second, s)[0]
+            add([(0, i, 1 / pole) for i, pole in zip(own, at, strict=True)])
+            change = [(0, i, 1 / (2 * r * pole)) for i, r, pole in zip(own, roots, at, strict=True)]
+            change += [
+                (1 + j, i, -b1[j] / (4 * r**3)) for j in range(n_drives) for i, r in zip(own, roots, strict=True)
+            ]
+            add(change)
+            for j in range(n_drives):
+                if j != held:
+                    add([(1 + j, i, 1 / (2 * r)) for i, r in zip(own, roots, strict=True)])
+                    add([(1 + j, i, 0.5 + 0j) for i in own])
+        return np.array(columns).T
+
+    def taken(
+        self, parameters: ModalParameters, matrix: FloatArray, gradient: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Coordinates`."""
+        slopes = self.slopes(parameters)
+        return slopes.T @ matrix @ slopes, slopes.T @ gradient
+
+    def moved(self, parameters: ModalParameters, change: FloatArray) -> ModalParameters | None:
+        """See `Coordinates`; None where a pole leaves the unit circle."""
+        n_inputs = parameters.inputs.shape[1]
+        drives = np.vstack([parameters.inputs.T, parameters.states])
+        n_drives = drives.shape[0]
+        layout = _sections(parameters)
+        poles: list[complex] = []
+        is_pair: list[bool] = []
+        columns: list[ComplexArray] = []
+        at = 0
+        for (first, second), held in zip(layout.members, layout.held, strict=True):
+            free = [j for j in range(n_drives) if j != held]
+            if second == -2:
+                column = drives[:, first].copy()
+                column[free] += change[at + 1 : at + n_drives]
+                poles.append(complex(parameters.poles[first].real + change[at]))
+                is_pair.append(False)
+                columns.append(column)
+                at += n_drives
+                continue
+            mean, s = _mean_and_root(parameters, first, second)
+            b1, b2 = self._of_section(drives, first, second, s)
+            mean, square = mean + change[at], (s * s).real + change[at + 1]
+            own = change[at + 2 : at + 2 * n_drives].reshape(-1, 2)
+            b1[free] += own[:, 0]
+            b2[free] += own[:, 1]
+            at += 2 * n_drives
+            s = np.sqrt(complex(square)) if square else complex(np.finfo(float).eps)
+            upper: ComplexArray = (b2 / 2 + b1 / (2 * s)).astype(np.complex128)
+            poles.append(mean + s)
+            columns.append(upper)
+            is_pair.append(square < 0)
+            if square >= 0:
+                poles.append(mean - s)
+                columns.append((b2 / 2 - b1 / (2 * s)).astype(np.complex128))
+                is_pair.append(False)
+        found = np.array(poles, dtype=np.complex128)
+        size = np.abs(found)
+        if not (size < EDGE).all() or not size.all():
+            return None
+        whole = np.array(columns, dtype=np.complex128)
+        return ModalParameters(
+            poles=found, is_pair=np.array(is_pair), inputs=whole[:, :n_inputs], states=whole[:, n_inputs:].T
+        )
+
+    @staticmethod
+    def _of_section(drives: ComplexArray, first: int, second: int, s: complex) -> tuple[FloatArray, FloatArray]:
+        """(n_drives,) b1 and b2 of a section."""
+        if second == -1:
+            return -2 * s.imag * drives[:, first].imag, 2 * drives[:, first].real
+        total, difference = drives[:, first] + drives[:, second], drives[:, first] - drives[:, second]
+        return s.real * difference.real, total.real
+
+
+def _mean_and_root(parameters: ModalParameters, first: int, second: int) -> tuple[float, complex]:
+    pole = complex(parameters.poles[first])
+    if second == -1:
+        return pole.real, 1j * pole.imag
+    other = complex(parameters.poles[second])
+    return (pole + other).real / 2, complex((pole - other).real / 2)
+
+
+def _sections(parameters: ModalParameters) -> _Layout:
+    """Pairs, then real poles two by two, the closest first, and what is left over."""
+    members = [(int(i), -1) for i in np.flatnonzero(parameters.is_pair)]
+    real = [int(i) for i in np.flatnonzero(~parameters.is_pair)]
+    real.sort(key=lambda i: -parameters.poles[i].real)
+    while len(real) > 1:
+        gaps = -np.diff(parameters.poles[real].real)
+        at = int(gaps.argmin())
+        members.append((real[at], real[at + 1]))
+        real = real[:at] + real[at + 2 :]
+    members += [(i, -2) for i in real]
+    size = np.abs(parameters.inputs)
+    held = [int((size[a] if b < 0 else np.minimum(size[a], size[b])).argmax()) for a, b in members]
+    return _Layout(members=tuple(members), held=tuple(held))

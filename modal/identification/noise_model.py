@@ -1,0 +1,248 @@
+"""Which noise: output error, or the innovation form with so many states of the noise; the likelihood decides.
+
+Candidates, each by maximum likelihood (`modal.estimation.prediction_error`): output error with white noise of any
+covariance; the innovation form with the states of the model; the same with the states that what the free run leaves
+asks for beside them. Schwarz's criterion chooses among those that leave white errors. Output error is consistent
+whatever the colour of the noise, as long as nothing feeds outputs back; a noise model that is too small is not, so
+where no candidate leaves white errors none is taken.
+
+The states of the noise alone are no modes of the system: they serve the estimate and are then left out.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from era.realisation import Realisation
+from modal.estimation.cross_validation import scaled_model, scaled_record
+from modal.estimation.fits import fit_of, model_runs
+from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import OutputError, PolesAndParticipations
+from modal.estimation.prediction_error import (
+    LikeliestFit,
+    Sections,
+    innovation_form,
+    leaves_rounding,
+    likeliest,
+    n_rows_of,
+    predictor_data,
+    predictor_of_observer,
+    predictor_start,
+)
+from modal.modes.modal_form import modal_basis
+from okid.arrays import BoolArray, FloatArray
+from okid.errors import IdentificationError, NumericalError
+from okid.observer import fit_observer
+from okid.record import Record
+from okid.residuals import WHITENESS_LAGS, centred, whiteness
+from okid.scaling import ChannelScaling, channel_scaling
+
+__all__ = ["NoiseModel", "noise_model"]
+
+WHITE_AT = 1e-3
+"""Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
+NOISE_ORDERS = (1, 2, 4, 8)
+"""Try so many states of the noise beside those of the model, as long as the criterion of the noise alone falls."""
+NOISE_OBSERVER = 30
+"""Look so many samples back at what the free run leaves, to find where its states start."""
+BROKEN_PROMISE = 0.02
+"""Take no model whose free run explains less than the held-out rows promised by this."""
+ROWS_A_NUMBER = 10
+"""Fit no more numbers than a tenth of the values."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NoiseModel:
+    """The model with its noise.
+
+    Attributes:
+        fit: the likeliest predictor, scaled channels.
+        whole: A, B, C, D, K of scaled channels, states of the noise included.
+        realisation: the states of the system, in the units of the records; K where it has all states.
+        scaling: of the channels.
+        n_noise: states of the noise alone.
+        whiteness_ratio: of the innovations.
+        gained: by how much the criterion is below that of output error.
+    """
+
+    fit: LikeliestFit
+    whole: Realisation
+    realisation: Realisation
+    scaling: ChannelScaling
+    n_noise: int
+    whiteness_ratio: float
+    gained: float
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(n_outputs, n_outputs) of the innovations, in the units of the records."""
+        size = self.scaling.output_scale
+        covariance: FloatArray = self.fit.covariance * np.outer(size, size)
+        return covariance
+
+
+def noise_model(
+    records: Sequence[Record], start: Realisation, *, evidence: Realisation, promised: float, feedback: bool = False
+) -> tuple[NoiseModel | None, str]:
+    """The innovation form where it is the likelier one, and in words why, or why not.
+
+    Args:
+        records: as identified from.
+        start: the model with a gain, in their units.
+        evidence: whose Hankel factors the result keeps.
+        promised: fit of the free run on held-out rows.
+        feedback: the outputs are fed back into the inputs, so that output error is not offered.
+    """
+    if not all(record.complete_rows().all() for record in records):
+        return None, "outputs are missing, and a predictor needs every one of them"
+    scaling = channel_scaling(records)
+    scaled = tuple(scaled_record(record, scaling) for record in records)
+    rows = tuple(record.complete_rows() for record in records)
+    first = scaled_model(start, scaling)
+    reference = _output_error(first, scaled, rows)
+    data = predictor_data(scaled, rows)
+    found = reference.step if reference is not None else None if start.n_inputs else predictor_start(first, data)
+    if found is None or leaves_rounding(found, n_rows_of(data)):
+        return None, "the model explains the outputs to rounding, or cannot run"
+    fit, ratio = _likeliest(first, reference, data)
+    if fit is None:
+        return None, "no model of the noise that was tried leaves white errors"
+    gained = np.inf if reference is None else reference.criterion - fit.criterion
+    if gained <= 0.0 and not feedback:
+        return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
+    whole = innovation_form(fit.step, start.dt)
+    system = _system_part(whole, start.order)
+    # in a loop the free run that explains most is the one that takes the noise for an answer
+    least = -np.inf if feedback else promised - BROKEN_PROMISE
+    if system is None or not _explains(realisation := in_data_states(system, evidence, scaling), records, least):
+        return None, "the likeliest predictor explains less in a free run than held-out rows promised"
+    model = NoiseModel(
+        fit=fit,
+        whole=whole,
+        realisation=realisation,
+        scaling=scaling,
+        n_noise=whole.order - system.order,
+        whiteness_ratio=ratio,
+        gained=gained,
+    )
+    reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
+    reason = "the outputs are fed back into the inputs" if feedback else reason
+    return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
+
+
+def _explains(model: Realisation, records: Sequence[Record], least: float) -> bool:
+    """Whether the model is stable and its fit in a free run (without inputs: one step ahead) is at least this."""
+    if np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
+        return False
+    try:
+        runs = model_runs(replace(model, K=None) if model.n_inputs else model, records)
+    except NumericalError:
+        return False
+    return float(np.nanmean(fit_of(runs.records, runs.simulated))) >= least
+
+
+def _likeliest(
+    model: Realisation, reference: LikeliestFit | None, data: OutputError
+) -> tuple[LikeliestFit | None, float]:
+    """The first candidate that leaves white errors, and its whiteness ratio."""
+    n_values = n_rows_of(data) * model.n_outputs
+    for candidate in _candidates(model, reference):
+        step = predictor_start(candidate, data)
+        if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
+            continue
+        fit = likeliest(step, data, Sections())
+        white = whiteness(centred(errors_of(fit.step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
+        if white.p_value > WHITE_AT:
+            return fit, white.ratio
+    return None, np.nan
+
+
+def _output_error(model: Realisation, scaled: Sequence[Record], rows: Sequence[BoolArray]) -> LikeliestFit | None:
+    if not model.n_inputs:
+        return None
+    data = OutputError(records=tuple(scaled), rows=tuple(rows), blocks=blocks_of(scaled, [[[] for _ in scaled]]))
+    start = starting_parameters(model, data)
+    return None if start is None else likeliest(start, data, PolesAndParticipations())
+
+
+def _candidates(model: Realisation, reference: LikeliestFit | None) -> Iterator[Realisation]:
+    """The model with its gain; then with states of the noise beside its own."""
+    yield model
+    larger = None if reference is None else _with_noise_states(model, reference)
+    if larger is not None:
+        yield larger
+
+
+def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisation | None:
+    """The output-error model beside a model of what its free run leaves."""
+    left = [
+        Record(np.empty((error.shape[0], 0)), error, record.dt)
+        for error, record in zip(errors_of(reference.step, reference.data), reference.data.records, strict=True)
+    ]
+    noise = _noise_of(left)
+    if noise is None or noise.K is None:
+        return None
+    n, m = model.order, noise.order
+    A = np.block([[model.A, np.zeros((n, m))], [np.zeros((m, n)), noise.A]])
+    B = np.vstack([model.B, np.zeros((m, model.n_inputs))])
+    return Realisation(
+        A, B, np.hstack([model.C, noise.C]), model.D, model.dt, K=np.vstack([np.zeros((n, model.n_outputs)), noise.K])
+    )
+
+
+def _noise_of(left: Sequence[Record]) -> Realisation | None:
+    """The output-only model of least criterion."""
+    n_rows = sum(record.n_samples for record in left)
+    order = max(2, min(NOISE_OBSERVER, n_rows // (ROWS_A_NUMBER * left[0].n_outputs)))
+    try:
+        observer = fit_observer(left, order=order, ridge=0.0)
+    except IdentificationError:
+        return None
+    data = predictor_data(left, tuple(record.complete_rows() for record in left))
+    best: LikeliestFit | None = None
+    for n in NOISE_ORDERS:
+        start = predictor_of_observer(observer, n)
+        if start is None or start.K is None:
+            break
+        out = observer.output_scale[:, np.newaxis]
+        start = Realisation(start.A, start.B, start.C * out, start.D, start.dt, K=start.K / observer.output_scale)
+        step = predictor_start(start, data)
+        if step is None:
+            continue
+        fit = likeliest(step, data, Sections(), rounds=1)
+        if best is not None and fit.criterion >= best.criterion:
+            break
+        best = fit
+    return None if best is None else innovation_form(best.step, left[0].dt)
+
+
+def _system_part(whole: Realisation, order: int) -> Realisation | None:
+    """The states through which the inputs act most, at least `order` of them; all with the gain where all are kept."""
+    if order >= whole.order:
+        return whole
+    basis = modal_basis(replace(whole, K=None))
+    n_states = np.where(basis.is_pair, 2, 1)
+    memory = 1.0 / np.maximum(1.0 - np.abs(basis.poles) ** 2, np.finfo(float).eps)
+    energy = np.square(np.linalg.norm(basis.outputs, axis=0) * np.linalg.norm(basis.inputs, axis=1)) * memory
+    kept, total = [], 0
+    for i in np.argsort(-energy).tolist():
+        if total + n_states[i] <= order:
+            kept.append(i)
+            total += int(n_states[i])
+    if total < order:
+        return None
+    A, B, C = np.zeros((order, order)), np.zeros((order, whole.n_inputs)), np.zeros((whole.n_outputs, order))
+    row = 0
+    for i in sorted(kept):
+        pole, b, c = basis.poles[i], basis.inputs[i], basis.outputs[:, i]
+        if basis.is_pair[i]:
+            own = slice(row, row + 2)
+            A[own, own] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
+            B[own] = [b.real, b.imag]
+            C[:, own] = 2 * np.column_stack([c.real, -c.imag])
+        else:
+            A[row, row], B[row], C[:, row] = pole.real, b.real, c.real
+        row += int(n_states[i])
+    return Realisation(A, B, C, whole.D, whole.dt)

@@ -1,0 +1,516 @@
+"""From a table of frequency responses to modes: the road of `modal.identify` where no record is left to ask.
+
+Window (stated, else the most likely one) -> pulse response -> realisations of all orders as starts -> each fitted to
+the table through the window -> order by evidence -> noise from coherence or scatter -> modes and deviations -> the same
+again from halves of the averages, other lags and other orders -> verdict.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import scipy
+
+from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
+from modal.estimation.cross_validation import hankel_limits
+from modal.estimation.modal_states import one_blas_thread
+from modal.estimation.response_fit import (
+    Noise,
+    ResponseFit,
+    Table,
+    drawn_noise,
+    fit_at,
+    noise_of,
+    pole_deviations,
+    realised,
+    refined,
+    start_of,
+)
+from modal.identification.result import Identification, OrderEvidence
+from modal.modes.choice import Choice, Fit
+from modal.modes.extraction import extract_modes
+from modal.modes.mode import ModalModel
+from modal.verdict.judgement import Rerun, Reruns, judge
+from modal.verdict.stabilisation import stabilisation
+from modal.wording.numbers import LEAST_FIT, counted
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, whole_number
+from okid.errors import InsufficientDataError, InvalidDataError
+from okid.frequency_response import (
+    FrequencyResponse,
+    ResponseWindow,
+    block_length,
+    line_spacing,
+    pulse_response,
+    window_autocorrelation,
+)
+from okid.markov import MarkovParameters
+
+__all__ = ["identify_response"]
+
+LARGEST_ORDER = 64
+"""Try model orders up to this one, as for records."""
+LONGEST = 2048
+"""Realise at most so many lags: they only give the start, and more cost without moving it."""
+PASSES = 3
+"""Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
+WITHOUT_GAIN = 4
+"""Try no higher orders once so many in a row were worse than the best by evidence."""
+LEAST_TRIED = 24
+"""Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
+edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
+QUICK = 5
+"""Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
+OTHER_LAGS = 0.7
+"""Realise again from this share of the lags: the share by which an observer is shortened for a rerun."""
+TRIED: tuple[ResponseWindow, ...] = ("hann", "flattop", "uniform", "periodic")
+"""Windows that are tried where none is stated. Hamming's is within 2 % of Hann's in what it leaves of a pulse."""
+MORE_THAN_STATED = 2.0
+"""Warn where the variance of the scatter exceeds what coherence and averages state by more: overlapping blocks give 1.1
+to 1.5, and the number of averages alone can be off by no more than their share."""
+WORDS = {
+    "halves of the data": "halves of the averages",
+    "other observer order and ridge": "other lags",
+    "another observer order and ridge give": "other lags give",
+    "the observer order and ridge": "the lags that the start is made of",
+}
+"""Say what was changed for a rerun of responses."""
+SEED = 20
+"""Draw the halves of the averages from one seed, so that equal tables give equal results."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Found:
+    """The chosen model of a table with what it was chosen on."""
+
+    response: FrequencyResponse
+    table: Table
+    grid: FloatArray
+    markov: MarkovParameters
+    decomposition: HankelDecomposition
+    fit: ResponseFit
+    noise: Noise
+    order: int
+    evidence: dict[int, float]
+    fits: dict[int, float]
+    likelihood: float
+
+
+def identify_response(
+    response: FrequencyResponse,
+    *,
+    order: int | Literal["auto"] = "auto",
+    progress: Callable[[str, float], None] | None = None,
+) -> Identification:
+    """Identify the modes of a system from its frequency responses; as `modal.identify`, which calls it.
+
+    Args:
+        response: a table of one test; its window, coherence and number of averages are used where it has them.
+        order: number of states of the model.
+        progress: called as `progress(what, share_done)` while it works.
+
+    Raises:
+        InvalidDataError: an order that is none.
+        InsufficientDataError: too few lines for any model.
+    """
+    if order != "auto":
+        order = whole_number(order, name="order", least=1, otherwise='or "auto"')
+    tell = progress or (lambda _what, _share: None)
+    with one_blas_thread():
+        tell("fitting the responses", 0.0)
+        windows = (response.window,) if response.window != "unknown" else TRIED
+        found = _search(response, windows[0], order)
+        tried: dict[ResponseWindow, float] = {windows[0]: found.likelihood}
+        for window in windows[1:]:  # with as many states, so that only the window differs
+            tried[window] = _search(response, window, found.order).likelihood
+        best = max(tried, key=lambda window: tried[window])
+        if best != windows[0]:
+            found = _search(response, best, order)
+        tell("identifying again with halves of the averages, other lags and orders", 0.6)
+        result = _judged(found, order, tried)
+        tell("done", 1.0)
+    return result
+
+
+def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"]) -> _Found:
+    """Model of the order that the evidence favours, refined, with the noise of the table about it."""
+    table, grid = _table(response, window)
+    markov, found = _realisations(table, response.frequencies, grid, response)
+    largest = min(found.rank, found.max_order)
+    if largest < 1:
+        raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
+    first = order if order != "auto" else max(2, min(order_choice(found).order, largest))
+    fit = _fitted(table, found, min(first, largest), _first_weight(table))
+    noise = noise_of(table, fit)
+    evidence: dict[int, float] = {}
+    fits: dict[int, float] = {}
+    chosen = min(first, largest)
+    for _ in range(PASSES):
+        weight = _weight(table, noise)
+        orders = [chosen] if order != "auto" else sorted({*range(2, largest + 1, 2), largest})
+        candidates: dict[int, ResponseFit] = {}
+        evidence, fits = {}, {}
+        for n in orders:
+            candidates[n] = _fitted(table, found, n, weight, fit if n == chosen else None)
+            evidence[n] = _evidence(table, candidates[n])
+            fits[n] = float(np.mean(_fit_of(candidates[n].left, table, weight)))
+            best = min(evidence, key=lambda each: evidence[each])
+            if n > max(chosen, LEAST_TRIED) and sum(each > best for each in evidence) >= WITHOUT_GAIN:
+                break
+        best = min(evidence, key=lambda each: evidence[each])
+        again = best == chosen
+        fit, chosen = candidates[best], best
+        noise = noise_of(table, fit)
+        if again:
+            break
+    for _ in range(2):
+        fit = refined(table, fit, _weight(table, noise))
+        noise = noise_of(table, fit)
+    fit = refined(table, fit, _weight(table, noise))
+    variance = noise.variance[table.known]
+    likelihood = -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+    return _Found(
+        response=response,
+        table=table,
+        grid=grid,
+        markov=markov,
+        decomposition=found,
+        fit=fit,
+        noise=noise,
+        order=chosen,
+        evidence=evidence,
+        fits=fits,
+        likelihood=likelihood,
+    )
+
+
+def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[Table, FloatArray]:
+    """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
+    noise, trust, together = _noise(response)
+    known = np.isfinite(response.response) & (trust > 0)
+    values = np.where(known, response.response, 0.0)
+    trusted = np.abs(values * trust) ** 2
+    out = np.sqrt(_mean(trusted, known, (0, 2)))
+    out = np.where(out > 0, out, 1.0)
+    into = np.sqrt(_mean(trusted / out[:, np.newaxis] ** 2, known, (0, 1)))
+    into = 1 / np.where(into > 0, into, 1.0)
+    f = response.frequencies
+    dt, lags, first, grid = 0.5 / float(f[-1]), None, 0, f
+    try:
+        first = round(float(f[0]) / line_spacing(response))
+        n_samples, first = block_length(response, dt if first else None)
+        lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
+    except InvalidDataError:  # no uniform grid: the start comes from resampled lines, and the window cannot be known
+        grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
+    table = Table(
+        values=np.asarray(values * into / out[:, np.newaxis], dtype=np.complex128),
+        known=known,
+        z=np.exp(2j * np.pi * f * dt),
+        dt=dt,
+        lags=lags,
+        first=first,
+        window=window,
+        noise=noise,
+        trust=trust,
+        together=together,
+        output_scale=out,
+        input_scale=into,
+    )
+    return table, grid
+
+
+def _realisations(
+    table: Table, f: FloatArray, grid: FloatArray, response: FrequencyResponse, *, share: float = 1.0
+) -> tuple[MarkovParameters, HankelDecomposition]:
+    """The pulse response of a table in its own channels, and its realisations of all orders."""
+    on_grid = FrequencyResponse(
+        _resampled(table.values * table.trust, table.known, f, grid),
+        grid,
+        window=table.window,
+        window_time_constant=response.window_time_constant,
+    )
+    markov = pulse_response(on_grid, dt=None if grid[0] == 0 else table.dt)
+    n_lags = min(LONGEST, round(share * markov.n_lags))
+    markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=table.dt)
+    return markov, decompose(markov, max_order=min(LARGEST_ORDER, *hankel_limits(markov)))
+
+
+def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
+    return np.asarray((values * known).sum(axis=axis) / np.maximum(1, known.sum(axis=axis)), dtype=np.float64)
+
+
+def _resampled(values: ComplexArray, known: BoolArray, f: FloatArray, grid: FloatArray) -> ComplexArray:
+    """Every response on a grid, straight lines between the lines that were measured."""
+    result = np.empty((grid.size, *values.shape[1:]), dtype=np.complex128)
+    for q, i in np.ndindex(values.shape[1:]):
+        there = known[:, q, i]
+        result[:, q, i] = np.interp(grid, f[there], values[there, q, i]) if there.any() else 0.0
+    return result
+
+
+def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, bool]:
+    """(1 - coherence) / coherence of each value; its coherence beyond chance; whether all inputs acted at once.
+
+    Beyond chance is nothing, 0, where noise alone has such a coherence in one of twenty lines: no input moved there.
+    """
+    coherence, shape = response.coherence, response.response.shape
+    if coherence is None:
+        return None, np.ones(shape), False
+    together = coherence.ndim == 2 and response.n_inputs > 1
+    whole = coherence[:, :, np.newaxis] if coherence.ndim == 2 else coherence
+    whole = np.broadcast_to(np.clip(np.where(np.isnan(whole), np.nanmedian(whole), whole), 1e-9, 1.0), shape)
+    chance, n = (response.n_inputs if together else 1), response.n_averages  # of noise alone it is chance / n
+    beyond = 1 - (1 - whole) * n / (n - chance) if n is not None and n > chance else whole
+    if n is not None and n > chance:
+        beyond = np.where(whole > scipy.special.betaincinv(chance, n - chance, 0.95), beyond, 0.0)
+    return 1 / whole - 1, np.maximum(beyond, 0.0), together
+
+
+def _weight(table: Table, noise: Noise) -> FloatArray:
+    return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
+
+
+def _first_weight(table: Table) -> FloatArray:
+    """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
+    if table.noise is None:
+        return np.where(table.known, 1.0, 0.0)
+    variance = table.noise * np.abs(table.values) ** 2
+    variance = variance + np.median(variance[table.known]) + np.finfo(float).eps
+    return np.where(table.known, 1 / np.sqrt(variance), 0.0)
+
+
+def _fitted(
+    table: Table, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
+) -> ResponseFit:
+    """The model of an order, from its realisation or from a fit of it, after a few steps."""
+    if start is None:
+        start = fit_at(table, *start_of(realise_from(found, order)), weight)
+    return refined(table, start, weight, n_steps=QUICK)
+
+
+def _evidence(table: Table, fit: ResponseFit) -> float:
+    """Schwarz's criterion: twice the squared error in standard deviations, and log N a parameter.
+
+    Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
+    """
+    joined = _lines_joined(table)
+    n_values = 2 * int(table.known.sum()) / joined
+    return 2 * fit.error / joined + fit.n_parameters * float(np.log(n_values))
+
+
+def _lines_joined(table: Table) -> float:
+    """Sum over lines of the correlation of their errors with those of one."""
+    if table.lags is None or not table.leaks:
+        return 1.0
+    powers = [abs(table.ambiguity(m)[0][0]) ** 2 for m in range(9)]
+    return float(powers[0] + 2 * sum(powers[1:]))
+
+
+def _fit_of(left: ComplexArray, table: Table, weight: FloatArray) -> FloatArray:
+    """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
+    size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
+    error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
+    return np.asarray(1 - error / np.maximum(size, TINY), dtype=np.float64)
+
+
+# --- what the result rests on ----------------------------------------------------------------------------------------
+
+
+def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> Identification:
+    table, fit, noise = found.table, found.fit, found.noise
+    model = realised(fit, table)
+    frequency_std, damping_std = pole_deviations(table, fit, noise)
+    unjudged = _with_deviations(extract_modes(model), fit, table, frequency_std, damping_std)
+    reruns, folds, held_out = _again(found)
+    weight = _weight(table, noise)
+    whole = _fit_of(fit.left, table, weight)
+    measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
+    modes = judge(
+        unjudged,
+        reruns,
+        gain=_gains(unjudged, fit.left, weight, table),
+        n_values=int(2 * table.known.sum() / _lines_joined(table)),
+        fit=measured.mean,
+    )
+    modes = _in_these_words(modes)
+    tried_orders = sorted(found.evidence)
+    highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
+    scale = table.output_scale[:, np.newaxis] / table.input_scale
+    return Identification(
+        records=(),
+        response=found.response,
+        record_kind="response",
+        excitation=None,
+        observer=None,
+        residuals=None,
+        markov=MarkovParameters(system=found.markov.system * scale, dt=table.dt),
+        realisation=model,
+        fitted_model=model,
+        modes=modes,
+        order_evidence=OrderEvidence(
+            singular_values=found.decomposition.singular_values,
+            order=found.order,
+            gap_order=order_choice(found.decomposition).order,
+            candidate_orders=np.array(tried_orders, dtype=np.float64),
+            candidate_fits=np.array([found.fits[n] for n in tried_orders]),
+            stabilisation=stabilisation(highest),
+        ),
+        choices=_choices(found, order, tried),
+        fit=measured,
+        simulated=(),
+        predicted=(),
+        warnings=_warnings(found, modes, measured, tried),
+    )
+
+
+def _with_deviations(
+    model: ModalModel, fit: ResponseFit, table: Table, frequency_std: FloatArray, damping_std: FloatArray
+) -> ModalModel:
+    """Deviations of the pole of the fit that each mode is."""
+    poles = np.log(fit.poles) / table.dt
+    modes = []
+    for mode in model.modes:
+        nearest = int(np.abs(poles - mode.pole).argmin())
+        modes.append(
+            replace(
+                mode,
+                frequency_std=float(frequency_std[nearest]),
+                damping_ratio_std=float(damping_std[nearest]) if mode.kind == "oscillatory" else 0.0,
+            )
+        )
+    why = "the model is fitted to the responses themselves, and cut from no Hankel matrix"
+    return replace(model, modes=tuple(modes), indicators_missing=why)
+
+
+def _in_these_words(modes: ModalModel) -> ModalModel:
+    """The reasons of the verdict as they read where there are no records and no observer."""
+    said = []
+    for mode in modes:
+        reason = mode.reason
+        for words, instead in WORDS.items():
+            reason = reason.replace(words, instead)
+        said.append(replace(mode, reason=reason))
+    return replace(modes, modes=tuple(said))
+
+
+def _seen(modes: ModalModel, table: Table) -> ComplexArray:
+    """(n_modes, n_lines, n_outputs, n_inputs) response of each mode through the window, in the table's channels."""
+    poles = np.exp(np.array([mode.pole for mode in modes]) * table.dt)
+    plus, _ = table.basis(poles)
+    minus, _ = table.basis(poles.conj())
+    parts = []
+    for i, mode in enumerate(modes):
+        residue = np.outer(mode.shape, mode.participation) * table.input_scale / table.output_scale[:, np.newaxis]
+        part = plus[:, i, np.newaxis, np.newaxis] * residue
+        parts.append(part + minus[:, i, np.newaxis, np.newaxis] * residue.conj() if mode.pole.imag else part)
+    return np.array(parts)
+
+
+def _gains(modes: ModalModel, left: ComplexArray, weight: FloatArray, table: Table) -> FloatArray:
+    """(n_modes,) share of the weighted squared error without a mode that the mode removes."""
+    if not modes.modes:
+        return np.zeros(0)
+    with_it = float((np.abs(weight * left) ** 2).sum())
+    without = [(np.abs(weight * (left + part)) ** 2).sum() for part in _seen(modes, table)]
+    return np.array([1 - with_it / max(float(each), TINY) for each in without])
+
+
+def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
+    """The same identified from halves of the averages, other lags and other orders; fits of each half to the other."""
+    table, noise = found.table, found.noise
+    error = drawn_noise(table, found.fit, noise, np.random.default_rng(SEED))
+    weight = _weight(table, noise) / np.sqrt(2)
+    halves = [replace(table, values=table.values + sign * error) for sign in (1.0, -1.0)]
+    runs: list[Rerun] = []
+    errors = []
+    for number, half in enumerate(halves):
+        _, start = _realisations(half, found.response.frequencies, found.grid, found.response)
+        own = _fitted(half, start, min(found.order, start.rank, start.max_order), weight)
+        from_model = refined(half, found.fit, weight, n_steps=QUICK)
+        again = min((own, from_model), key=lambda fit: fit.error)
+        modes = extract_modes(realised(again, table))
+        unseen = halves[1 - number].values - (half.values - again.left)
+        unseen = np.where(table.known, unseen, 0.0)
+        errors.append(unseen)
+        gain = _gains(modes, unseen, weight, table)
+        runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
+    shorter, other = _realisations(table, found.response.frequencies, found.grid, found.response, share=OTHER_LAGS)
+    whole = _weight(table, noise)
+    again = _fitted(table, other, min(found.order, other.rank, other.max_order), whole)
+    runs.append(Rerun(label=f"{shorter.n_lags} lags", change="observer", modes=extract_modes(realised(again, table))))
+    largest = min(found.decomposition.rank, found.decomposition.max_order)
+    for n in (found.order - 2, found.order + 2, found.order + 4):
+        if 0 < n <= largest and largest > found.order:
+            modes = extract_modes(realised(_fitted(table, found.decomposition, n, whole), table))
+            change: Literal["lower order", "higher order"] = "lower order" if n < found.order else "higher order"
+            runs.append(Rerun(label=f"order {n}", change=change, modes=modes))
+    folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
+    both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
+    n_steps = found.decomposition.n_block_rows + found.decomposition.n_block_columns
+    scales = {"output_scale": table.output_scale, "input_scale": table.input_scale}
+    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, _fit_of(both, table, whole)
+
+
+def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> tuple[Choice, ...]:
+    table, response = found.table, found.response
+    if len(tried) == 1 and table.window == response.window:
+        why = "as the responses state it"
+    elif table.lags is None and table.window != response.window and "periodic" not in tried:
+        why = f"the lines lie on no uniform grid, so the window that was stated ({response.window}) has no lags"
+    else:
+        most = max(tried.values())
+        others = ", ".join(f"{name} {most - value:.3g}" for name, value in tried.items() if value < most)
+        why = f"the most likely of those tried; log-likelihoods below it: {others or 'none'}"
+    kind = Choice(what="record kind", value="response", reason="a table of frequency responses was given")
+    choices = [kind, Choice(what="window", value=table.window, reason=why)]
+    if order != "auto":
+        reason = "given as an argument"
+    else:
+        best = found.evidence[found.order]
+        near = sorted(found.evidence, key=lambda n: abs(n - found.order))[1:5]
+        shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
+        reason = f"least Schwarz criterion of {len(found.evidence)} orders; others differ by {shown or 'nothing'}"
+    choices.append(Choice(what="model order", value=str(found.order), reason=reason))
+    known = [name for name, there in (("coherence", table.noise is not None),) if there]
+    value = "coherence and scatter" if known else "scatter"
+    reason = (
+        "its course over the lines from the coherence, its level from the scatter about the model"
+        if known
+        else "the responses come without coherence: from their scatter about the model alone"
+    )
+    return (*choices, Choice(what="noise", value=value, reason=reason))
+
+
+def _warnings(found: _Found, modes: ModalModel, fit: Fit, tried: dict[ResponseWindow, float]) -> tuple[str, ...]:
+    table, response = found.table, found.response
+    words = []
+    if fit.mean < LEAST_FIT:
+        words.append(
+            f"The model does not explain the responses: it repeats {max(0, int(100 * fit.mean))} % of those of the "
+            "other half of the averages."
+        )
+    if not modes.system:
+        words.append("No mode was found again often enough to be called a mode of the system.")
+    if len(tried) > 1:
+        words.append(
+            f"The window of the blocks is not stated; {table.window} was the most likely of {counted(len(tried))} "
+            "tried, and damping depends on it: state it if you know it."
+        )
+    if table.window != response.window and len(tried) == 1:
+        words.append(
+            "The lines lie on no uniform grid, so the window of the blocks could not be taken into account: damping "
+            "ratios may be too high."
+        )
+    if response.frequencies[0] > 2 * (response.frequencies[1] - response.frequencies[0]):
+        words.append(
+            f"The table begins at {response.frequencies[0]:.4g} Hz: what modes below it add is not told apart from the "
+            "feedthrough."
+        )
+    scatter = float(found.noise.share.max()) * (response.n_averages or 0)
+    alone = response.n_inputs == 1 or not table.together
+    if table.noise is not None and response.n_averages and alone and scatter > MORE_THAN_STATED:
+        words.append(
+            f"The responses scatter about the model {np.sqrt(scatter):.2g} times as far as coherence and the number of "
+            "averages say: the structure is not linear or changed during the test, or the number is not right."
+        )
+    return tuple(words)

@@ -1,0 +1,87 @@
+"""The frequency responses of a result, in the motion that is wanted."""
+
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from era.realisation import Realisation
+from modal.identification.result import Identification
+from modal.modes.response_synthesis import frf
+from okid.arrays import frozen
+from okid.errors import InvalidDataError
+from okid.frequency_response import FrequencyResponse
+
+__all__ = ["Motion", "frequency_response"]
+
+Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
+
+_UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
+_POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "rad": 0, "rad/s": 1, "rad/s^2": 2}
+N_LINES = 1025
+"""Give so many lines from 0 Hz to half the sampling frequency where nobody says which."""
+
+
+def frequency_response(
+    result: Identification | Realisation, frequencies: npt.ArrayLike | None = None, *, motion: Motion = "as measured"
+) -> FrequencyResponse:
+    """Responses of the identified model: receptance, mobility or accelerance where the outputs are motions.
+
+    Args:
+        result: of `modal.identify`, or any realisation.
+        frequencies: (n_lines,) increasing [Hz], up to half the sampling frequency; unless given, those of the table
+            that was identified, else 1025 from 0 Hz.
+        motion: "as measured", or what every output is turned into by powers of 2 pi j f; its unit must be m, m/s, m/s^2
+            or the same of rad.
+
+    Returns:
+        Exact responses (window "periodic": nothing to divide out); NaN at 0 Hz where a motion is divided by 0.
+
+    Raises:
+        InvalidDataError: another motion, an output that is no motion, or frequencies out of range.
+
+    Example:
+        >>> model = Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+        >>> frequency_response(model, [0.0, 5.0]).response.real.ravel().round(9).tolist()
+        [2.0, -0.666666667]
+    """
+    if motion not in get_args(Motion):
+        raise InvalidDataError(f"motion must be one of {', '.join(get_args(Motion))}, but is {motion!r}.")
+    names = None if isinstance(result, Realisation) else result.channels
+    model = result if isinstance(result, Realisation) else result.realisation
+    if not model.n_inputs:
+        raise InvalidDataError("a frequency response needs an input, but this result has none.")
+    nyquist = 0.5 / model.dt
+    if frequencies is not None:
+        lines = frozen(frequencies, name="frequencies", shape=(None,))
+    elif isinstance(names, FrequencyResponse):
+        lines = names.frequencies
+    else:
+        lines = np.linspace(0.0, nyquist, N_LINES)
+    if not lines.size or lines.min() < 0 or lines.max() > nyquist * (1 + 1e-9):
+        raise InvalidDataError(f"frequencies must lie between 0 and {nyquist:.6g} Hz, half the sampling frequency.")
+    response = frf(model, lines)
+    units = ("",) * model.n_outputs if names is None else names.output_units
+    if motion != "as measured":
+        unknown = [unit or "no unit" for unit in units if unit not in _POWERS]
+        if unknown:
+            raise InvalidDataError(
+                f"{motion} can be had of outputs in m, m/s, m/s^2 (or rad), but there are some in {unknown[0]}; take "
+                "motion='as measured', or state the units of the records."
+            )
+        wanted = _POWERS[_UNITS[motion]]
+        turned = (2j * np.pi * lines)[:, np.newaxis]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            response = response * (turned ** np.array([wanted - _POWERS[unit] for unit in units]))[:, :, np.newaxis]
+        response = np.where(np.isfinite(response), response, np.nan)
+        units = tuple(_UNITS[motion].replace("m", "rad") if "rad" in unit else _UNITS[motion] for unit in units)
+    return FrequencyResponse(
+        response,
+        lines,
+        window="periodic",
+        input_names=() if names is None else names.input_names,
+        output_names=() if names is None else names.output_names,
+        input_units=() if names is None else names.input_units,
+        output_units=units,
+        name="" if names is None else names.name,
+    )

@@ -1,0 +1,204 @@
+"""One function a figure: each takes a result and gives a matplotlib figure, on axes of the caller where they are given.
+
+The charts behind them are those of the report and the recording, so that a notebook shows what these show.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modal.geometry.scene import comparable_shapes
+from modal.identification.result import Identification
+from modal.modes.mode import Mode
+from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf, tabled_frf
+from modal.modes.shape_sets import assurance as mac
+from modal.plots.figures import figure_of
+from modal.plots.histories import measured_against_simulated
+from modal.plots.layout import Chart
+from modal.plots.order import stabilisation_diagram
+from modal.plots.responses import model_grid, output_spectra, response_chart
+from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InvalidDataError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from modal.discrepancy.results import Diagnosis
+    from modal.geometry.sensors import Geometry
+
+__all__ = [
+    "assurance",
+    "complexity",
+    "fit",
+    "fit_chart",
+    "frequency_responses",
+    "gap",
+    "law",
+    "least_fitted",
+    "measured_responses",
+    "modes",
+    "shape_assurance",
+    "spectra",
+    "stabilisation",
+    "synthesised_alone",
+]
+
+MOST_SHOWN = 6
+"""Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
+
+PERIODS = 10.0
+"""Show so many periods of the slowest mode in the enlarged part of a time history."""
+
+
+def stabilisation(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Poles of the models of all orders over the mean spectrum of the outputs.
+
+    Args:
+        result: of `modal.identify`.
+        axes: of matplotlib to draw on; unless given, a figure is made.
+
+    Raises:
+        InvalidDataError: another number of axes than the figure has panels.
+    """
+    chart = stabilisation_diagram(result.order_evidence, result.modes, measured=result.records)
+    return figure_of(chart, axes=axes)
+
+
+def modes(
+    result: Identification, *, geometry: "Geometry | None" = None, axes: "Axes | Sequence[Axes] | None" = None
+) -> "Figure":
+    """Shapes of the system modes, on a geometry where one is given; raises as `stabilisation`, and without a mode."""
+    record = result.channels
+    chart = mode_shapes(
+        _system(result), output_names=record.output_names, output_units=record.output_units, geometry=geometry
+    )
+    return figure_of(chart, axes=axes)
+
+
+def frequency_responses(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Measured frequency responses, those of the model, and those of its system modes alone; raises as `stabilisation`.
+
+    Raises:
+        InvalidDataError: no input was measured, or another number of axes than the figure has panels.
+        InsufficientDataError: the records are too short for a measured response.
+    """
+    measured = measured_frf(result.records) if result.response is None else tabled_frf(result.response)
+    return figure_of(measured_responses(result, measured), axes=axes)
+
+
+def assurance(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """MAC of the system modes with one another; raises as `modes`."""
+    _system(result)
+    return figure_of(assurance_matrix(shape_assurance(result), result.modes.frequencies.tolist()), axes=axes)
+
+
+def complexity(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Components of each shape as phasors, which lie on one line for a real mode; raises as `modes`."""
+    return figure_of(shape_complexity(_system(result)), axes=axes)
+
+
+def spectra(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Power spectra of the outputs that fit least, measured and simulated; raises as `stabilisation`."""
+    _with_records(result)
+    frequencies = result.modes.frequencies.tolist()
+    chart = output_spectra(result.records, result.simulated, frequencies=frequencies, outputs=least_fitted(result))
+    return figure_of(chart, axes=axes)
+
+
+def fit(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Outputs that fit least, measured and simulated; raises as `stabilisation`."""
+    return figure_of(fit_chart(result), axes=axes)
+
+
+def gap(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """Measured minus simulated on the first held-out record, before and after.
+
+    Args:
+        diagnosis: of `modal.discrepancy.diagnose`.
+        axes: of matplotlib to draw on; unless given, a figure is made.
+
+    Raises:
+        InvalidDataError: no model ran through, or another number of axes than the figure has panels.
+    """
+    # an identification is drawn without the cost of importing all of the diagnosis
+    from modal.plots.discrepancy import gap_histories
+    from modal.sections.discrepancy_stages import stages_of, worst_outputs
+
+    stages = stages_of(diagnosis)
+    if not stages:
+        raise InvalidDataError("no model of this diagnosis ran through the held-out records: there is no gap to draw.")
+    return figure_of(gap_histories(stages, outputs=worst_outputs(stages[0].gap, MOST_SHOWN)), axes=axes)
+
+
+def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
+    """The laws that were found, over what the data ask for; raises as `gap`, and where no effect was found."""
+    from modal.plots.discrepancy import draw_laws
+
+    if not diagnosis.laws:
+        raise InvalidDataError("this diagnosis found no effect, so there is no law to draw.")
+    return figure_of(draw_laws(diagnosis.laws[:MOST_SHOWN]), axes=axes)
+
+
+def fit_chart(result: Identification) -> Chart:
+    """The chart of `fit`, of the first record."""
+    _with_records(result)
+    slowest = next((mode.frequency for mode in result.modes.system if mode.frequency > 0), None)  # an integrator has 0
+    return measured_against_simulated(
+        result.records[0],
+        result.simulated[0],
+        outputs=least_fitted(result),
+        fits=result.fit.cross_validated,
+        detail=None if slowest is None else PERIODS / slowest,
+    )
+
+
+def measured_responses(result: Identification, measured: MeasuredFrf) -> Chart:
+    """The chart of `frequency_responses`."""
+    record = result.channels
+    return response_chart(
+        measured,
+        result.realisation,
+        modes=synthesised_alone(result, measured),
+        output_names=record.output_names,
+        input_names=record.input_names,
+        n_pairs=MOST_SHOWN,
+    )
+
+
+def synthesised_alone(result: Identification, measured: MeasuredFrf) -> ComplexArray | None:
+    """(N_GRID, n_outputs, n_inputs) response of the modes of the system and the feedthrough, without any other pole.
+
+    None without such modes, and where states for delays or integrators stand between the modes and the outputs.
+    """
+    model = result.fitted_model or result.realisation
+    system = result.modes.system
+    if not system or model.order != result.realisation.order:
+        return None
+    return np.asarray(modal_frf(system, model_grid(measured), dt=model.dt).sum(axis=0) + model.D)
+
+
+def shape_assurance(result: Identification) -> FloatArray:
+    """(n_system, n_system) MAC of the system modes; outputs of several units are made alike where they can be."""
+    first = result.channels
+    shapes = comparable_shapes(result.modes.system, first.output_names, first.output_units)
+    return mac(shapes, shapes)
+
+
+def least_fitted(result: Identification) -> list[int]:
+    """Indices of the outputs that fit least, in the order of the record."""
+    fits = np.nan_to_num(result.fit.cross_validated, nan=-np.inf)
+    return sorted(np.argsort(fits, kind="stable")[:MOST_SHOWN].tolist())
+
+
+def _with_records(result: Identification) -> None:
+    if not result.records:
+        raise InvalidDataError("these are modes of frequency responses, so there is no record to draw.")
+
+
+def _system(result: Identification) -> tuple[Mode, ...]:
+    if not result.modes.system:
+        raise InvalidDataError("this identification found no system mode, so there is no shape to draw.")
+    return result.modes.system

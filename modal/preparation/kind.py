@@ -1,0 +1,219 @@
+"""What kind of record is it? Judged at the door, from the data alone, and said as a choice with its reason.
+
+    driven     inputs move throughout
+    transient  inputs act in short events, and the structure rings
+    decay      no input; each record starts far above its end
+    ambient    no input; what is not measured drives it throughout
+    response   frequency responses, not records in time
+
+Each kind has its own folds and its own evidence, so a record of another kind would be told untrue things: a block of a
+struck record holds no force, and a decay has no innovations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import scipy
+
+from modal.modes.choice import Choice
+from okid.arrays import BoolArray, FloatArray
+from okid.errors import InvalidDataError
+from okid.record import Record
+
+__all__ = ["GivenKind", "KindFound", "RecordKind", "find_kind", "first_acts", "given_kind"]
+
+RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
+"""What a call of `modal.identify` is given."""
+GivenKind = Literal["auto", "driven", "transient", "decay", "ambient", "response"]
+"""What the caller may say of it."""
+
+MOST_POWER = 0.99
+"""Ask in how few rows an input has this share of its power."""
+EVENTS = 0.1
+"""Take inputs for events where these rows are fewer than one in ten: a fold, of blocks of a tenth, may hold none,"""
+STEADY = 0.15
+"""and for moving throughout where they are more than this; in between it is undecided."""
+MOST_EXCESS = 0.8
+"""See events where the rows above all that rest shows by chance hold this part of what rest does not explain."""
+REST = 0.01
+"""Call it no rest between two of these rows where they are no more than this share of the record apart."""
+NORMAL_MEDIAN = 0.4549
+"""Divide the median square of what rests by this to have its variance: the median of chi-square with one degree."""
+N_PARTS = 10
+"""Compare the power of so many parts of a record without inputs."""
+FAR_ABOVE = 100.0
+"""See events where their rows have on average so many times the power of rest, and a decay where the first part of a
+record has so many times the power of its last three: 20 dB,"""
+ABOVE = 10.0
+"""or this many where the power never rises again by more than chance; stationary motion has neither."""
+ROUND_OFF = 1e-12
+"""Take no end for quieter than this share of the greatest power: an encoder at rest has none."""
+RISE = 2.0
+"""Call it a rise where a part has so many times the power of the one before it, above that of the record's end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class KindFound:
+    """The kind of all records of a call.
+
+    Attributes:
+        kind: what they are treated as.
+        choice: the same with its reason.
+        warnings: a sentence where the data do not decide it, else nothing.
+    """
+
+    kind: RecordKind
+    choice: Choice
+    warnings: tuple[str, ...] = ()
+
+
+def given_kind(kind: str) -> GivenKind:
+    """The word that the caller gave.
+
+    Raises:
+        InvalidDataError: it is no kind.
+    """
+    for known in get_args(GivenKind):
+        if kind == known:
+            return known
+    raise InvalidDataError(f"kind must be one of {', '.join(get_args(GivenKind))}, but is {kind!r}.")
+
+
+def find_kind(records: Sequence[Record], given: GivenKind = "auto") -> KindFound:
+    """The kind of the records, one for all of them.
+
+    Args:
+        records: of one system.
+        given: by the caller; "auto" lets the data say it.
+
+    Raises:
+        InvalidDataError: a kind that these records cannot have, or records without inputs of which some ring down and
+            others move throughout.
+
+    Example:
+        >>> blow = np.zeros(500)
+        >>> blow[40:44] = [0.5, 1.0, 1.0, 0.5]
+        >>> find_kind([Record(blow, np.convolve(blow, 0.9 ** np.arange(100))[:500], 0.01)]).kind
+        'transient'
+    """
+    has_inputs = records[0].n_inputs > 0
+    if given != "auto":
+        _check_given(given, has_inputs=has_inputs)
+        return _found(given, "given as an argument")
+    return _by_inputs(records) if has_inputs else _by_outputs(records)
+
+
+def _check_given(given: GivenKind, *, has_inputs: bool) -> None:
+    if given == "response":
+        raise InvalidDataError(
+            'kind="response" is for frequency responses, but records in time were given; leave it out, or give an '
+            "okid.FrequencyResponse."
+        )
+    if has_inputs != (given in ("driven", "transient")):
+        have, need = ("inputs", "none") if has_inputs else ("no input", "one")
+        raise InvalidDataError(
+            f'kind="{given}" was given for records with {have}, but it needs {need}; '
+            + ("leave the inputs out with record.select(inputs=[])." if has_inputs else "name the inputs of the file.")
+        )
+
+
+def _by_inputs(records: Sequence[Record]) -> KindFound:
+    shares = [_active_share([record.inputs[:, j] for record in records]) for j in range(records[0].n_inputs)]
+    widest = int(np.argmax(shares))
+    share, name = shares[widest], records[0].input_names[widest]
+    whose = "the input" if len(shares) == 1 else f"input {name!r}"
+    words = (
+        f"{100 * MOST_POWER:g} % of the power of {whose} lies in {100 * share:.2g} % of the rows"
+        if share < 1.0
+        else f"{whose} has no rest that stands out from its motion"
+    )
+    if share <= EVENTS:
+        return _found("transient", f"{words}: it acts in short events, and the structure rings")
+    if share >= STEADY:
+        return _found("driven", f"{words}: it moves throughout")
+    return _undecided("driven", words, "transient")
+
+
+def first_acts(records: Sequence[Record]) -> tuple[int, ...]:
+    """Row of each record before which every input rests, beyond chance and one per cent of its peak."""
+    first = [record.n_samples for record in records]
+    for j in range(records[0].n_inputs):
+        each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
+        squares = np.concatenate(each)
+        chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
+        level = max(chance, 1e-4 * float(squares.max()))
+        first = [min(row, *np.flatnonzero(own > level)[:1].tolist(), row) for row, own in zip(first, each, strict=True)]
+    return tuple(first)
+
+
+def _active_share(columns: Sequence[FloatArray]) -> float:
+    """Share of the rows that hold most of an input's power above what it has at rest; 1 where rest is not seen.
+
+    Rows between two of them count too where they are few: a force that swings passes through zero without a rest.
+    """
+    each = [np.nan_to_num(np.square(values - np.nanmedian(values))) for values in columns]
+    squares = np.sort(np.concatenate(each))[::-1]
+    rest = float(np.median(squares)) / NORMAL_MEDIAN
+    excess = float(squares.sum()) - squares.size * rest
+    held = np.cumsum(squares - rest)
+    n_above = int((squares > rest * scipy.special.chdtri(1.0, 1.0 / squares.size)).sum())
+    if n_above == 0 or held[n_above - 1] <= max(MOST_EXCESS * excess, FAR_ABOVE * n_above * rest):
+        return 1.0
+    n_acting = min(n_above, 1 + int(np.searchsorted(held, MOST_POWER * excess)))
+    return sum(_acting(own >= squares[n_acting - 1]) for own in each) / squares.size
+
+
+def _acting(rows: BoolArray) -> int:
+    """Number of the rows, short rests between them included."""
+    places = np.flatnonzero(rows)
+    steps = np.diff(places)
+    return int(steps[steps <= max(1.0, REST * rows.size)].sum()) + int(places.size > 0)
+
+
+def _by_outputs(records: Sequence[Record]) -> KindFound:
+    ratios, falls = zip(*(_fall(record.outputs) for record in records), strict=True)
+    least, greatest = min(ratios), max(ratios)
+    words = f"the outputs start with {least:.3g} times the power that they end with"
+    decays = [ratio >= FAR_ABOVE or (ratio >= ABOVE and fall) for ratio, fall in zip(ratios, falls, strict=True)]
+    if all(decays):
+        return _found("decay", f"{words}, and there is no input: they ring down")
+    if greatest < ABOVE:
+        return _found("ambient", f"{words}, and there is no input: what drives them is not measured")
+    if any(decays) and least < ABOVE:
+        which = ", ".join(str(i) for i, one in enumerate(decays) if one)
+        raise InvalidDataError(
+            f"records without inputs must be of one kind, but of {len(records)} those with numbers {which} ring down "
+            "and others move throughout; identify them apart."
+        )
+    return _undecided("ambient", words, "decay")
+
+
+def _fall(outputs: FloatArray) -> tuple[float, bool]:
+    """Power of the first part over that of the last three, 0 where a later part has more; and whether it never rises.
+
+    Every output counts in units of its own power at the end, so that one that shows nothing hides no other.
+    """
+    n_rows = len(outputs) // N_PARTS
+    if n_rows < 1:
+        return 0.0, False
+    parts = outputs[: n_rows * N_PARTS].reshape(N_PARTS, n_rows, -1)
+    # the level at which the motion ends
+    squares = np.square(parts - np.nanmean(parts[-3:], axis=(0, 1)))
+    power = np.nanmean(squares, axis=1)  # (N_PARTS, n_outputs)
+    end = np.maximum(np.nanmean(power[-3:], axis=0), ROUND_OFF * power.max(axis=0) + np.finfo(float).tiny)
+    levels = np.nanmean(power / end, axis=1)
+    if levels.argmax() > 0:
+        return 0.0, False
+    return float(levels[0]), bool((levels[1:] - 1.0 <= RISE * levels[:-1]).all())
+
+
+def _found(kind: RecordKind, reason: str) -> KindFound:
+    return KindFound(kind=kind, choice=Choice(what="record kind", value=kind, reason=reason))
+
+
+def _undecided(kind: RecordKind, words: str, other: RecordKind) -> KindFound:
+    found = _found(kind, f'{words}, which does not decide between "{kind}" and "{other}"')
+    sentence = f'The record kind is not certain: {words}; it is treated as {kind}. Give kind="{other}" if it is that.'
+    return KindFound(kind=kind, choice=found.choice, warnings=(sentence,))

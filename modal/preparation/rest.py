@@ -1,0 +1,185 @@
+"""Rest before a blow: the level that a struck structure rests at, and rows of rest in front of its record.
+
+An observer drops as many rows at a record's start as it looks back, and with them a blow that falls there. But a
+structure that rests until it is struck has rested before the record began too: rows of rest may stand in front of it,
+and then the blow is seen, nothing that it does looks late, and no initial state can take the place of its answer.
+They hold no measurement, so whoever counts rows leaves them out.
+
+A decay is the same with a blow that nobody measured. Free motion from an unknown state x(0) is the answer from
+rest to a unit pulse one sample before the record, with x(0) as that input's participation,
+
+    x(k+1) = A x(k) + B u(k),   u(-1) = 1,   x(-1) = 0:   x(0) = B
+
+so poles and shapes are common to all records, and each has an amplitude of its own for every mode. An impulse test is
+Markov parameters already, and all that holds for a struck structure holds for it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from modal.modes.choice import Choice
+from modal.preparation.kind import first_acts
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["RELEASED", "Rested", "released", "with_rest"]
+
+ENOUGH = 20
+"""Take the level from the rows before the first blow where there are so many, else from the end of the record."""
+N_PARTS = 10
+"""Look for the quietest of so many parts of a record."""
+NO_QUIETER = 2.0
+"""Believe in rest where the rows before the blow move no more than this many times what the quietest part does,"""
+NEGLIGIBLE = 0.01
+"""or no more than this share of what the blow makes, a ten-thousandth of its power,"""
+CHANCE = 1e-3
+"""and, where there are enough of them, not less like white noise than this often by chance."""
+N_LAGS = 5
+"""Lags of that test."""
+LONGEST = 256
+"""Put no more rows in front: no observer that is tried looks back further."""
+MOST_UNKNOWNS = 1600
+"""Nor more than an observer with so many unknowns an output does."""
+MOST_RELEASES = 4
+"""Give so many decays, the strongest, a release as input; the others keep a state of their own to start from."""
+RELEASED = Choice(
+    what="release",
+    value="one a record",
+    reason="free motion from an unknown state is the answer to a unit pulse one sample before the record, from rest: "
+    "poles and shapes are common, what each record starts from is its own",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Rested:
+    """Records with rest in front of them.
+
+    Attributes:
+        records: about the level at which they rest.
+        n_rest: rows in front of each that were not measured.
+        choice: what was done and why.
+    """
+
+    records: tuple[Record, ...]
+    n_rest: tuple[int, ...]
+    choice: Choice
+
+
+def released(records: Sequence[Record]) -> tuple[Record, ...]:
+    """Decays as answers to a release: one row more in front, at rest, in which the record's own input is 1.
+
+    Args:
+        records: without inputs, each of which rings down from its start.
+
+    Example:
+        >>> (ringing,) = released([Record([], 0.9 ** np.arange(200.0), 0.01)])
+        >>> ringing.inputs[:3].ravel().tolist(), ringing.outputs[:2].ravel().round(3).tolist()
+        ([1.0, 0.0, 0.0], [0.0, 1.0])
+    """
+    each = [np.nan_to_num(np.nanvar(record.outputs, axis=0)) for record in records]
+    whole = np.maximum(np.sum(each, axis=0), np.finfo(float).tiny)
+    order = np.argsort([-float((own / whole).sum()) for own in each], kind="stable")
+    strongest = sorted(order[:MOST_RELEASES].tolist())
+    names = tuple(f"release of record {number + 1}" for number in strongest)
+    made = []
+    for number, record in enumerate(records):
+        if number not in strongest:
+            inputs, outputs = np.zeros((record.n_samples, len(names))), record.outputs
+        else:
+            inputs = np.zeros((record.n_samples + 1, len(names)))
+            inputs[0, strongest.index(number)] = 1.0
+            outputs = np.vstack([_level(record, 0), record.outputs])
+        made.append(replace(record, inputs=inputs, outputs=outputs, input_names=names, input_units=("",) * len(names)))
+    return tuple(made)
+
+
+def _level(record: Record, first: int) -> FloatArray:
+    """(n_outputs,) at rest: mean of the rows before row `first`, or of the record's last half.
+
+    There it may still ring: a Hann window lets next to nothing of a vibration into the mean.
+    """
+    last = record.n_samples
+    quiet = slice(0, first) if ENOUGH <= first < last else slice(last // 2, last)
+    values = record.outputs[quiet]
+    weights = np.ones(first) if ENOUGH <= first < last else np.hanning(len(values) + 2)[1:-1]
+    shares = np.where(np.isfinite(values), weights[:, np.newaxis], 0.0)
+    level: FloatArray = (np.nan_to_num(values) * shares).sum(axis=0) / np.maximum(shares.sum(axis=0), 1e-300)
+    return level
+
+
+def _about_rest(record: Record, first: int) -> Record:
+    """The record less what its inputs and outputs are at rest."""
+    inputs = record.inputs - np.median(record.inputs, axis=0)
+    return replace(record, inputs=inputs, outputs=record.outputs - _level(record, first))
+
+
+def with_rest(records: Sequence[Record]) -> Rested:
+    """Rows of rest in front of each record that begins at rest; records about their level.
+
+    Args:
+        records: struck once or a few times, no input missing.
+
+    Example:
+        >>> blow = np.r_[0.0, 1.0, np.zeros(198)]
+        >>> found = with_rest([Record(blow, np.convolve(blow, 0.9 ** np.arange(200))[:200], 0.01)])
+        >>> found.n_rest, found.choice.value
+        ((33,), 'used')
+    """
+    starts = first_acts(records)
+    centred = tuple(_about_rest(record, first) for record, first in zip(records, starts, strict=True))
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    n_samples = sum(record.n_samples for record in records)
+    length = max(1, min(LONGEST, n_samples // (3 * n_channels), MOST_UNKNOWNS // n_channels))
+    resting = [_rests(record, first) for record, first in zip(centred, starts, strict=True)]
+    padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
+    if all(resting):
+        value, reason = "used", "no row before the first blow moves more than the quietest part of its record"
+    elif any(resting):
+        value, reason = "used in part", f"{resting.count(False)} of {len(resting)} records move before their first blow"
+    else:
+        value, reason = "not used", "the outputs move before the first blow, so they start from an unknown state"
+    return Rested(
+        records=padded,
+        n_rest=tuple(length * rests for rests in resting),
+        choice=Choice(what="rest before the blow", value=value, reason=reason),
+    )
+
+
+def _rests(record: Record, first: int) -> bool:
+    """Whether the outputs are at rest before row `first`; a blow in the first row leaves nothing to ask."""
+    before = record.outputs[:first]
+    if first == record.n_samples:  # never struck: it moves by itself
+        return False
+    if first == 0 or not np.isfinite(before).any():
+        return True
+    n_rows = max(1, record.n_samples // N_PARTS)
+    parts = record.outputs[: n_rows * (record.n_samples // n_rows)].reshape(-1, n_rows, record.n_outputs)
+    floor = np.nanmin(np.nanstd(parts, axis=1), axis=0)
+    least = np.maximum(NO_QUIETER * floor, NEGLIGIBLE * np.nanstd(record.outputs, axis=0))
+    if (np.sqrt(np.nanmean(np.square(before), axis=0)) > least).any():
+        return False
+    return first < ENOUGH or _looks_white(before)
+
+
+def _looks_white(values: FloatArray) -> bool:
+    """Box and Pierce: the first autocorrelations of each column, together, are no greater than those of chance."""
+    centred = np.nan_to_num(values - np.nanmean(values, axis=0))
+    power = np.square(centred).sum(axis=0)
+    if not power.any():
+        return True
+    kept = centred[:, power > 0.0]
+    power = power[power > 0.0]
+    lags = range(1, N_LAGS + 1)
+    statistic = len(kept) * sum(float(np.square((kept[j:] * kept[:-j]).sum(axis=0) / power).sum()) for j in lags)
+    return bool(statistic <= scipy.special.chdtri(N_LAGS * power.size, CHANCE))
+
+
+def _padded(record: Record, length: int) -> Record:
+    return replace(
+        record,
+        inputs=np.vstack([np.zeros((length, record.n_inputs)), record.inputs]),
+        outputs=np.vstack([np.zeros((length, record.n_outputs)), record.outputs]),
+    )

@@ -1,0 +1,125 @@
+"""The modes of many records as a Rerun recording: one page, and every number as a table."""
+
+import hashlib
+import secrets
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from modal.plots.records import frequencies_of_records, places_of_records
+from modal.recording.figure import Pane, document_view, log_chart, plot_view
+from modal.recording.plan import cell
+from modal.recording.stream import APPLICATION, strict_errors
+from modal.recording.tables import LISTED, bullets, log_table, table
+
+if TYPE_CHECKING:
+    import rerun
+
+__all__ = ["save_batch_recording", "write_stream"]
+
+FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
+WORDS: Final = "batch/words"
+MODES: Final = "batch/modes"
+RECORDS: Final = "batch/records"
+
+
+def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: Path) -> Path:
+    """Write the recording of a batch; the same tables give the same recording.
+
+    Args:
+        names: of all records in the order of the tables.
+        modes: table of `modal.identify_batch`.
+        records: likewise.
+        path: of the file, replaced if it is there.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    frequency, deviation, damping, probability = (
+        modes.column(name).to_numpy(zero_copy_only=False)
+        for name in ("frequency", "frequency_std", "damping_ratio", "probability")
+    )
+    verdicts, number = modes.column("verdict").to_pylist(), {name: place for place, name in enumerate(names)}
+    row = np.array([number[name] for name in modes.column("record").to_pylist()], dtype=np.intp)
+    starts = np.zeros(len(names))
+    starts[row] = modes.column("start_time").to_numpy(zero_copy_only=False)
+    seen = np.unique(row)
+    along, label = places_of_records(starts[seen])
+    places = np.full(len(names), np.nan)
+    places[seen] = along
+    digest = hashlib.blake2b(repr(names).encode("utf-8", "backslashreplace"), digest_size=12)
+    digest.update(frequency.tobytes() + deviation.tobytes())
+
+    def log(recording: "rerun.RecordingStream") -> None:
+        import rerun as rr
+        import rerun.blueprint as rrb
+
+        chart = frequencies_of_records(places[row], frequency, verdicts, along=label)
+        log_chart(recording, FREQUENCIES, chart)
+        log_table(
+            recording,
+            MODES,
+            "mode_row",
+            np.arange(row.size),
+            {
+                "record": modes.column("record").to_pylist(),
+                "frequency": frequency,
+                "frequency_std": deviation,
+                "damping_ratio": damping,
+                "probability": probability,
+                "verdict": verdicts,
+            },
+        )
+        told = {name: records.column(name).to_pylist() for name in ("record", "path", "hash", "status", "message")}
+        log_table(recording, RECORDS, "record_row", np.arange(len(names)), told)
+        recording.log(WORDS, rr.TextDocument(_words(told), media_type="text/markdown"), static=True)
+        views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Records")]
+        for entity, timeline in ((MODES, "mode_row"), (RECORDS, "record_row")):
+            query = rrb.archetypes.DataframeQuery(timeline=timeline)
+            views.append(rrb.DataframeView(origin=entity, name=entity.rpartition("/")[2].capitalize(), query=query))
+        page = rrb.Vertical(views[0], rrb.Tabs(*views[1:], active_tab=0), row_shares=[1.4, 1.0], name="Batch")
+        recording.send_blueprint(
+            rrb.Blueprint(page, rrb.TimePanel(state="hidden"), auto_views=False, auto_layout=False)
+        )
+
+    return write_stream(path, digest.hexdigest(), "batch", log)
+
+
+def _words(told: dict[str, list[str]]) -> str:
+    failed = [row for row in zip(told["record"], told["status"], told["message"], strict=True) if row[2]]
+    n_failed = told["status"].count("failed")
+    head = f"### {len(told['record'])} records, {n_failed} failed"
+    if not failed:
+        return head
+    rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[:LISTED]]
+    more = bullets([f"and {len(failed) - LISTED} more in the table"]) if len(failed) > LISTED else []
+    return "\n\n".join([head, table(["record", "status", "message"], rows), *more])
+
+
+def write_stream(path: Path, identity: str, name: str, log: "Callable[[rerun.RecordingStream], None]") -> Path:
+    """One recording into one file, which appears under its name when it is complete.
+
+    Args:
+        path: of the file, replaced if it is there.
+        identity: of the recording: the same content, the same identity.
+        name: of the recording, for the viewer.
+        log: logs all of it.
+    """
+    import rerun as rr
+
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        recording = rr.RecordingStream(APPLICATION, recording_id=identity)
+        recording.set_log_time_enabled(False)
+        recording.save(part)
+        recording.send_recording_name(name)
+        with strict_errors():
+            log(recording)
+        recording.flush(timeout_sec=600)
+        recording.disconnect()
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,295 @@
+"""Did the structure change? Steps of all modes together that neither the causes nor chance explain.
+
+The records are summed up in blocks (a day each, longer ones where neighbours still resemble each other), so that what
+is left in one block says nothing of the next. In each mode the regression of `modal.tracking.environment` is fitted
+with a step at a time tau; the steps of all modes together are tested by Hotelling's T^2,
+
+    T^2(tau) = t' R^-1 t,    (nu - m + 1) / (nu m) T^2 ~ F(m, nu - m + 1)
+
+with t the steps over their deviations, R the correlation of what is left between modes, nu its degrees of freedom. The
+time of the largest T^2 is a change if chance makes one so large nowhere in the table (Bonferroni over all tau) with the
+level of the table; it is fitted with the rest, and the next is looked for. The alarm stands where the change was beyond
+chance for the first time: at the end of the first block that the blocks since the change suffice for.
+
+References:
+    Hotelling, The Annals of Mathematical Statistics 2(3), 1931, 360-378, doi 10.1214/aoms/1177732979.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from modal.tracking.environment import MONTH
+from okid.arrays import BoolArray, FloatArray
+
+__all__ = ["LevelChange", "find_changes"]
+
+LEVEL = 0.0025
+"""Raise a false alarm with at most this chance a month: one in 400 quiet months."""
+DAY = 86400.0
+FEWEST_DAYS = 20
+FEWEST_BLOCKS = 20
+"""Sum records up in blocks of a day where there are so many days, and never in fewer blocks than this."""
+MOST_CHANGES = 12
+EDGE = 7
+"""Look for a change with at least so many blocks on either side: a week, longer than most weather."""
+ALIKE = 1.645
+"""Take blocks as alike beyond chance where their correlation is above this over sqrt(n): the 5 % quantile."""
+NEIGHBOURS = 12
+"""Compare a frequency with so many on either side to see that it is none of the mode,"""
+OUTLIER = 5.0
+"""and leave it out where it is so many deviations away."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LevelChange:
+    """A step of the modes that is beyond chance.
+
+    Attributes:
+        since: index of the first record after it.
+        noticed: index of the record with which it was beyond chance.
+        steps: (n_modes,) of ln f; nan where a mode says nothing.
+        deviations: (n_modes,) of the steps.
+        p_value: over all times of the table.
+    """
+
+    since: int
+    noticed: int
+    steps: FloatArray
+    deviations: FloatArray
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Blocks:
+    """Sums over blocks of records.
+
+    Attributes:
+        first: (n_blocks + 1,) first record of each, one past the last at the end.
+        counts: (n_blocks, n_modes) records in which the mode was found.
+        means: (n_blocks, n_modes) of ln f.
+        terms: (n_modes, n_blocks, n_terms) of the regression, over the records that have the mode; level first.
+    """
+
+    first: np.ndarray
+    counts: FloatArray
+    means: FloatArray
+    terms: FloatArray
+
+
+def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, clock: bool) -> tuple[LevelChange, ...]:
+    """Every step beyond chance, by time; none where there are too few records to tell.
+
+    Args:
+        values: (n_records, n_modes) ln f, nan where a mode was not found.
+        terms: (n_records, n_terms) of the regression, without the level.
+        times: (n_records,) rising.
+        clock: times are seconds; else they count records, and the table stands for a month.
+    """
+    months = max(1.0, float(np.ptp(times)) / MONTH) if clock else 1.0
+    level = LEVEL * months
+    kept = np.where(_outliers(values), np.nan, values)
+    edges = _edges(times, clock=clock)
+    while edges.size > FEWEST_BLOCKS:
+        blocks = _summed(kept, terms, edges)
+        changes = _changes(blocks, level)
+        left = _left(blocks, changes)
+        if edges.size <= 2 * FEWEST_BLOCKS or not _alike(left):
+            return tuple(sorted(changes, key=lambda change: change.since))
+        edges = np.append(edges[:-1:2], edges[-1])
+    return ()
+
+
+def _outliers(values: FloatArray) -> BoolArray:
+    """Frequencies far from those before and after: a jump that stays is none."""
+    far = np.zeros(values.shape, dtype=np.bool_)
+    for mode, column in enumerate(values.T):
+        there = np.flatnonzero(~np.isnan(column))
+        if there.size <= 2 * NEIGHBOURS + 1:
+            continue
+        padded = np.pad(column[there], NEIGHBOURS, mode="reflect")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
+        away = np.abs(column[there] - np.median(windows, axis=1))
+        far[there[away > OUTLIER * 1.4826 * np.median(away)], mode] = True
+    return far
+
+
+def _edges(times: FloatArray, *, clock: bool) -> np.ndarray:
+    """First record of each block, and one past the last."""
+    span = float(np.ptp(times))
+    if clock and span >= FEWEST_DAYS * DAY:
+        day = np.floor((times - times[0]) / DAY).astype(np.intp)
+        return np.append(np.unique(day, return_index=True)[1], times.size)
+    n_blocks = min(2 * FEWEST_BLOCKS, times.size // 2)
+    return np.unique(np.linspace(0, times.size, n_blocks + 1).round().astype(np.intp))
+
+
+def _summed(values: FloatArray, terms: FloatArray, edges: np.ndarray) -> _Blocks:
+    there = ~np.isnan(values)
+    design = np.hstack([np.ones((terms.shape[0], 1)), terms])
+    counts = np.add.reduceat(there.astype(np.float64), edges[:-1], axis=0)
+    safe = np.maximum(counts, 1.0)
+    means = np.add.reduceat(np.where(there, values, 0.0), edges[:-1], axis=0) / safe
+    return _Blocks(
+        first=edges,
+        counts=counts,
+        means=means,
+        terms=np.array(
+            [
+                np.add.reduceat(design * own[:, np.newaxis], edges[:-1], axis=0) / safe[:, [mode]]
+                for mode, own in enumerate(there.T)
+            ]
+        ),
+    )
+
+
+def _changes(blocks: _Blocks, level: float) -> list[LevelChange]:
+    """Steps beyond chance, the surest first."""
+    found: list[tuple[int, float]] = []
+    while len(found) < MOST_CHANGES:
+        taus, statistics = _scan(blocks, [tau for tau, _ in found])
+        if not taus.size:
+            break
+        best = int(np.nanargmin(statistics))
+        p_value = min(1.0, float(statistics[best]) * taus.size)
+        if not p_value < level:
+            break
+        found.append((int(taus[best]), p_value))
+    taus_found = sorted(tau for tau, _ in found)
+    n_taus = blocks.first.size - 2 * EDGE
+    changes = []
+    for tau, p_value in found:
+        others = [other for other in taus_found if other != tau]
+        steps, deviations, _, _ = _steps(_cleared(blocks, others), _after(blocks, tau, blocks.first.size - 1))
+        until = min([other for other in others if other > tau], default=blocks.first.size - 1)
+        noticed = next(
+            (
+                end
+                for end in range(tau + 1, until)
+                if _joint(_cleared(blocks, [*others, end]), _after(blocks, tau, end)) * n_taus < level
+            ),
+            until,
+        )
+        changes.append(
+            LevelChange(
+                since=int(blocks.first[tau]),
+                noticed=int(blocks.first[noticed]) - 1,
+                steps=steps,
+                deviations=deviations,
+                p_value=p_value,
+            )
+        )
+    return changes
+
+
+def _after(blocks: _Blocks, first: int, last: int) -> FloatArray:
+    """(n_blocks,) 1 from a block on, 0 again from another one on."""
+    step = np.zeros(blocks.first.size - 1)
+    step[first:last] = 1.0
+    return step
+
+
+def _scan(blocks: _Blocks, known: Sequence[int]) -> tuple[np.ndarray, FloatArray]:
+    """Places where another step may stand, and the chance of one so large at each."""
+    n_blocks = blocks.first.size - 1
+    taken = np.array(known, dtype=np.intp)
+    taus = np.array(
+        [tau for tau in range(EDGE, n_blocks - EDGE + 1) if not (np.abs(taken - tau) < EDGE).any()], dtype=np.intp
+    )
+    cleared = _cleared(blocks, known)
+    return taus, np.array([_joint(cleared, _after(blocks, int(tau), n_blocks)) for tau in taus])
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Cleared:
+    """One mode in the blocks that have it, level, causes and known steps taken off.
+
+    Attributes:
+        there: (n_blocks,) blocks that have it.
+        weights: (n_there,) root of the number of records.
+        basis: (n_there, n_basis) orthonormal columns of what was taken off.
+        left: (n_there,) of the weighted means.
+    """
+
+    there: BoolArray
+    weights: FloatArray
+    basis: FloatArray
+    left: FloatArray
+
+
+def _cleared(blocks: _Blocks, known: Sequence[int]) -> list[_Cleared]:
+    n_blocks = blocks.first.size - 1
+    others = np.array([_after(blocks, tau, n_blocks) for tau in known]).reshape(len(known), n_blocks).T
+    cleared = []
+    for counts, means, terms in zip(blocks.counts.T, blocks.means.T, blocks.terms, strict=True):
+        there = counts > 0.0
+        weights = np.sqrt(counts[there])
+        basis = _orthonormal(weights[:, np.newaxis] * np.hstack([terms[there], others[there]]))
+        y = weights * (means[there] - (means[there].mean() if there.any() else 0.0))
+        cleared.append(_Cleared(there=there, weights=weights, basis=basis, left=y - basis @ (basis.T @ y)))
+    return cleared
+
+
+def _joint(cleared: Sequence[_Cleared], step: FloatArray) -> float:
+    """Chance of steps so large in all modes together."""
+    steps, deviations, left, freedom = _steps(cleared, step)
+    told = np.flatnonzero(np.isfinite(deviations))
+    if not told.size:
+        return 1.0
+    least = float(freedom[told].min())
+    told = told[: max(1, int(least) - 1)]
+    t = steps[told] / deviations[told]
+    filled = np.nan_to_num(left[:, told])
+    size = np.linalg.norm(filled, axis=0)
+    correlation = filled.T @ filled / np.outer(size, size)
+    squared, m = float(t @ np.linalg.lstsq(correlation, t, rcond=1e-10)[0]), told.size
+    return float(scipy.special.fdtrc(m, least - m + 1, squared * (least - m + 1) / (least * m)))
+
+
+def _steps(cleared: Sequence[_Cleared], step: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of each mode: its step, the deviation of it, (n_blocks, n_modes) what is left in weighted blocks, its freedom."""
+    steps, deviations = np.full(len(cleared), np.nan), np.full(len(cleared), np.nan)
+    left, freedom = np.full((step.size, len(cleared)), np.nan), np.zeros(len(cleared))
+    for mode, one in enumerate(cleared):
+        s = one.weights * step[one.there]
+        s_left = s - one.basis @ (one.basis.T @ s)
+        power = float(s_left @ s_left)
+        free = s.size - one.basis.shape[1] - 1
+        if free < 2 or power <= 1e-9 * float(s @ s):
+            continue
+        steps[mode] = float(s_left @ one.left) / power
+        rest = one.left - steps[mode] * s_left
+        deviations[mode] = math.sqrt(float(rest @ rest) / free / power) or np.nan
+        left[one.there, mode], freedom[mode] = rest, free
+    return steps, deviations, left, freedom
+
+
+def _orthonormal(design: FloatArray) -> FloatArray:
+    if not design.shape[0]:
+        return design[:, :0]
+    size = np.linalg.norm(design, axis=0)
+    u, values, _ = np.linalg.svd(design / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    kept: FloatArray = u[:, values > 1e-10 * values[0]]
+    return kept
+
+
+def _left(blocks: _Blocks, changes: Sequence[LevelChange]) -> FloatArray:
+    """What is left in blocks by the changes and by the largest step besides them, which may be one or chance."""
+    known = [int(np.searchsorted(blocks.first, change.since)) for change in changes]
+    taus, statistics = _scan(blocks, known)
+    tau = int(taus[np.argmin(statistics)]) if taus.size else blocks.first.size // 2
+    return _steps(_cleared(blocks, known), _after(blocks, tau, blocks.first.size - 1))[2]
+
+
+def _alike(left: FloatArray) -> bool:
+    """Whether neighbouring blocks resemble each other beyond chance, over all modes."""
+    shares = []
+    for column in left.T:
+        there = ~np.isnan(column[1:]) & ~np.isnan(column[:-1])
+        power = float(np.nansum(np.square(column)))
+        if there.any() and power > 0.0:
+            shares.append(float((column[1:] * column[:-1])[there].sum()) / power)
+    return bool(shares) and float(np.mean(shares)) > ALIKE / math.sqrt(left.shape[0])

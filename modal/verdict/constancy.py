@@ -1,0 +1,175 @@
+"""Is a mode the same early and late, and at low and high level? Dry friction and a stiffness that drifts say no.
+
+A record is cut into blocks. In each, what the model leaves is compared with what a small change of one pole would do:
+with T the derivative of the mode's answer to the inputs by decay rate and angular frequency, and e what is left,
+
+    delta = (T'T)^-1 T'e
+
+is the change of that pole there (one Gauss-Newton step). A line through the changes of all blocks, over time or over
+the logarithm of the mode's level, is beyond chance when its slope exceeds what the scatter of the blocks about it
+explains, whatever the colour of the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from era.state_recursion import PoleRecursion
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel, Mode
+from modal.wording.numbers import hertz, percent
+from okid.arrays import FloatArray
+from okid.record import Record
+
+__all__ = ["changing_modes", "unsteady_drive"]
+
+N_BLOCKS = 20
+"""Cut all records together into about so many blocks: enough to tell their own scatter."""
+CHANCE = 1e-4
+"""Believe in a slope that chance makes with this probability: a record has some tens to look at."""
+NOTABLE = 0.1
+"""Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
+LEAST_DECAYS = 1.0
+"""Ask that a mode decays so often within a block: else a block remembers the one before."""
+FEWEST_BLOCKS = 8
+"""Look at no fewer blocks."""
+UNSTEADY = 3.0
+"""Say that what drives a record without inputs is not steady where a tenth of it has so many times the rms of another:
+wind and traffic stay within it, and chance does over a hundred samples."""
+
+
+def changing_modes(
+    model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
+) -> tuple[str, ...]:
+    """A sentence for each mode of the system that changes in time or with its level; nothing without inputs.
+
+    Args:
+        model: judged modes of the model that ran.
+        records: that it ran through; missing inputs count as zero.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+        output_scale: (n_outputs,) sizes of the outputs.
+    """
+    if not records[0].n_inputs:
+        return ()
+    poles, _ = discrete_poles(model.modes, model.dt)
+    length = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
+    words = []
+    for mode, pole in zip(model.modes, poles, strict=True):
+        decays = -mode.pole.real * length * model.dt
+        if mode.verdict == "system" and mode.kind == "oscillatory" and decays >= LEAST_DECAYS:
+            blocks = _blocks(mode, complex(pole), (records, left), output_scale, length)
+            if len(blocks.level) < FEWEST_BLOCKS:
+                continue
+            time = np.arange(len(blocks.level), dtype=np.float64)
+            words += _sentence(mode, "during the record", ("early", "late"), _ends(blocks, time))
+            level = np.log(np.maximum(blocks.level, np.finfo(float).tiny))
+            words += _sentence(mode, "with the level of motion", ("where it is low", "where it is high"),
+                               _ends(blocks, level))  # fmt: skip
+    return tuple(words)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Blocks:
+    """(n_blocks, 2) T'e, (n_blocks, 2, 2) T'T and (n_blocks,) energy of the mode in each block."""
+
+    scores: FloatArray
+    products: FloatArray
+    level: FloatArray
+
+
+def _blocks(
+    mode: Mode,
+    pole: complex,
+    runs: tuple[Sequence[Record], Sequence[FloatArray]],
+    output_scale: FloatArray,
+    length: int,
+) -> _Blocks:
+    scores, products, level = [], [], []
+    dt = runs[0][0].dt
+    for record, errors in zip(*runs, strict=True):
+        recursion = PoleRecursion.of(np.array([pole]), record.n_samples)
+        drive = np.nan_to_num(record.inputs) @ mode.participation
+        states, _ = recursion.run(drive[np.newaxis], np.zeros(1, dtype=np.complex128))
+        slopes, _ = recursion.run(states, np.zeros(1, dtype=np.complex128))
+        shape = 2.0 * mode.shape / output_scale
+        slope = (slopes[0] * pole * dt)[:, np.newaxis] * shape
+        there = np.isfinite(errors)
+        rest = np.where(there, errors / output_scale, 0.0)
+        tangents = np.stack([np.where(there, slope.real, 0.0), np.where(there, -slope.imag, 0.0)])
+        n_blocks = record.n_samples // length
+        for k in range(n_blocks):
+            rows = slice(k * length, (k + 1) * length)
+            part = tangents[:, rows].reshape(2, -1)
+            scores.append(part @ rest[rows].ravel())
+            products.append(part @ part.T)
+            level.append(float(np.mean(np.abs(states[0, rows]) ** 2)))
+    return _Blocks(scores=np.array(scores), products=np.array(products), level=np.array(level))
+
+
+def _ends(blocks: _Blocks, over: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Changes at the lower and upper quartile of `over`, by weighted least squares, and how sure their slope is.
+
+    Returns:
+        (2, 2) quartile by decay rate and angular frequency; (2,) t of the slopes; (2,) their chance.
+    """
+    low, high = np.quantile(over, [0.25, 0.75])
+    x = (over - low) / max(high - low, np.finfo(float).tiny)  # 0 and 1 there
+    basis = np.stack([np.ones_like(x), x], axis=1)
+    whole = np.einsum("ba,bc,bij->aicj", basis, basis, blocks.products).reshape(4, 4)
+    inverse = np.linalg.pinv(whole, hermitian=True)
+    found = (inverse @ np.einsum("ba,bi->ai", basis, blocks.scores).reshape(4)).reshape(2, 2)
+    scatter = blocks.scores - np.einsum("bij,bj->bi", blocks.products, basis @ found)
+    spread = np.einsum("ba,bi->bai", basis, scatter).reshape(-1, 4)
+    freedom = len(x) - 2
+    variance = np.diag(inverse @ spread.T @ spread @ inverse)[2:] * len(x) / freedom
+    t = found[1] / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+    return np.stack([found[0], found[0] + found[1]]), t, 2.0 * scipy.special.stdtr(freedom, -np.abs(t))
+
+
+def _sentence(
+    mode: Mode, how: str, groups: tuple[str, str], found: tuple[FloatArray, FloatArray, FloatArray]
+) -> list[str]:
+    deltas, t, chance = found
+    decay, angular = -mode.pole.real, abs(mode.pole)
+    shown = []
+    if chance[1] < CHANCE and abs(deltas[1, 1] - deltas[0, 1]) > NOTABLE * decay:
+        values = [f"{hertz(mode.frequency + delta / (2 * np.pi))} Hz {group}" for delta, group in
+                  zip(deltas[:, 1], groups, strict=True)]  # fmt: skip
+        shown.append(f"{values[0]}, {values[1]} ({abs(t[1]):.1f} standard deviations apart)")
+    if chance[0] < CHANCE and abs(deltas[1, 0] - deltas[0, 0]) > NOTABLE * decay:
+        values = [f"{percent(max(0.0, (decay - delta) / angular))} damping {group}" for delta, group in
+                  zip(deltas[:, 0], groups, strict=True)]  # fmt: skip
+        shown.append(f"{values[0]}, {values[1]} ({abs(t[0]):.1f} standard deviations apart)")
+    if not shown:
+        return []
+    sentence = (
+        f"The mode at {hertz(mode.frequency)} Hz changes {how}: about {'; '.join(shown)}. One linear model is an "
+        "average of these; `modal-report gap` tells friction, gaps and changing stiffness apart."
+    )
+    return [sentence]
+
+
+def unsteady_drive(records: Sequence[Record], left: Sequence[FloatArray]) -> tuple[str, ...]:
+    """A sentence where what drives records without inputs is far from steady: an event of which the input is missing.
+
+    Args:
+        records: of one system; with inputs nothing is said.
+        left: (n_samples, n_outputs) a record: errors of the one-step prediction, NaN where an output is missing.
+    """
+    if records[0].n_inputs:
+        return ()
+    sizes = np.sqrt(np.mean([np.nanmean(np.square(part), axis=0) for part in left], axis=0))
+    worst = 1.0
+    for errors in left:
+        tenths = [np.nanmean(np.square(part / sizes)) for part in np.array_split(errors, N_BLOCKS // 2)]
+        worst = max(worst, float(np.sqrt(max(tenths) / max(min(tenths), np.finfo(float).tiny))))
+    if worst < UNSTEADY:
+        return ()
+    sentence = (
+        f"What drives the record is not steady (its strongest tenth has {worst:.3g} times the rms of its weakest): an "
+        "event whose input was not measured, such as an earthquake or a passing train, shapes the spectrum, and its "
+        "peaks may be the event's; give the input, or a stretch of ambient motion."
+    )
+    return (sentence,)

@@ -1,0 +1,97 @@
+"""How a frozen type shows itself: a few lines in a console, a small table in a notebook, never all of its numbers."""
+
+import html
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Displayed"]
+
+WIDTH = 110
+"""Show an object in one line where it is no longer than this."""
+
+MOST_LINES = 18
+"""Show so many fields at most; what is left out is counted in one more line."""
+
+MOST_NUMBERS = 6
+"""Write an array of more numbers as its type and shape."""
+
+
+class Displayed:
+    """A frozen type with a representation of at most 20 lines and 2000 characters.
+
+    A type that says more in its own way has its own `__repr__`; one that is a table of something gives `display_rows`.
+    """
+
+    __slots__: ClassVar[tuple[str, ...]] = ()
+
+    def display_rows(self) -> list[tuple[str, str]]:
+        """What is shown: the name of each field and its value in short."""
+        own: Any = self  # a dataclass: this class has no fields of its own
+        return [(field.name, in_short(getattr(self, field.name))) for field in fields(own) if field.repr]
+
+    def display_title(self) -> str:
+        """What stands above the rows."""
+        return type(self).__name__
+
+    def __repr__(self) -> str:
+        rows, title = self.display_rows(), self.display_title()
+        line = f"{title}({', '.join(f'{key}={value}' for key, value in rows)})"
+        if len(line) <= WIDTH and "\n" not in line and title == type(self).__name__:
+            return line
+        return "\n".join([f"{title}:", *_lines(rows)])
+
+    def _repr_html_(self) -> str:
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(key)}</th>"
+            f"<td style='text-align:left'>{html.escape(value)}</td></tr>"
+            for key, value in _cut(self.display_rows())
+        )
+        return f"<table><caption>{html.escape(self.display_title())}</caption>{cells}</table>"
+
+
+def in_short(value: Any) -> str:
+    """One line about a value: numbers where there are few, else what and how many."""
+    if isinstance(value, np.ndarray):
+        return _array(value)
+    if isinstance(value, float | complex | np.inexact):
+        return f"{value:.6g}"
+    if isinstance(value, str):
+        return repr(value if len(value) <= WIDTH else f"{value[: WIDTH - 3]}...")
+    if isinstance(value, tuple | list):
+        return _several(value)
+    if isinstance(value, Mapping):
+        return f"{len(value)} of {', '.join(map(str, list(value)[:4]))}{', ...' if len(value) > 4 else ''}"
+    text = repr(value)
+    return text if "\n" not in text and len(text) <= WIDTH else f"{type(value).__name__}(...)"
+
+
+def _array(value: npt.NDArray[Any]) -> str:
+    if value.size > MOST_NUMBERS or value.dtype == object:
+        return f"{value.dtype} {value.shape}"
+    return " ".join(np.array2string(value, precision=4, separator=", ").split())
+
+
+def _several(values: tuple[Any, ...] | list[Any]) -> str:
+    if all(isinstance(value, str | int | float | complex | np.number | None) for value in values):
+        text = ", ".join(in_short(value) for value in values)
+        if len(text) <= WIDTH:
+            return f"({text})"
+    kinds = sorted({type(value).__name__ for value in values})
+    return f"{len(values)} {' and '.join(kinds)}" if len(kinds) <= 2 else f"{len(values)} values"
+
+
+def _cut(rows: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    if len(rows) <= MOST_LINES + 1:
+        return rows
+    rest = ", ".join(name for name, _ in rows[MOST_LINES:])
+    return [*rows[:MOST_LINES], ("...", rest if len(rest) <= WIDTH else f"{len(rows) - MOST_LINES} more")]
+
+
+def _lines(rows: list[tuple[str, str]]) -> list[str]:
+    rows = _cut(rows)
+    wide = max(len(name) for name, _ in rows)
+    return [f"  {name:{wide}}  {value if len(value) <= 80 else f'{value[:77]}...'}" for name, value in rows]

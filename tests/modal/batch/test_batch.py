@@ -1,0 +1,287 @@
+"""A batch: every record once, whoever works; failures are results; what is finished stays."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import modal
+from modal.batch import Batch, ExecutorError
+from modal.command.main import status as _status
+from okid.errors import InvalidDataError, UnreadableFileError
+
+from .conftest import QUICK, write_run
+
+COMMAND = "from modal.command.main import main\nif __name__ == '__main__':\n    main()\n"
+CRASH = """
+import os, sys
+flag = {flag!r}
+def hook(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("crash.csv") and "spawn_main" in " ".join(sys.orig_argv):
+        if not flag or not os.path.exists(flag):
+            flag and os.close(os.open(flag, os.O_CREAT))
+            os.kill(os.getpid(), 11)
+sys.addaudithook(hook)
+"""
+"""As sitecustomize: a worker that opens crash.csv dies of a segmentation fault, always or once."""
+
+
+def kept(folder):
+    """Bytes of all that must not depend on who worked."""
+    names = ("result.npz", "modes.csv", "modes.parquet")
+    files = [path for path in sorted(folder.rglob("*")) if path.name in names]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def parts(folder):
+    return [path for path in folder.rglob("*") if path.name.startswith(".")]
+
+
+def rows(batch):
+    return {row["record"]: row for row in batch.records.to_pylist()}
+
+
+def command(tmp_path, *arguments, sitecustomize=""):
+    (tmp_path / "command.py").write_text(COMMAND)
+    (tmp_path / "site").mkdir(exist_ok=True)
+    (tmp_path / "site" / "sitecustomize.py").write_text(sitecustomize)
+    python_path = os.pathsep.join([str(tmp_path / "site"), *sys.path])
+    quick = ("--inputs", "force", "--observer-order", "8", "--ridge", "1e-6", "--order", "2")
+    return subprocess.Popen(
+        [sys.executable, str(tmp_path / "command.py"), "batch", *arguments, *quick],
+        env={**os.environ, "PYTHONPATH": python_path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def sequential(runs, tmp_path):
+    return modal.identify_batch(runs, tmp_path / "sequential", **QUICK)
+
+
+def test_tables_hold_every_mode_of_every_record(sequential):
+    records = sequential.records.to_pylist()
+    assert [row["record"] for row in records] == [f"run_{seed}" for seed in range(4)]
+    assert all(row["status"] == "done" and not row["message"] and len(row["hash"]) == 64 for row in records)
+    modes = sequential.modes.to_pylist()
+    results = list(sequential.results())
+    assert len(results) == 4
+    for seed, result in enumerate(results):
+        own = [row for row in modes if row["record"] == f"run_{seed}"]
+        assert {row["start_time"] for row in own} == {3600.0 * seed}
+        first = result.modes.system[0]
+        assert own[0]["frequency"] == first.frequency == pytest.approx(3.0, rel=5e-3)
+        assert own[0]["shape"] == [{"real": one.real, "imag": one.imag} for one in first.shape]
+        assert (own[0]["mode"], own[0]["verdict"]) == (1, "system")
+    for name in ("batch.html", "recording.rrd", "modes.csv"):
+        assert (sequential.folder / name).stat().st_size > 100
+    assert not parts(sequential.folder)
+
+
+def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        modal.identify_batch(str(runs / "*.csv"), tmp_path / "pool", executor=executor, **QUICK)
+    with ThreadPoolExecutor(1) as executor:
+        files = sorted(runs.iterdir(), reverse=True)
+        modal.identify_batch(files, tmp_path / "threads", executor=executor, **QUICK)
+    assert kept(sequential.folder) == kept(tmp_path / "pool") == kept(tmp_path / "threads")
+    assert len(kept(sequential.folder)) == 2 * 4 + 2
+
+
+def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, sequential):
+    stamps = {path: path.stat().st_mtime_ns for path in sequential.folder.rglob("result.npz")}
+    before = sequential.modes
+    again = modal.identify_batch(runs, sequential.folder, **QUICK)
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
+    assert again.modes.equals(before)
+    write_run(runs / "run_2.csv", 2, frequency=5.0)
+    changed = modal.identify_batch(runs, sequential.folder, **QUICK)
+    frequencies = {row["record"]: row["frequency"] for row in changed.modes.to_pylist() if row["mode"] == 1}
+    assert frequencies["run_2"] == pytest.approx(5.0, rel=5e-3)
+    assert frequencies["run_1"] == pytest.approx(3.0, rel=5e-3)
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
+
+
+def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys):
+    (runs / "empty.csv").write_text("")
+    (runs / "cut.csv").write_text((runs / "run_1.csv").read_text()[:200])
+    (runs / "twin.csv").write_bytes((runs / "run_0.csv").read_bytes())
+    write_run(runs / "slow.csv", 9, dt=0.04)
+    write_run(runs / "unit.csv", 10, header="time,force,a [m/s],b")
+    quick = ("--inputs", "force", "--observer-order", "8", "--ridge", "1e-6", "--order", "2")
+    status = _status(["batch", str(runs), "-o", str(tmp_path / "out"), "--workers", "1", *quick])
+    assert status == 1
+    found = rows(Batch(tmp_path / "out"))
+    assert {name for name, row in found.items() if row["status"] == "failed"} == {"empty", "cut", "twin"}
+    assert "run_0" in found["twin"]["message"]
+    assert "0 bytes" in found["empty"]["message"]
+    assert "time step (0.04 s; most: 0.02 s)" in found["slow"]["message"]
+    assert "outputs (a [m/s], b; most: a, b)" in found["unit"]["message"]
+    assert all(not row["message"] for name, row in found.items() if name.startswith("run_"))
+    said = capsys.readouterr().out
+    assert "6 of 9 records identified" in said
+    page = (tmp_path / "out" / "batch.html").read_text()
+    assert "3 failed" in page
+    assert "twin" in page
+
+
+def test_a_crashing_file_costs_one_file(runs, sequential, tmp_path):
+    write_run(runs / "crash.csv", 20)
+    out = tmp_path / "out"
+    process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1", sitecustomize=CRASH.format(flag=""))
+    _, errors = process.communicate()
+    assert (process.returncode, errors) == (1, "")
+    found = rows(Batch(out))
+    assert found["crash"]["status"] == "failed"
+    assert "died twice, the second time alone (signal 11, SIGSEGV)" in found["crash"]["message"]
+    assert [row["status"] for row in found.values()].count("done") == 4
+    ours, theirs = kept(out), kept(sequential.folder)
+    assert ours == theirs
+    assert not parts(out)
+
+
+def test_a_worker_that_dies_once_costs_nothing(runs, tmp_path):
+    write_run(runs / "crash.csv", 20)
+    flag = str(tmp_path / "flag")
+    arguments = (str(runs / "crash.csv"), str(runs / "run_0.csv"), "-o", str(tmp_path / "out"), "--workers", "2")
+    process = command(tmp_path, *arguments, sitecustomize=CRASH.format(flag=flag))
+    _, errors = process.communicate()
+    assert (process.returncode, errors) == (0, "")
+    assert {row["status"] for row in Batch(tmp_path / "out").records.to_pylist()} == {"done"}
+    assert Path(flag).exists()
+
+
+def test_what_a_killed_parent_finished_is_kept(runs, sequential, tmp_path):
+    for seed in range(4, 12):
+        write_run(runs / f"run_{seed:02d}.csv", seed)
+    out = tmp_path / "out"
+    process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1")
+    deadline = time.monotonic() + 120
+    while not list(out.glob("records/*/outcome.json")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    first = {path: path.stat().st_mtime_ns for path in out.glob("records/*/result.npz")}
+    assert 1 <= len(first) < 12
+    (out / "records" / ".modal-report-left").mkdir()
+    with pytest.raises(UnreadableFileError, match=r"no modes\.parquet"):
+        Batch(out)
+    whole = modal.identify_batch(runs, out, **QUICK)
+    assert whole.records.num_rows == 12
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+    assert not parts(out)
+    ours = kept(out)
+    assert all(ours[name] == content for name, content in kept(sequential.folder).items() if "run_" in name)
+
+
+def test_a_broken_executor_is_one_sentence_and_finished_results_stay(runs, tmp_path):
+    out = tmp_path / "out"
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor,
+        pytest.raises(ExecutorError, match=r"the executor broke \(BrokenProcessPool: .*--workers"),
+    ):
+        modal.identify_batch(runs, out, executor=Breaking(executor, after=2), **QUICK)
+    done = {path: path.stat().st_mtime_ns for path in out.glob("records/*/result.npz")}
+    assert len(done) == 2
+    modal.identify_batch(runs, out, **QUICK)
+    assert {path: path.stat().st_mtime_ns for path in done} == done
+    closed = ThreadPoolExecutor(1)
+    closed.shutdown()
+    write_run(runs / "new.csv", 30)
+    with pytest.raises(ExecutorError, match="after shutdown"):
+        modal.identify_batch(runs, out, executor=closed, **QUICK)
+
+
+class Breaking:
+    """Hands tasks on, and a deadly one after so many."""
+
+    def __init__(self, executor, after):
+        self.executor, self.after = executor, after
+
+    def submit(self, function, *arguments):
+        self.after -= 1
+        if self.after >= 0:
+            future = self.executor.submit(function, *arguments)
+            future.result()
+            return future
+        return self.executor.submit(signal.raise_signal, signal.SIGKILL)
+
+
+def test_groups_of_files_are_one_result_each(tmp_path):
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for test in ("a", "b"):
+        for part in range(2):
+            write_run(folder / f"{test}_{part}.csv", ord(test) + part)
+    batch = modal.identify_batch(folder, tmp_path / "out", group_by=r"([ab])_\d", **QUICK)
+    assert [row["record"] for row in batch.records.to_pylist()] == ["a", "b"]
+    assert [len(result.records) for result in batch.results()] == [2, 2]
+    with pytest.raises(InvalidDataError, match="does not match"):
+        modal.identify_batch(folder, tmp_path / "out", group_by="run_(.)", **QUICK)
+    with pytest.raises(InvalidDataError, match="has no group"):
+        modal.identify_batch(folder, tmp_path / "out", group_by="c", **QUICK)
+
+
+def test_records_of_one_name_in_two_folders_keep_both(tmp_path):
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        write_run(tmp_path / day / "run.csv", len(day))
+    batch = modal.identify_batch([tmp_path / "monday", tmp_path / "tuesday"], tmp_path / "out", **QUICK)
+    assert [row["record"] for row in batch.records.to_pylist()] == ["monday/run", "tuesday/run"]
+
+
+def test_channels_that_a_record_lacks_are_nan_in_the_shapes(tmp_path):
+    write_run(tmp_path / "x.csv", 1)
+    write_run(tmp_path / "y.csv", 2, header="time,force,a,c")
+    batch = modal.identify_batch([tmp_path / "x.csv", tmp_path / "y.csv"], tmp_path / "out", **QUICK)
+    assert json.loads(batch.modes.schema.field("shape").metadata[b"outputs"]) == ["a", "b", "c"]
+    shapes = {row["record"]: [one["real"] for one in row["shape"]] for row in batch.modes.to_pylist()}
+    assert np.isnan(shapes["x"][2])
+    assert np.isnan(shapes["y"][1])
+    assert np.isfinite([*shapes["x"][:2], shapes["y"][0], shapes["y"][2]]).all()
+
+
+def test_wrong_use_is_one_sentence(runs, tmp_path, capsys):
+    def refused(*arguments):
+        status = _status(["batch", *arguments])
+        said = capsys.readouterr()
+        assert (status, said.out, said.err.count("\n")) == (2, "", 1)
+        return said.err
+
+    out = str(tmp_path / "out")
+    assert "holds or matches no measured file" in refused(str(tmp_path / "*.nothing"), "-o", out)
+    assert "exclude each other" in refused(str(runs), "-o", out, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1")
+    said = refused(str(runs), "-o", out, "--scheduler", "tcp://127.0.0.1:1")
+    assert "dask.distributed" in said or "no scheduler answers" in said
+    (tmp_path / "file").write_text("")
+    assert "cannot be a folder" in refused(str(runs), "-o", str(tmp_path / "file"), "--workers", "1")
+
+
+def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_path, monkeypatch):
+    from modal.batch import task
+
+    write, calls = task.keep_result, []
+
+    def full(result, path, *, files):
+        calls.append(path)
+        if len(calls) > 2:
+            raise InvalidDataError(f"{path} cannot be written (No space left on device); use another place.")
+        return write(result, path, files=files)
+
+    monkeypatch.setattr(task, "keep_result", full)
+    with pytest.raises(InvalidDataError, match="No space left"):
+        modal.identify_batch(runs, tmp_path / "out", **QUICK)
+    assert len(list((tmp_path / "out").glob("records/*/result.npz"))) == 2
+    assert not parts(tmp_path / "out")
+    monkeypatch.undo()
+    assert modal.identify_batch(runs, tmp_path / "out", **QUICK).records.num_rows == 4

@@ -1,0 +1,60 @@
+"""A zero that moves, lags, friction that falls with speed: found by name in records of an integrator of its own."""
+
+import warnings
+
+import everyday_mistakes
+import numpy as np
+import pytest
+from everyday_mistakes import mistake
+
+import modal
+import okid
+from modal.discrepancy import diagnose
+
+
+def diagnosed(case):
+    model = modal.StructuralModel.chain(
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[case.force_dof], sensor_dofs=case.sensor_dofs
+    )
+    records = [okid.Record(u, y, case.dt) for u, y in case.records]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return diagnose(model, records[:-1], records[-1])
+
+
+@pytest.mark.parametrize("kind", ["record_offset", "actuator_lag", "sensor_lag"])
+def test_the_mistake_is_named(kind):
+    case = mistake(kind, 1002)
+    found = diagnosed(case)
+    assert found.status == "named"
+    assert [(one.effect, one.where) for one in found.findings] == [(kind, case.where)]
+    assert found.steps[-1].held_out_level < 1.2
+    if kind != "record_offset":
+        tau = found.findings[0].parameters[0]
+        assert abs(tau.value - case.size * case.dt) < max(4 * tau.std, 0.02 * tau.value)
+
+
+def test_a_lagging_sensor_of_a_model_is_that_of_the_exact_system():
+    rng = np.random.default_rng(7)
+    masses, springs, dampers, dt = everyday_mistakes.structure(rng, 2)
+    u = everyday_mistakes.drives(rng, 1)
+    u[:, 0] = 0.0  # what the drive was before the record is not known
+    exact = everyday_mistakes.continuous(masses, springs, dampers, force_dof=1, sensor_dofs=(1,), kind="displacement")
+    late = everyday_mistakes.held_run(everyday_mistakes.behind_a_lag(exact, 3 * dt), u, dt)[0]
+    model = modal.StructuralModel.chain(masses, springs, dampers, force_dofs=[1], sensor_dofs=[1])
+    for effect, where in (("sensor_lag", "output_0"), ("actuator_lag", "input_0")):
+        # in small steps: outputs go straight from one to the next
+        found = modal.simulate(model.with_effect(effect, where, tau=3 * dt), np.repeat(u[0], 8), dt=dt / 8)
+        assert np.abs(found.outputs[::8] - late).max() < 1e-3 * late.std()
+
+
+def test_stribeck_friction_moves_as_in_small_steps():
+    rng = np.random.default_rng(8)
+    masses, springs, dampers, dt = everyday_mistakes.structure(rng, 1)
+    u = 3 * everyday_mistakes.drives(rng, 1)[:, :400]
+    system = everyday_mistakes.continuous(masses, springs, dampers, force_dof=0, sensor_dofs=(0,), kind="displacement")
+    speed = 0.3 * np.gradient(everyday_mistakes.held_run(system, u, dt)[0, :, 0], dt).std()
+    wanted = everyday_mistakes.rubbed(system, masses[0], u, dt, lambda v: 0.3 + 0.4 * np.exp(-((v / speed) ** 2)))[0]
+    model = modal.StructuralModel.chain(masses, springs, dampers, force_dofs=[0], sensor_dofs=[0])
+    model = model.with_effect("stribeck_friction", "element_0", Fc=0.3, excess=0.4, stribeck_velocity=speed)
+    assert np.std(modal.simulate(model, u[0], dt=dt).outputs - wanted) < 0.005 * wanted.std()

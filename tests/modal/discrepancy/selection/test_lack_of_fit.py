@@ -1,0 +1,95 @@
+"""What a model leaves: seen where a law is wrong, by its motion and place, and not where it is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+from engine_records import experiment, nominal
+
+from modal.discrepancy import CATALOGUE, decide, diagnose
+from modal.simulation.tolerances import UNLIKELY
+
+CUBIC_ALONE = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
+
+
+def hardening(d, v, t):
+    """A spring that no entry of the catalogue describes, without a slope at rest."""
+    return 4e4 * d**5
+
+
+@pytest.fixture(scope="module")
+def right():
+    fit, held_out, *_ = experiment(lambda d, v, t: 900.0 * d**3, n_samples=400)
+    return diagnose(nominal(), fit, held_out, catalogue=CUBIC_ALONE)
+
+
+@pytest.fixture(scope="module")
+def outside():
+    return experiment(hardening, n_samples=400)[:2]
+
+
+@pytest.fixture(scope="module")
+def curve(outside):
+    few = {key: CATALOGUE[key] for key in ("cubic_stiffness", "smooth_stiffness", "smooth_damping")}
+    return diagnose(nominal(), *outside, catalogue=few)
+
+
+def test_a_right_law_leaves_nothing(right):
+    assert right.status == "named"
+    assert right.lack_of_fit[0].p_value > UNLIKELY or right.lack_of_fit[0].share < 0.01
+    assert {one.kind for one in right.lack_of_fit} == {"displacement", "velocity", "time", "input", "output"}
+    assert {one.where for one in right.lack_of_fit} == {"element_0", "input_0", "output_0"}
+    p_values = [one.p_value for one in right.lack_of_fit]
+    assert p_values == sorted(p_values)
+
+
+def test_a_wrong_law_of_the_same_motion_is_never_firm(outside):
+    found = diagnose(nominal(), *outside, catalogue=CUBIC_ALONE)
+    assert found.status == "unresolved"
+    worst = found.lack_of_fit[0]
+    assert (worst.kind, worst.where) == ("displacement", "element_0")
+    assert worst.p_value < UNLIKELY
+    assert "depends on the displacement at element_0" in " ".join(found.warnings)
+
+
+def test_nothing_is_no_answer_where_something_is_left(outside):
+    loud = [experiment(lambda d, v, t: 30.0 * d**3, n_samples=400, seed=3)][0]
+    found = diagnose(nominal(), loud[0], loud[1], catalogue={"input_delay": CATALOGUE["input_delay"]})
+    assert found.status == "unresolved"
+
+
+def test_a_smooth_law_without_a_name_becomes_a_curve(outside, curve):
+    assert curve.status == "named"
+    (finding,) = curve.findings
+    assert (finding.effect, finding.where) == ("smooth_stiffness", "element_0")
+    law = finding.curve
+    low, high = law.learned_on
+    motion = np.linspace(low, high, 101)
+    (linear,) = [one.value for one in curve.calibrated if one.name == "stiffness of element_0"]
+    truth = hardening(motion, 0.0, 0.0)
+    off = np.interp(motion, law.motion, law.force) + (linear - 100.0) * motion - truth
+    assert np.abs(off).max() < 0.03 * np.abs(truth).max()
+    assert "hardening" in finding.law
+
+
+def test_the_curve_simulates_and_is_decided_alike(outside, curve):
+    again = decide([nominal(), curve.model], *outside)
+    assert again.status == curve.status
+    assert [one.effect for one in again.findings] == ["smooth_stiffness"]
+
+
+def test_coloured_noise_is_no_lack_of_fit():
+    """A quiet band knows noise of the first order with a pole at 0.8 too low by the square of its gain there."""
+    fit, held_out, *_ = experiment(lambda d, v, t: 3000.0 * d**3, n_samples=500)
+    rng = np.random.default_rng(4)
+
+    def coloured(record):
+        noise = scipy.signal.lfilter([1.0], [1.0, -0.8], rng.standard_normal(record.outputs.shape), axis=0)
+        return replace(record, outputs=record.outputs + 0.02 * fit[0].outputs.std() * noise)
+
+    few = {key: CATALOGUE[key] for key in ("cubic_stiffness", "quadratic_drag", "coulomb_friction")}
+    found = diagnose(nominal(), [coloured(one) for one in fit], [coloured(one) for one in held_out], catalogue=few)
+    assert found.status == "named", found.warnings
+    assert [one.effect for one in found.findings] == ["cubic_stiffness"]
+    assert found.steps[-1].held_out_level < 1.2

@@ -1,0 +1,69 @@
+"""A mass that is wrong in the model: found as that mass, or left open, never an effect."""
+
+import warnings
+
+import numpy as np
+import pytest
+from everyday_mistakes import mistake
+
+import modal
+import okid
+from modal.discrepancy import diagnose
+from modal.structure.structural_plant import structural_plant
+
+
+def model_and_records(case, **options):
+    model = modal.StructuralModel.chain(
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[case.force_dof], sensor_dofs=case.sensor_dofs,
+        sensor_kind=case.sensor_kind, **options,
+    )  # fmt: skip
+    return model, [okid.Record(u, y, case.dt) for u, y in case.records]
+
+
+def diagnosed(case, **options):
+    model, records = model_and_records(case, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return diagnose(model, records[:-1], records[-1])
+
+
+@pytest.mark.parametrize("seed", [1002, 1005])
+def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
+    case = mistake("wrong_mass", seed)
+    found = diagnosed(case)
+    assert (found.status, found.findings) == ("none", ())
+    masses = {one.name: one for one in found.calibrated if one.name.startswith("mass of")}
+    assert len(masses) == len(case.masses)
+    wrong = masses.pop(f"mass of {case.where}")
+    dof = int(case.where.removeprefix("dof_"))
+    true = case.masses[dof] * (1 + case.size)
+    assert wrong.nominal == case.masses[dof]
+    assert abs(wrong.value - true) < 4 * wrong.std < 0.05 * true
+    assert all(one.value == one.nominal for one in masses.values())
+    assert any(f"mass of {case.where}" in words for words in found.warnings)
+    np.testing.assert_allclose(np.diag(found.model.mass)[dof], wrong.value, rtol=1e-12)
+
+
+def test_masses_that_are_said_to_be_right_are_never_released():
+    model, _ = model_and_records(mistake("wrong_mass", 1002), mass_tolerance=0)
+    assert structural_plant(model).masses == ()
+
+
+def test_an_inertia_whose_tolerance_is_given_is_found_although_a_gain_looks_the_same():
+    """One degree of freedom with the inertia 1.6 times as large as believed, and springs known well."""
+    case = mistake("record_offset", 1002)
+    u = [drive for drive, _ in case.records]
+    model, _ = model_and_records(case, mass_tolerance=0.5)
+    heavier = modal.StructuralModel.chain(
+        1.6 * case.masses, case.stiffnesses, case.dampings, force_dofs=[0], sensor_dofs=[0]
+    )
+    rng = np.random.default_rng(5)
+    records = [modal.simulate(heavier, drive, dt=case.dt) for drive in u]
+    noisy = [
+        okid.Record(r.inputs, r.outputs + 0.01 * r.outputs.std() * rng.standard_normal(r.outputs.shape), r.dt)
+        for r in records
+    ]
+    found = diagnose(model, noisy[:-1], noisy[-1])
+    inertia = next(one for one in found.calibrated if one.name == "mass of dof_0")
+    assert abs(inertia.value - 1.6 * case.masses[0]) < 4 * inertia.std
+    assert not found.findings

@@ -1,0 +1,170 @@
+"""The innovation form: its chart by differences, its optimum and its information by an explicit loop over samples."""
+
+import numpy as np
+import pytest
+from noisy import noisy_data, noisy_system
+
+from era.realisation import Realisation
+from modal.estimation.modal_parameters import errors_of
+from modal.estimation.modal_states import ModalParameters
+from modal.estimation.output_error import NONE, step_at, step_equations
+from modal.estimation.prediction_error import Sections, innovation_form, likeliest, predictor_data, predictor_start
+from modal.identification.information import innovation_uncertainty
+from modal.identification.noise_model import NoiseModel
+from modal.modes.extraction import extract_modes
+from okid.record import Record
+from okid.scaling import channel_scaling
+
+CHART = Sections()
+POLES = {
+    "pairs": ([0.9 * np.exp(0.4j), 0.8 * np.exp(1.9j)], [True, True]),
+    "a pair and two real poles": ([0.9 * np.exp(0.4j), 0.7, 0.5], [True, False, False]),
+    "three real poles": ([0.9, -0.6, 0.3], [False, False, False]),
+    "nearly double": ([0.7001, 0.6999, 0.9 * np.exp(0.4j)], [False, False, True]),
+}
+
+
+def parameters_of(rng, poles, is_pair):
+    pair = np.array(is_pair)
+    inputs, states = (rng.standard_normal((*shape, 2)) @ [1, 1j] for shape in ((pair.size, 4), (2, pair.size)))
+    return ModalParameters(
+        poles=np.array(poles, dtype=complex),
+        is_pair=pair,
+        inputs=np.where(pair[:, np.newaxis], inputs, inputs.real),
+        states=np.where(pair, states, states.real),
+    )
+
+
+def records_of(rng):
+    return [Record(rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), 0.1) for n in (60, 80)]
+
+
+@pytest.mark.parametrize("name", POLES)
+def test_the_gradient_is_that_of_the_error_along_every_coordinate(name):
+    rng = np.random.default_rng(3)
+    records = records_of(rng)
+    data = predictor_data(records, [record.complete_rows() for record in records])
+    weights = np.array([[1.0, 0.3], [0.3, 2.0]])
+    step = step_at(parameters_of(rng, *POLES[name]), data, weights=weights)
+    found = step_equations(step, data, held_out=NONE, weights=weights, coordinates=CHART)
+    size = 1e-6 / (1.0 + np.sqrt(np.diag(found.matrix) / step.error))
+    for i, h in enumerate(size):
+        at = np.where(np.arange(size.size) == i, h, 0.0)
+        there = [step_at(CHART.moved(step.parameters, sign * at), data, weights=weights).error for sign in (1, -1)]
+        assert (there[1] - there[0]) / (4 * h) == pytest.approx(
+            found.gradient[i], rel=2e-3, abs=1e-5 * np.sqrt(found.matrix[i, i] * step.error)
+        )
+
+
+def test_two_real_poles_become_a_pair_and_back_and_no_step_leaves_the_unit_circle():
+    rng = np.random.default_rng(4)
+    start = parameters_of(rng, [0.7, 0.5], [False, False])
+    change = np.zeros(CHART.slopes(start).shape[1])
+    change[1] = -0.02  # d from 0.01 to -0.01
+    pair = CHART.moved(start, change)
+    np.testing.assert_allclose(pair.poles, [0.6 + 0.1j])
+    assert pair.is_pair.tolist() == [True]
+    change[1] = 0.02
+    back = CHART.moved(pair, change)
+    np.testing.assert_allclose(back.poles, [0.7, 0.5])
+    change[0] = 0.5
+    assert CHART.moved(start, change) is None
+
+
+def loop_errors(matrices, u, y):
+    """One sample after the other."""
+    A, B, C, D, K, start, level = matrices
+    x, errors = start, np.empty_like(y)
+    for k in range(len(y)):
+        errors[k] = y[k] - C @ x - D @ u[k] - level
+        x = A @ x + B @ u[k] + K @ errors[k]
+    return errors
+
+
+def fitted(seed, n_samples):
+    rng = np.random.default_rng(seed)
+    truth = noisy_system(rng, n_modes=2)
+    u, y = noisy_data(rng, truth, n_samples)
+    records = [Record(u, y, truth.system.dt)]
+    s = truth.system
+    data = predictor_data(records, [record.complete_rows() for record in records])
+    start = predictor_start(Realisation(s.A, s.B, s.C, s.D, s.dt, K=truth.K), data)
+    return truth, records, likeliest(start, data, CHART)
+
+
+def test_the_deviations_are_those_of_an_explicit_jacobian_of_all_matrices():
+    truth, records, fit = fitted(5, 400)
+    model = innovation_form(fit.step, truth.system.dt)
+    (u, y), n = (records[0].inputs, records[0].outputs), model.order
+    fitted_errors = errors_of(fit.step, fit.data)[0]
+    shapes = [model.A.shape, model.B.shape, model.C.shape, model.D.shape, model.K.shape, (n,), (2,)]
+    # states at the first sample and level by least squares, so that the loop starts where the fit does
+    flat = np.concatenate([np.asarray(part).ravel() for part in (model.A, model.B, model.C, model.D, model.K)])
+
+    def errors(theta):
+        parts, at = [], 0
+        for shape in shapes:
+            parts.append(theta[at : at + int(np.prod(shape))].reshape(shape))
+            at += int(np.prod(shape))
+        return loop_errors(parts, u, y)
+
+    theta = np.concatenate([flat, np.zeros(n + 2)])
+    base = errors(theta)
+    columns = [(errors(theta + h) - base).ravel() for h in np.eye(theta.size)[-n - 2 :]]
+    theta[-n - 2 :] = np.linalg.lstsq(np.array(columns).T, (fitted_errors - base).ravel(), rcond=None)[0]
+    np.testing.assert_allclose(errors(theta), fitted_errors, atol=1e-5 * y.std())
+    steps = 1e-6 * np.eye(theta.size)
+    J = np.array([(errors(theta + h) - errors(theta - h)) / 2e-6 for h in steps])
+    weighted = np.einsum("pko,oq->pkq", J, np.linalg.inv(fit.covariance))
+    covariance = np.linalg.pinv(np.einsum("pko,qko->pq", weighted, J), rcond=1e-9, hermitian=True)
+    scaling = channel_scaling(records)
+    one = np.ones(2)
+    scaling = type(scaling)(
+        **{
+            field: (one if field.endswith("scale") else 0 * one)
+            for field in ("input_mean", "input_scale", "output_mean", "output_scale")
+        }
+    )
+    noise = NoiseModel(
+        fit=fit, whole=model, realisation=model, scaling=scaling, n_noise=0, whiteness_ratio=1.0, gained=1.0
+    )
+    modes = extract_modes(model).modes
+    found = innovation_uncertainty(noise, modes, n_lags=3)
+
+    def numbers(theta):
+        poles = np.linalg.eigvals(theta[: n * n].reshape(n, n))
+        s = np.log(poles[poles.imag > 0]) / truth.system.dt
+        s = s[np.argsort(np.abs(s))]
+        return np.concatenate([np.abs(s) / (2 * np.pi), -s.real / np.abs(s)])
+
+    slopes = np.array([(numbers(theta + h) - numbers(theta - h)) / 2e-6 for h in steps]).T
+    expected = np.sqrt(np.einsum("ap,pq,aq->a", slopes, covariance, slopes))
+    np.testing.assert_allclose(np.concatenate([found.frequency_std, found.damping_ratio_std]), expected, rtol=1e-3)
+    markov = [model.D, model.C @ model.B]
+    for k in (0, 1):
+        entry = np.empty_like(markov[k])
+        for i, j in np.ndindex(entry.shape):
+
+            def pulse(theta, i=i, j=j, k=k):
+                parts, at = [], 0
+                for shape in shapes:
+                    parts.append(theta[at : at + int(np.prod(shape))].reshape(shape))
+                    at += int(np.prod(shape))
+                return parts[3][i, j] if k == 0 else parts[2][i] @ parts[1][:, j]
+
+            slope = np.array([(pulse(theta + h) - pulse(theta - h)) / 2e-6 for h in steps])
+            entry[i, j] = np.sqrt(slope @ covariance @ slope)
+        np.testing.assert_allclose(found.markov_std[k], entry, rtol=1e-3)
+
+
+def test_the_fit_is_near_the_true_gain_and_no_worse_than_the_truth():
+    truth, records, fit = fitted(6, 6000)
+    model, s = innovation_form(fit.step, truth.system.dt), truth.system
+    true_errors = loop_errors(
+        (s.A, s.B, s.C, s.D, truth.K, np.zeros(s.order), np.zeros(2)), records[0].inputs, records[0].outputs
+    )
+    R = true_errors.T @ true_errors / len(true_errors)
+    assert fit.log_likelihood < len(true_errors) * np.linalg.slogdet(R)[1]
+    np.testing.assert_allclose(fit.covariance, truth.covariance, rtol=0.1, atol=0.05 * np.trace(truth.covariance))
+    found, wanted = model.C @ model.K, s.C @ truth.K
+    np.testing.assert_allclose(found, wanted, atol=0.2 * np.abs(wanted).max())

@@ -1,0 +1,61 @@
+"""Modes added and dropped by hand: taken out exactly, said, and with the fit of what is left."""
+
+import numpy as np
+import pytest
+
+import modal
+from era.realisation import Realisation
+from modal.identification.by_hand import without_modes
+from modal.modes.extraction import extract_modes
+from modal.modes.mode import numbered
+from modal.modes.response_synthesis import frf, modal_frf
+from okid.errors import InvalidDataError
+
+
+@pytest.mark.parametrize("dropped", [[0], [1], [0, 2], [3], [0, 1, 2, 3]])
+def test_a_mode_is_taken_out_and_no_other_changes(dropped):
+    rng = np.random.default_rng(5)
+    poles = [0.98 * np.exp(0.3j), 0.97 * np.exp(1.1j), 0.99 * np.exp(2.0j), 0.5]
+    blocks = [np.array([[p.real, p.imag], [-p.imag, p.real]]) if np.iscomplex(p) else np.array([[p]]) for p in poles]
+    A = np.zeros((7, 7))
+    for k, block in enumerate(blocks):
+        A[2 * k : 2 * k + len(block), 2 * k : 2 * k + len(block)] = block
+    T = rng.standard_normal((7, 7))
+    B, C, D = rng.standard_normal((7, 2)), rng.standard_normal((3, 7)), rng.standard_normal((3, 2))
+    model = Realisation(
+        T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), D, 0.01, K=T @ rng.standard_normal((7, 3))
+    )
+    modes = extract_modes(model).modes
+    by_pole = sorted(modes, key=lambda mode: mode.frequency if mode.kind == "oscillatory" else np.inf)
+    gone = [by_pole[k] for k in dropped]
+    left = without_modes(model, gone)
+    frequencies = np.linspace(0.1, 49.0, 200)
+    expected = frf(model, frequencies) - modal_frf(gone, frequencies, dt=0.01).sum(axis=0)
+    assert frf(left, frequencies) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert left.order == 7 - sum(1 if mode.kind == "real" else 2 for mode in gone)
+
+
+def test_the_choice_of_the_user_is_said_and_costs_its_fit(identification):
+    number = max(n for n, mode in numbered(identification.modes) if mode.verdict == "system")
+    result = modal.with_modes(identification, drop=[number])
+    assert len(result.modes.system) == len(identification.modes.system) - 1
+    assert result.fit.whole.mean() < identification.fit.whole.mean()
+    assert np.isnan(result.fit.cross_validated).all()
+    assert result.choices[-1].what == "modes by hand"
+    assert f"dropped {number}" in result.choices[-1].value
+    assert any("dropped by hand" in mode.reason for mode in result.modes)
+
+
+def test_an_added_mode_is_one_of_the_system(identification):
+    others = [n for n, mode in numbered(identification.modes) if mode.verdict != "system"]
+    if not others:
+        pytest.skip("every mode of the example is one of the system")
+    result = modal.with_modes(identification, add=others[:1])
+    assert len(result.modes.system) == len(identification.modes.system) + 1
+    assert result.realisation is identification.realisation
+
+
+@pytest.mark.parametrize("numbers", [{"add": [0]}, {"drop": [10_000]}, {"add": [1], "drop": [1]}])
+def test_numbers_that_are_none_are_refused(identification, numbers):
+    with pytest.raises(InvalidDataError, match="numbered from 1"):
+        modal.with_modes(identification, **numbers)

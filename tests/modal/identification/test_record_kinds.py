@@ -1,0 +1,91 @@
+"""Struck and ringing records from records to modes: every mode called, none invented, nothing untrue said.
+
+Larger runs with the same generator: `python tests/benchmarks/record_kinds.py`.
+"""
+
+import numpy as np
+import pytest
+from field_records import random_records
+
+import modal
+from era.balanced import realise
+from modal.identification.words import fit_sentence
+from okid.errors import InvalidDataError
+from okid.markov import MarkovParameters
+from okid.record import Record
+
+UNTRUE = ("never moves", "not linear", "periodic disturbance", "persistently exciting", "samples late", "No input was")
+
+
+def identified(truth, **options):
+    return modal.identify([Record(u, y, truth.dt) for u, y in truth.records], **options)
+
+
+def assert_told_right(result, truth):
+    for frequency, excitable in zip(truth.frequencies, truth.excitable, strict=True):
+        mode = min(result.modes.system, key=lambda m: abs(m.frequency - frequency))
+        assert not excitable or abs(mode.frequency - frequency) < 5 * mode.frequency_std < 0.05 * frequency
+    for mode in result.modes.system:
+        assert (np.abs(truth.frequencies - mode.frequency) < 0.05 * mode.frequency).any()
+    said = " ".join((*result.warnings, *(m.reason for m in result.modes), *(c.value for c in result.choices)))
+    assert not [words for words in UNTRUE if words in said]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("transient", 202), ("decay", 206)])
+def test_every_mode_is_called_and_none_invented(kind, seed):
+    truth = random_records(kind, seed, n_records=1)
+    result = identified(truth)
+    assert result.record_kind == kind
+    assert_told_right(result, truth)
+    ((_, outputs),) = truth.records  # what was measured comes back, after the row of a release
+    (record,) = result.records
+    measured = record.outputs[len(record.outputs) - len(outputs) :]
+    assert record.n_samples - len(outputs) == (kind == "decay")
+    np.testing.assert_allclose(measured - measured[0], outputs - outputs[0], atol=1e-9 * abs(outputs).max())
+
+
+def test_a_decay_is_never_worse_than_era_on_the_same_samples():
+    truth = random_records("decay", 203, n_records=1)
+    result = identified(truth)
+    (_, outputs) = truth.records[0]
+    decay = (outputs - outputs[-200:].mean(axis=0))[:400, :, np.newaxis]
+    markov = MarkovParameters(system=np.concatenate([np.zeros((1, *decay.shape[1:])), decay]), dt=truth.dt)
+    plain = modal.extract_modes(realise(markov, order=2 * truth.poles.size))
+    nearest = [[min(abs(m.frequency - f) for m in model) for f in truth.frequencies] for model in (result.modes, plain)]
+    ours, theirs = np.linalg.norm(nearest / truth.frequency_std, axis=1)
+    assert ours <= max(theirs, 2.0 * np.sqrt(truth.poles.size))
+    assert "From the start of each record" in fit_sentence(result)
+    assert [c.value for c in result.choices if c.what == "release"] == ["one a record"]
+
+
+def test_gaps_in_a_decay():
+    truth = random_records("decay", 204, n_records=1)
+    rng = np.random.default_rng(0)
+    records = []
+    for u, y in truth.records:
+        holed = np.array(y)
+        for start in rng.integers(50, len(y) - 60, 4):
+            holed[start : start + 15] = np.nan
+        records.append(Record(u, holed, truth.dt))
+    assert_told_right(modal.identify(records), truth)
+
+
+def test_a_blow_into_a_ringing_structure():
+    rng = np.random.default_rng(5)
+    decay, swing = np.exp(-0.004 * np.arange(3000)), np.arange(3000)
+    first, second = decay * np.cos(0.31 * swing), decay**1.5 * np.sin(0.83 * swing)
+    blow = np.zeros(3000)
+    blow[900:903] = [0.5, 1.0, 0.5]
+    tip = np.convolve(blow, first + second)[:3000] + 0.4 * first
+    result = modal.identify(Record(blow, tip + 0.005 * rng.standard_normal(3000), 0.01))
+    assert [c.value for c in result.choices if c.what == "rest before the blow"] == ["not used"]
+    found = sorted(2 * np.pi * 0.01 * mode.frequency for mode in result.modes.system)
+    np.testing.assert_allclose(found, [np.hypot(0.31, 0.004), np.hypot(0.83, 0.006)], rtol=1e-3)
+
+
+def test_kinds_that_cannot_be():
+    truth = random_records("decay", 201, n_records=1)
+    with pytest.raises(InvalidDataError, match='kind="driven"'):
+        identified(truth, kind="driven")
+    with pytest.raises(InvalidDataError, match="kind must be one of"):
+        identified(truth, kind="free")

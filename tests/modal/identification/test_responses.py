@@ -1,0 +1,110 @@
+"""Modes from frequency responses: exact on exact tables, honest on measured ones, and all the way to the report."""
+
+import numpy as np
+import pytest
+from response_tables import table_of
+from typer.testing import CliRunner
+
+import modal
+from modal.command.main import app
+from modal.examples.demo import compare_with_truth, demo_record, demo_truth
+from okid.errors import InvalidDataError
+from okid.frequency_response import FrequencyResponse, estimate_response
+from okid.readers.response import read_response
+from okid.readers.uff import write_response
+
+DT = 0.01
+FREQUENCIES = np.array([5.0, 12.0, 20.0, 33.0])
+DAMPING = np.array([0.002, 0.01, 0.005, 0.015])
+
+
+def exact_table(n_samples=512, first=0):
+    rng = np.random.default_rng(3)
+    w = 2 * np.pi * FREQUENCIES
+    poles = np.exp(DT * (-DAMPING * w + 1j * w * np.sqrt(1 - DAMPING**2)))
+    residues = np.einsum(
+        "rq,ri->rqi", *(rng.standard_normal((4, k)) + 1j * rng.standard_normal((4, k)) for k in (3, 2))
+    )
+    z = np.exp(2j * np.pi * np.arange(n_samples // 2 + 1) / n_samples)[:, None, None]
+    lines = sum(r / (z - p) + r.conj() / (z - p.conj()) for r, p in zip(residues, poles, strict=True))
+    grid = np.arange(z.size) / (n_samples * DT)
+    return FrequencyResponse(
+        lines[first:] + rng.standard_normal((3, 2)), grid[first:], window="periodic", output_units=["m"] * 3
+    )
+
+
+@pytest.fixture(scope="module")
+def identified():
+    return modal.identify(exact_table())
+
+
+def test_exact_responses_give_exact_modes(identified):
+    found = identified.modes.system
+    np.testing.assert_allclose([mode.frequency for mode in found], FREQUENCIES, rtol=1e-10)
+    np.testing.assert_allclose([mode.damping_ratio for mode in found], DAMPING, rtol=1e-10)
+    again = modal.frequency_response(identified)
+    table = exact_table()
+    np.testing.assert_allclose(again.response, table.response, atol=1e-9 * np.abs(table.response).max())
+    assert identified.records == ()
+    assert identified.observer is None
+    assert identified.source is identified.response
+    assert identified.record_kind == "response"
+
+
+def test_motions_are_powers_of_the_angular_frequency(identified):
+    lines = np.array([0.0, 2.0, 7.0])
+    position = modal.frequency_response(identified, lines)
+    speed = modal.frequency_response(identified, lines, motion="velocity")
+    np.testing.assert_allclose(speed.response, (2j * np.pi * lines)[:, None, None] * position.response)
+    assert speed.output_units == ("m/s",) * 3
+    with pytest.raises(InvalidDataError, match="half the sampling frequency"):
+        modal.frequency_response(identified, [51.0])
+
+
+def test_a_table_above_zero_and_one_off_the_grid_are_fitted_in_frequency():
+    table = exact_table(first=18)  # from 3.5 Hz, below all modes
+    found = modal.identify(table, order=8).modes
+    np.testing.assert_allclose([mode.frequency for mode in found], FREQUENCIES, rtol=1e-6)
+    exact = exact_table(2048)
+    kept = np.flatnonzero(np.arange(exact.n_lines) % 7 != 3)
+    uneven = FrequencyResponse(exact.response[kept], exact.frequencies[kept], window="periodic")
+    found = modal.identify(uneven, order=8).modes
+    np.testing.assert_allclose([mode.damping_ratio for mode in found], DAMPING, rtol=1e-6)
+
+
+@pytest.mark.parametrize("window", ["hann", "unknown"])
+def test_damping_is_not_that_of_the_window(window):
+    test = table_of(7, window="hann", n_samples=512)
+    result = modal.identify(
+        FrequencyResponse(
+            test.response, test.frequencies, coherence=test.coherence, n_averages=test.n_averages, window=window
+        )
+    )
+    found = result.modes.system
+    assert len(found) == 5
+    for mode, f, d in zip(found, test.true_frequencies, test.true_damping, strict=True):
+        assert abs(mode.frequency - f) < 5 * mode.frequency_std
+        assert abs(mode.damping_ratio - d) < 5 * mode.damping_ratio_std < d
+    assert any("window of the blocks is not stated" in text for text in result.warnings) == (window == "unknown")
+
+
+def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):
+    record = demo_record(np.random.default_rng(5), n_samples=20_000)
+    path = write_response(estimate_response(record, n_samples=1024), tmp_path / "frf.uff")
+    result = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "report")])
+    assert result.exit_code == 0, result.output
+    kept = modal.load(tmp_path / "report" / "result.npz")
+    np.testing.assert_array_equal(kept.source.response, read_response(path).response)
+    for row in compare_with_truth(demo_truth(), kept.modes):
+        assert row.verdict == "system"
+        assert abs(row.found_frequency / row.frequency - 1) < 2e-3
+        assert row.assurance > 0.99
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "as they were given" in page
+    assert "frequency responses" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    assert modal.read_result(tmp_path / "report").n_samples == (513,)
+
+
+def test_what_is_for_records_alone_is_refused():
+    with pytest.raises(InvalidDataError, match="is for records in time"):
+        modal.identify(exact_table(), kind="driven")

@@ -1,0 +1,65 @@
+"""Faults that the identification mends or says; records from `tests/reference`."""
+
+import numpy as np
+import pytest
+from hard_records import FAMILIES
+from made_records import KINDS, clean_record
+
+from modal.identification.pipeline import identify
+from modal.preparation.faults import mended
+from okid.record import Record
+
+
+def record_of(family, seed):
+    made = FAMILIES[family](seed)
+    return made, Record(made.inputs, made.outputs, made.dt)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_clean_record_stays_the_very_same(kind):
+    inputs, outputs, dt = clean_record(np.random.default_rng(11), kind, n_samples=4000)
+    records = (Record(inputs, outputs, dt),)
+    found = mended(records)
+    assert found.warnings == ()
+    assert found.records[0] is records[0]
+
+
+def test_spikes_are_left_out_and_nothing_else_is():
+    made, record = record_of("spikes", 5)
+    clean = FAMILIES["driven"](5).outputs
+    (mend,) = mended((record,)).records
+    spiked = np.abs(made.outputs - clean) > 0
+    gone = np.isnan(mend.outputs)
+    assert gone[spiked].mean() > 0.9
+    assert not gone[~spiked].any()
+
+
+def test_modes_stand_through_spikes():
+    made, record = record_of("spikes", 0)
+    result = identify(record)
+    found = np.array([mode.frequency for mode in result.modes.system])
+    assert all((np.abs(found - f) < 0.005 * f).any() for f in made.frequencies)
+    assert any("spikes" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("family", "words"), [("clipped", "stands at its limit"), ("coarse", "rounding"), ("dead_channel", "left out")]
+)
+def test_what_check_knows_is_said(family, words):
+    _, record = record_of(family, 3)
+    assert any(words in warning for warning in mended((record,)).warnings)
+    assert (mended((record,)).records[0].n_outputs == 3) == (family == "dead_channel")
+
+
+def test_the_same_fault_of_many_channels_is_counted():
+    rng = np.random.default_rng(0)
+    tip = np.convolve(rng.standard_normal(3000), np.ones(6))[:3000]
+    found = mended((Record([], np.column_stack([tip, np.tile(np.arange(9.0), (3000, 1))]), 0.01),))
+    assert len(found.warnings) == 5
+    assert "five more channels" in found.warnings[-1]
+    assert found.records[0].n_outputs == 1
+
+
+def test_nothing_is_left_out_where_no_output_moves():
+    record = Record(np.random.default_rng(0).standard_normal(100), np.ones((100, 2)), 0.01)
+    assert mended((record,)).records[0] is record

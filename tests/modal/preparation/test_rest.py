@@ -1,0 +1,54 @@
+"""Rest before a blow: believed only where the record shows it, and the release that stands for a decay."""
+
+import numpy as np
+import pytest
+
+from modal.preparation.rest import released, with_rest
+from okid.record import Record
+
+RING = 0.99 ** np.arange(2000.0) * np.cos(0.7 * np.arange(2000.0))
+
+
+def struck(at, *, level=0.0, noise=0.0, before=0.0, seed=0):
+    """A blow in row `at`, which rings; `before` the size of motion that was there when the record began."""
+    rng = np.random.default_rng(seed)
+    blow = np.zeros(2000)
+    blow[at : at + 3] = [0.5, 1.0, 0.5]
+    ring = np.convolve(blow, RING)[:2000] + before * RING
+    return Record(blow + 4.0, ring + level + noise * rng.standard_normal(2000), 0.01)
+
+
+@pytest.mark.parametrize("at", [0, 3, 30, 700])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_rest_is_put_in_front(at, noise):
+    found = with_rest([struck(at, level=5.0, noise=noise)])
+    (n_rest,), (record,) = found.n_rest, found.records
+    assert n_rest > 100
+    assert record.n_samples == 2000 + n_rest
+    assert not record.inputs[:n_rest].any()
+    assert not record.outputs[:n_rest].any()
+    np.testing.assert_allclose(record.inputs[n_rest + at + 1], 1.0)
+    answer = np.convolve([0.5, 1.0, 0.5], RING)[:1000]
+    np.testing.assert_allclose(record.outputs[n_rest + at :][:1000, 0], answer, atol=5 * noise + 1e-4)
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.01])
+def test_motion_before_the_blow_is_no_rest(noise):
+    moving, resting = struck(200, noise=noise, before=0.3), struck(200, noise=noise, seed=1)
+    assert with_rest([moving]).n_rest == (0,)
+    assert with_rest([moving]).choice.value == "not used"
+    both = with_rest([moving, resting])
+    assert both.n_rest[0] == 0 < both.n_rest[1]
+    assert both.choice.value == "used in part"
+
+
+def test_a_release_for_each_of_the_strongest():
+    rng = np.random.default_rng(0)
+    sizes = [1.0, 0.1, 3.0, 2.0, 5.0]
+    made = released([Record([], size * RING + 7.0, 0.01, name=str(i)) for i, size in enumerate(sizes)])
+    assert made[0].input_names == tuple(f"release of record {i}" for i in (1, 3, 4, 5))
+    assert [record.n_samples for record in made] == [2001, 2000, 2001, 2001, 2001]
+    np.testing.assert_array_equal([record.inputs.sum() for record in made], [1, 0, 1, 1, 1])
+    np.testing.assert_allclose(made[4].outputs[:2].ravel(), [7.0, 12.0], atol=1e-3)
+    gap = np.where(rng.random(2000) < 0.1, np.nan, RING)
+    assert np.isfinite(released([Record([], gap, 0.01)])[0].outputs[0]).all()

@@ -1,0 +1,145 @@
+"""Modes through time, against tables of modes whose truth is known: a simulated bridge that knows nothing of ours."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from bridge_year import DAY, HOUR, as_table, bridge_year
+
+import modal
+from modal.command.main import status as _status
+from okid.errors import InvalidDataError
+
+
+def owners(result):
+    return result.modes.column("track").to_numpy()
+
+
+def table_of(frequencies, shapes, *, verdict="system"):
+    """One record an hour with these frequencies (nan: not found) and shapes."""
+    rows = [
+        {
+            "record": f"r{k:04d}",
+            "start_time": HOUR * k,
+            "frequency": float(value),
+            "verdict": verdict,
+            "shape": [{"real": float(part), "imag": 0.0} for part in shape],
+        }
+        for k, record in enumerate(frequencies)
+        for value, shape in zip(record, shapes, strict=True)
+        if np.isfinite(value)
+    ]
+    return pa.Table.from_pylist(rows)
+
+
+SHAPES = ((1.0, 0.8, 0.3), (1.0, -0.7, 0.4))
+
+
+def test_poles_go_to_their_modes_and_crossing_modes_do_not_swap():
+    year = bridge_year(np.random.default_rng(5), n_records=1500, spurious=0.5)
+    result = modal.track(as_table(year), causes=year.causes)
+    assert len(result.tracks) == 6
+    own = owners(result)
+    for one in result.tracks:
+        assert np.unique(year.truth[own == one.number]).size == 1
+    assert (own[year.truth >= 0] >= 0).mean() > 0.999
+    assert (own[year.truth < 0] >= 0).mean() < 0.02
+    n = 400
+    cross = np.column_stack([np.linspace(2.0, 2.4, n), np.linspace(2.2, 2.2, n)])
+    crossed = modal.track(table_of(cross, SHAPES))
+    assert [float(one.frequency[-1]) for one in sorted(crossed.tracks, key=lambda one: one.frequency[0])] == [2.4, 2.2]
+
+
+def test_births_deaths_and_gaps():
+    rng = np.random.default_rng(0)
+    frequencies = np.array([2.0, 3.1]) * (1.0 + 1e-3 * rng.standard_normal((600, 2)))
+    frequencies[:200, 1] = np.nan
+    frequencies[450:, 0] = np.nan
+    frequencies[100:160, 0] = np.nan
+    result = modal.track(table_of(frequencies, SHAPES))
+    first, second = result.tracks
+    assert (first.born, first.died) == (None, HOUR * 449)
+    assert (second.born, second.died) == (HOUR * 200, None)
+    assert (first.frequency.size, second.frequency.size) == (390, 400)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_loss_of_stiffness_is_found_within_a_month_and_nothing_else(seed):
+    rng = np.random.default_rng(seed)
+    year = bridge_year(rng, n_records=4000, loss=0.005, change_at=rng.uniform(0.3, 0.7))
+    result = modal.track(as_table(year), causes=year.causes)
+    assert len(result.alarms) == 1
+    alarm = result.alarms[0]
+    assert year.change <= alarm.time <= year.change + 30 * DAY
+    assert abs(alarm.since - year.change) < 5 * DAY
+    assert "temperature" in result.causes[0]
+    assert min(one.explained for one in result.tracks) > 0.95
+    bending = [one.number for one in result.tracks if year.truth[owners(result) == one.number][0] < 3]
+    assert np.nanmin(alarm.shifts[bending]) < -1e-4
+
+
+def test_quiet_months_stay_quiet():
+    """Twelve months at a level of 1 in 400 each: two false alarms have a chance of 0.05 %."""
+    months = [bridge_year(np.random.default_rng(100 + k), n_records=730) for k in range(12)]
+    results = [modal.track(as_table(month), causes=month.causes) for month in months]
+    assert sum(len(result.alarms) for result in results) <= 1
+
+
+def test_a_jump_that_stays_is_a_change_and_a_pole_beside_is_not():
+    rng = np.random.default_rng(3)
+    frequencies = np.array([2.0, 3.1]) * (1.0 + 1e-3 * rng.standard_normal((1000, 2)))
+    frequencies[rng.integers(0, 1000, 20), 0] *= 1.03
+    assert not modal.track(table_of(frequencies, SHAPES)).alarms
+    frequencies[700:, 1] *= 0.97
+    (alarm,) = modal.track(table_of(frequencies, SHAPES)).alarms
+    assert abs(alarm.since - 700 * HOUR) < DAY
+    assert alarm.shifts[1] == pytest.approx(-0.03, abs=1e-3)
+    assert abs(alarm.shifts[0]) < 4 * alarm.shifts_std[0] + 1e-3
+    assert "no cause was given" in alarm.reason
+    assert "3.098 Hz by -3.0" in alarm.reason
+    assert "2 Hz by" not in alarm.reason
+
+
+def test_the_order_of_records_and_rows_does_not_matter():
+    year = bridge_year(np.random.default_rng(8), n_records=800, loss=0.02, change_at=0.5)
+    table = as_table(year)
+    result = modal.track(table, causes=year.causes)
+    shuffled = np.random.default_rng(0).permutation(table.num_rows)
+    names = list(dict.fromkeys(table.take(shuffled).column("record").to_pylist()))
+    number = [int(name[5:]) for name in names]
+    other = modal.track(table.take(shuffled), causes={"temperature": year.temperature[number]})
+    np.testing.assert_array_equal(owners(other), owners(result)[shuffled])
+    assert [alarm.time for alarm in other.alarms] == [alarm.time for alarm in result.alarms]
+    assert len(result.alarms) == 1
+
+
+def test_wrong_use_is_one_sentence():
+    table = table_of(np.full((10, 2), [2.0, 3.0]), SHAPES)
+    with pytest.raises(InvalidDataError, match="there are 10 records"):
+        modal.track(table, causes={"temperature": np.zeros(9)})
+    with pytest.raises(InvalidDataError, match="missing in 1 of 10"):
+        modal.track(table, causes={"temperature": [np.nan, *range(9)]})
+    with pytest.raises(InvalidDataError, match="lacks verdict"):
+        modal.track(table.drop_columns(["verdict"]))
+    with pytest.raises(InvalidDataError, match="not int"):
+        modal.track(3)
+    nothing = modal.track(table.slice(0, 0))
+    assert (nothing.tracks, nothing.alarms) == ((), ())
+
+
+def test_the_command_writes_a_page_and_a_table(tmp_path, capsys):
+    year = bridge_year(np.random.default_rng(8), n_records=800, loss=0.02, change_at=0.5)
+    table = as_table(year)
+    names = [f"hour_{k:05d}" for k in range(800)]
+    pq.write_table(table, tmp_path / "modes.parquet")
+    pq.write_table(pa.table({"record": names, "status": ["done"] * 800}), tmp_path / "records.parquet")
+    np.savetxt(tmp_path / "weather.csv", year.temperature, header="temperature", comments="")
+    assert _status(["track", str(tmp_path), "--causes", str(tmp_path / "weather.csv")]) == 1
+    said = capsys.readouterr().out
+    assert "6 modes followed; 1 change beyond chance" in said
+    page = (tmp_path / "tracks.html").read_text()
+    assert "What changed" in page
+    assert "<svg" in page
+    assert pq.read_table(tmp_path / "tracks.parquet").num_rows == table.num_rows
+    assert _status(["track", str(tmp_path / "nothing")]) == 2
+    assert "holds no modes.parquet" in capsys.readouterr().err

@@ -1,0 +1,44 @@
+"""A mode that changes in time or with its level is said to; records from `tests/reference`."""
+
+import numpy as np
+import pytest
+from hard_records import FAMILIES
+
+from modal.identification.pipeline import identify
+from modal.verdict.constancy import unsteady_drive
+from okid.record import Record
+
+
+def warnings_of(family, seed):
+    made = FAMILIES[family](seed)
+    return [words for words in identify(Record(made.inputs, made.outputs, made.dt)).warnings if "changes" in words]
+
+
+@pytest.mark.parametrize(
+    ("family", "seed", "words"),
+    [("dry_friction", 2, "with the level of motion"), ("drifting_stiffness", 2, "during the record")],
+)
+def test_what_changes_is_said_with_its_size(family, seed, words):
+    (warning,) = warnings_of(family, seed)
+    assert words in warning
+    assert "modal-report gap" in warning
+    assert "standard deviations apart" in warning
+
+
+def test_a_stiffness_that_falls_or_rises_is_said_so():
+    """6 % more stiffness at the end than at the start: 8 Hz rises by 3 % in all, half of that between the quartiles."""
+    (warning,) = warnings_of("drifting_stiffness", 0)
+    early, late = (float(part.split(" Hz")[0].split()[-1]) for part in warning.split("about ")[1].split(", ")[:2])
+    assert 0.0 < late - early < 0.03 * 8.0
+
+
+def test_a_linear_structure_does_not_change():
+    assert warnings_of("driven", 1) == []
+
+
+def test_an_event_without_its_input_is_said():
+    steady, event = (FAMILIES[family](3).outputs for family in ("ambient", "hidden_earthquake"))
+    record = Record([], event, 0.01)
+    assert "not steady" in unsteady_drive([record], [np.diff(event, axis=0)])[0]
+    assert unsteady_drive([record], [np.diff(steady, axis=0)]) == ()
+    assert unsteady_drive([Record(event[:, 0], event, 0.01)], [event]) == ()

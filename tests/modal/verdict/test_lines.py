@@ -1,0 +1,103 @@
+"""What inputs that are a few tones can support, and noise that is no error; records from `tests/reference`."""
+
+import numpy as np
+import pytest
+from hard_records import FAMILIES
+from structures import random_excitation
+
+from era.realisation import Realisation
+from era.simulation import simulate
+from modal.identification.pipeline import identify
+from modal.modes.extraction import extract_modes
+from modal.verdict.excitation import between_lines, line_doubt
+from okid.record import Record
+
+
+def identified(family, seed, **changes):
+    made = FAMILIES[family](seed, **changes)
+    return made, identify(Record(made.inputs, made.outputs, made.dt))
+
+
+def called(made, result):
+    """How many of the true modes are called."""
+    found = np.array([mode.frequency for mode in result.modes.system])
+    return sum(bool((np.abs(found - f) < 0.01 * f).any()) for f in made.frequencies)
+
+
+@pytest.mark.parametrize("seed", [2, 12])
+def test_tones_make_no_mode(seed):
+    _, result = identified("tones", seed, n_samples=3000)
+    assert result.modes.system == ()
+    assert any("hardly more than" in warning for warning in result.warnings)
+
+
+def test_what_rings_between_the_tones_is_a_mode():
+    made, result = identified("stepped_sine", 1, n_samples=4000)
+    assert called(made, result) == made.frequencies.size == len(result.modes.system)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
+    made, result = identified("low_fit", seed, n_samples=4000)
+    assert result.fit.mean < 0.5
+    assert called(made, result) == made.frequencies.size == len(result.modes.system)
+    assert "Low fit is no error" in " ".join(result.warnings)
+    assert "no mode is certain" not in " ".join(result.warnings)
+
+
+def test_very_light_damping_is_called():
+    made, result = identified("light_damping", 3, n_samples=2500)
+    assert called(made, result) == made.frequencies.size
+
+
+@pytest.fixture
+def case():
+    pole = 0.98 * np.exp(0.9j)
+    A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    model = Realisation(A, np.array([[0.4], [0.1]]), np.eye(2), np.zeros((2, 1)), 0.01)
+    return model, extract_modes(model)
+
+
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        lambda rng: rng.standard_normal((3000, 1)),
+        lambda rng: random_excitation(rng, 3000, 1, kind="sweep", band=(0.05, 0.2)),
+        lambda rng: np.tile(random_excitation(rng, 750, 1, kind="multisine", band=(0.05, 0.2)), (4, 1)),
+        lambda rng: np.cumsum(rng.standard_normal((3000, 1)), axis=0),
+        lambda rng: random_excitation(rng, 3000, 1, kind="hits", band=(0.05, 0.2)),
+        lambda rng: rng.standard_normal((3000, 1)) + np.sin(np.arange(3000.0))[:, np.newaxis],
+    ],
+)
+def test_a_broad_band_is_no_few_lines(case, inputs):
+    _, modes = case
+    force = inputs(np.random.default_rng(0))
+    assert between_lines(modes, [Record(force, np.zeros((3000, 2)), 0.01)], [np.zeros((3000, 2))],
+                         output_scale=np.ones(2)) is None  # fmt: skip
+
+
+@pytest.mark.parametrize(("floor", "shows"), [(0.0, False), (1e-3, True)])
+def test_the_gain_beside_the_lines_is_that_of_the_rest_of_the_drive(case, floor, shows):
+    """A tone and a true mode: what the tone does proves nothing, what the little noise beside it does proves all."""
+    realisation, modes = case
+    rng = np.random.default_rng(1)
+    tone = np.sin(0.7 * np.arange(4000.0))[:, np.newaxis]
+    force = tone + floor * rng.standard_normal(tone.shape)
+    run = simulate(realisation, Record(force, np.zeros((4000, 2)), 0.01))
+    noise = 1e-3 * rng.standard_normal((4000, 2))
+    found = between_lines(modes, [run], [noise], output_scale=np.ones(2))
+    assert found is not None
+    np.testing.assert_allclose(found.lines, [0.7 / (2 * np.pi * 0.01)], atol=0.03)
+    assert (found.gain[0] > 0.5) == shows
+    ratio = found.n_values[0] * found.gain[0] / (1 - found.gain[0]) / 6
+    assert bool(line_doubt(found, ratio)) == (not shows)
+
+
+def test_a_gap_leaves_the_lines_where_they_are(case):
+    _, modes = case
+    tone = np.sin(0.7 * np.arange(4000.0))[:, np.newaxis]
+    left = np.random.default_rng(2).standard_normal((4000, 2))
+    left[1000:1010] = np.nan
+    found = between_lines(modes, [Record(tone, np.zeros((4000, 2)), 0.01)], [left], output_scale=np.ones(2))
+    assert found is not None
+    assert not found.gain[0] > 0.3

@@ -1,0 +1,69 @@
+"""How results show themselves: at most 20 lines and 2000 characters, whatever they hold, and no markup of a file."""
+
+import dataclasses
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from okid.display import Displayed
+from okid.record import Record
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Holder(Displayed):
+    first: object
+    second: object = None
+
+
+MANY = [
+    np.zeros((4000, 30)),
+    tuple(Record([], [[0.0], [1.0]], 1.0, output_names=["x" * 4000]) for _ in range(500)),
+    "long " * 9000,
+    {f"key {number}": number for number in range(9000)},
+    tuple(range(9000)),
+    Holder(Holder(np.arange(9.0), "\n" * 900)),
+]
+
+
+@pytest.mark.parametrize("value", MANY, ids=lambda value: type(value).__name__)
+def test_a_representation_is_short_whatever_it_holds(value):
+    text = repr(Holder(value, value))
+    assert len(text) <= 2000
+    assert text.count("\n") < 20
+
+
+def test_a_wide_type_says_what_it_leaves_out():
+    wide = dataclasses.make_dataclass(
+        "Wide", [(f"field_{i}", float, 0.5) for i in range(60)], bases=(Displayed,), repr=False
+    )
+    text = repr(wide())
+    assert len(text) <= 2000
+    assert text.count("\n") < 20
+    assert text.splitlines()[-1].split()[0] == "..."
+
+
+def test_words_of_a_file_are_no_markup_in_a_notebook():
+    assert "<script>" not in Holder("<script>alert(1)</script>")._repr_html_()
+
+
+def test_a_record_goes_to_a_table_and_back():
+    record = Record([0.0, 1.0, 0.0], [[0.0, np.nan], [2.0, 1.0], [1.0, 3.0]], 0.1, output_units=["m", "m/s^2"])
+    table = record.to_table()
+    assert table.schema.field("output_1").metadata[b"unit"] == b"m/s^2"
+    again = Record.from_frame(table, inputs=record.input_names, outputs=record.output_names)
+    assert again.dt == pytest.approx(record.dt, rel=1e-15)
+    assert np.array_equal(again.outputs, record.outputs, equal_nan=True)
+    assert again.output_units == record.output_units
+
+
+def test_units_of_a_frame_are_read_as_in_a_file():
+    frame = pa.table({"time [ms]": [0.0, 10.0, 20.0], "force": [1.0, 0.0, 0.0], "tip [g]": [0.0, 1.0, 0.5]})
+    record = Record.from_frame(frame, inputs=(), outputs=["tip", "force"])
+    assert record.dt == pytest.approx(0.01)
+    assert record.outputs[1].tolist() == [9.80665, 0.0]
+
+
+def test_what_is_no_frame_is_refused_in_words():
+    with pytest.raises(ValueError, match="is no data frame"):
+        Record.from_frame([1, 2, 3], inputs=(), outputs="a", dt=1.0)
