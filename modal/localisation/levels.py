@@ -158,7 +158,7 @@ def tendency(values: FloatArray, deviations: FloatArray, *, counts: float) -> Te
     Returns:
         "rises" or "falls" when some change between two levels is above both `counts` and four standard deviations and
         none goes the other way; "mixed" when one does; "stays" when every change, two deviations added, is below
-        five times `counts`; else "unknown".
+        five times `counts` among the levels, more than half of them, whose own two deviations are; else "unknown".
 
     Example:
         >>> tendency(np.array([5.0, 5.1, 5.3]), np.full(3, 0.01), counts=2e-3)
@@ -178,7 +178,10 @@ def tendency(values: FloatArray, deviations: FloatArray, *, counts: float) -> Te
         return "mixed"
     if up or down:
         return "rises" if up else "falls"
-    return "stays" if (np.abs(change) + 2.0 * spread < STAYS_WITHIN * least)[upward].all() else "unknown"
+    telling = 2.0 * deviation < STAYS_WITHIN * least  # a level known less could show no such change, nor refuse one
+    between = upward & telling[np.newaxis, :] & telling[:, np.newaxis]
+    small = np.abs(change) + 2.0 * spread < STAYS_WITHIN * least
+    return "stays" if 2 * telling.sum() > max(telling.size, 2) and small[between].all() else "unknown"
 
 
 def _levels(records: Sequence[Record], *, driven: bool) -> tuple[FloatArray, npt.NDArray[np.int64]]:

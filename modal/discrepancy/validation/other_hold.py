@@ -18,7 +18,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
@@ -74,7 +74,8 @@ def has_half_a_sample(diagnosis: Diagnosis) -> bool:
 def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[str, Effect]) -> Diagnosis:
     """The diagnosis by the declared hold, or by the other one where that needs less to explain the records.
 
-    Where the declared one explains them too, the other can do with fewer of the same effects, or it is no better.
+    Where the declared one explains them too, the other must do so with fewer of the same effects, or with as many and
+    come nearer to what was held out by more than noise floors are known.
 
     One of the two, the other hold's with a warning that says so.
     """
@@ -102,7 +103,11 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
 
 def _better(other: Diagnosis, found: Diagnosis) -> bool:
-    return _explains(other) and (not _explains(found) or _n_besides(other) < _n_besides(found))
+    if not (_explains(other) and _explains(found)):
+        return _explains(other)
+    if _n_besides(other) != _n_besides(found):
+        return _n_besides(other) < _n_besides(found)
+    return AT_FLOOR * other.steps[-1].held_out_level < found.steps[-1].held_out_level
 
 
 def _explains(found: Diagnosis) -> bool:

@@ -68,13 +68,16 @@ def test_a_block_without_a_request_changes_nothing(handlers):
     assert [signal.getsignal(number) for number in handlers] == before
 
 
-def test_a_request_is_a_flag_that_the_next_step_answers(handlers, capfd):
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_request_is_a_flag_that_the_next_step_answers(handlers, capfd, monkeypatch, terminal):
+    monkeypatch.setattr("os.isatty", lambda _stream: terminal)
     for number in handlers:
         Requests.listen()
         signal.raise_signal(number)  # nothing is raised here
         with progress_bar() as tell, pytest.raises(KeyboardInterrupt):
             tell("the next step", 0.5)
-        assert capfd.readouterr().err.count("\n") <= 1  # said on a terminal alone
+        said = "stopping after this step; once more stops at once" in capfd.readouterr().err
+        assert said == terminal
     Requests.asked = 0
 
 

@@ -49,9 +49,9 @@ def test_friction_is_found_in_what_a_loop_wrote_down_and_how_early_its_outputs_a
     assert any("before it is recorded" in words for words in found.warnings)
 
 
-def test_a_wrong_hold_is_told_beside_the_delay_that_stands_in_for_it():
+def test_a_wrong_hold_is_taken_back_instead_of_a_mode_that_stands_in_for_it():
     found = loop_diagnosis("before", "band_limited")
-    values = {one.effect: one for one in found.findings}
-    assert set(values) == {"coulomb_friction", "input_delay"}
-    assert values["coulomb_friction"].parameters[0].value == pytest.approx(FRICTION, rel=0.003)
-    assert any("wrongly declared hold" in words for words in values["input_delay"].ambiguous_with)
+    assert found.status == "named"
+    assert {one.effect for one in found.findings} == {"coulomb_friction", "input_delay"}
+    assert 'declare input_hold="zero_order"' in found.warnings[1]
+    assert all(record.input_hold == "zero_order" for record in (*found.fit, *found.held_out))
