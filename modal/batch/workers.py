@@ -154,6 +154,8 @@ class Workers(Executor):
         theirs.close()
         with self._ready:
             self._processes.add(process)
+            if self._cancelled:  # while it was being started: nobody else would stop it
+                process.kill()
         return _Process(process=process, connection=ours)
 
     def _stop(self, worker: "_Process") -> None:

@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+import threading
+from multiprocessing.context import SpawnProcess
 
 import pytest
 
@@ -67,3 +69,22 @@ def test_leaving_by_an_error_stops_at_once(helpers):
         leave_early()
     assert futures[2].cancelled()
     assert all(future.done() for future in futures)
+
+
+def test_a_process_that_is_being_started_when_all_is_cancelled_is_ended(monkeypatch):
+    started, cancelled = threading.Event(), threading.Event()
+    start = SpawnProcess.start
+
+    def slow_start(process):
+        start(process)
+        started.set()
+        assert cancelled.wait(30.0)
+
+    monkeypatch.setattr(SpawnProcess, "start", slow_start)
+    workers = Workers(1)
+    future = workers.submit(signal.pause)
+    assert started.wait(30.0)
+    workers.shutdown(wait=False, cancel_futures=True)
+    cancelled.set()
+    assert isinstance(future.exception(30.0), WorkerDiedError)
+    workers.shutdown()
