@@ -97,6 +97,7 @@ def test_from_the_first_line_of_the_entry_point_on(tmp_path, twice):
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == 'modal.command.main':\n"
         f"            signal.raise_signal(signal.SIGINT); {again or 'pass'}\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell ignores it for what it runs behind
         "from modal.command.entry import main\n"
         "sys.meta_path.insert(0, Asks())\n"
         f"sys.argv = ['modal-report', 'demo', '-o', {str(tmp_path / 'out')!r}]\n"
