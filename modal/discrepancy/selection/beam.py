@@ -37,6 +37,7 @@ from modal.discrepancy.fitting.observed_fits import (
     within_reach,
 )
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run
+from modal.discrepancy.selection.lack_of_fit import only_noise
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.smaller_models import Law, is_limit, simple_first
 from modal.effects.effect import Effect, ForceEffect
@@ -249,6 +250,8 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
         explained = any(one.held_out_level <= AT_FLOOR for one in finished.values())
         if (explained or _nearly(runs, node)) and fit.cost > rival * lowest:
             continue
+        if _enough(fit, finished, node, task):
+            continue
         if runs and not budget.allows():
             break
         run = _free_run(fit, task, _softness(node, SOFT))
@@ -260,6 +263,16 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
             finished[id(run)] = _finished(run, run, task)
         runs.append(run)
     return runs, finished
+
+
+def _enough(fit: Estimate, finished: dict[int, Node], node: Node, task: Task) -> bool:
+    """Whether a limit of the law leaves nothing but noise: then nothing is there for what the law has besides."""
+    for run, one in finished.items():
+        if is_limit(_law_of(one.coarse), _law_of(fit)):
+            finished[run] = polished(one, task)
+            if only_noise(finished[run], node, task):
+                return True
+    return False
 
 
 def _nearly(runs: Sequence[Estimate], node: Node) -> bool:
@@ -315,8 +328,8 @@ def _worth(fits: Sequence[Estimate], observed: Estimate) -> list[Estimate]:
 
 
 def _ordered(fits: Sequence[Estimate]) -> list[Estimate]:
-    """The fits, best first, but limits of richer laws before these where they fit nearly as well."""
-    return simple_first(fits, _law_of, lambda simple, rich: simple.cost <= RIVAL * rich.cost)
+    """The fits, best first, but limits before richer laws: in observer form and soft, what these win tells little."""
+    return simple_first(fits, _law_of, lambda _simple, _rich: True)
 
 
 def _law_of(fit: Estimate) -> Law:
