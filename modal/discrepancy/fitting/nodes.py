@@ -187,6 +187,8 @@ class Task:
         whole: Whether the records are whole, so that they may be cut into spans.
         budget: What the search may cost.
         form_free: Laws of unknown form, tried where no effect of the catalogue is enough.
+        reached: Level on the records to fit that another model with as many effects reaches in free run: what leaves
+            more in observer form, which only helps, is not followed.
     """
 
     fit: Problem
@@ -199,6 +201,7 @@ class Task:
     whole: bool = False
     budget: Budget = field(default_factory=Budget)
     form_free: Mapping[str, Effect] = field(default_factory=dict)
+    reached: float = np.inf
 
     @property
     def every_effect(self) -> Mapping[str, Effect]:

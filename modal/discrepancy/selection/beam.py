@@ -196,6 +196,7 @@ def expand(node: Node, task: Task) -> list[Node]:
         candidates = [one for one in candidates if one.placement.effect.like_a_mass]
     while candidates:
         fits, candidates = observed_fits(node, observed, candidates, task)
+        fits = [fit for fit in fits if fit.level <= task.reached]
         runs, known = _free_runs(_ordered(_leading(_worth(fits, observed), RUNS)), task, node)
         found += _judged(_leading(runs, FINALISTS), task, known, reach=REACH_SHARP if node.effects else REACH)
         if _clear(found, node):
@@ -413,10 +414,10 @@ def search_effects(
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
             part = task.budget.part(SHARE_OF_ONE)
-            found = expand(node, replace(task, budget=part))
-            everything += found
-            children += [child for child in found if counts(node, child, task)]
-            hopeful += [child for child in found if _hopeful(node, child)]
+            beside = expand(node, replace(task, budget=part))
+            everything += beside
+            children += [child for child in beside if counts(node, child, task)]
+            hopeful += [child for child in beside if _hopeful(node, child)]
             cut = cut or part.spent
             if _explain(children):
                 here = depth + 1 if part.spent else np.inf
@@ -425,7 +426,9 @@ def search_effects(
         untried = min(untried, here)
         if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
             break
-        found = curves(root, root, task) if curves is not None and depth == 0 and not _explain(children) else []
+        found: list[Node] = []
+        if curves is not None and depth == 0 and not _explain(children):
+            found = curves(root, root, replace(task, reached=_reached(children)))
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct(children)
@@ -452,6 +455,11 @@ def _laws_like(curves: Sequence[Node], task: Task) -> dict[str, Effect]:
 
 def _lowest(nodes: Sequence[Node], root: Node) -> Node:
     return min(nodes, key=lambda node: node.held_out_level, default=root)
+
+
+def _reached(nodes: Sequence[Node]) -> float:
+    """The lowest level on the records to fit."""
+    return min((node.fit_level for node in nodes), default=np.inf)
 
 
 def _explain(children: Sequence[Node]) -> bool:
