@@ -426,9 +426,8 @@ def search_effects(
         untried = min(untried, here)
         if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
             break
-        found: list[Node] = []
-        if curves is not None and depth == 0 and not _explain(children):
-            found = curves(root, root, replace(task, reached=_reached(children)))
+        wanted = depth == 0 and not _explain(children)
+        found = curves(root, root, replace(task, reached=_reached(children))) if curves and wanted else []
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct(children)
