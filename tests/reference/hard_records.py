@@ -67,7 +67,7 @@ def distorted_tones(seed: int, *, n_samples: int = 6000) -> HardRecord:
 
 
 def tones_in_noise(seed: int, *, n_samples: int = 6000) -> HardRecord:
-    """Three tones in a broad band of a tenth to a third of their size, which the load cell sees: it drives the modes."""
+    """Three tones in a broad band of a tenth to a third of their size, which drives the modes."""
     rng = np.random.default_rng(seed)
     made = _structure(rng, n_modes=int(rng.integers(2, 5)), n_inputs=1, n_outputs=int(rng.integers(1, 4)))
     lines = np.sort(rng.uniform(0.02, 0.4, 3)) / made.dt
@@ -225,8 +225,9 @@ def hidden_earthquake(seed: int) -> HardRecord:
 FAMILIES = {
     one.__name__: one
     for one in (
-        tones, distorted_tones, tones_in_noise, stepped_sine, low_fit, light_damping, driven, ambient, machine_lines, coloured_noise, spikes, clipped,
-        coarse, dead_channel, skewed, dry_friction, drifting_stiffness, hidden_earthquake,
+        tones, distorted_tones, tones_in_noise, stepped_sine, low_fit, light_damping, driven, ambient,
+        machine_lines, coloured_noise, spikes, clipped, coarse, dead_channel, skewed, dry_friction,
+        drifting_stiffness, hidden_earthquake,
     )
 }  # fmt: skip
 
