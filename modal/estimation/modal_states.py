@@ -305,6 +305,8 @@ def _add_grams(
             first += (block.first - first) % block.step
             if first < last:
                 part = signals[first - start : last - start : block.step]
+                if block.step > 1:  # BLAS takes no steps within a signal
+                    part = np.ascontiguousarray(part.T).T
                 chosen = part if complete else part[rows[first : last : block.step]]
                 grams[i] += chosen.T @ chosen
 

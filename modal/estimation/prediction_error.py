@@ -35,6 +35,7 @@ from okid.observer import ObserverFit
 from okid.record import Record
 
 __all__ = [
+    "STILL",
     "LikeliestFit",
     "Sections",
     "innovation_form",

@@ -94,8 +94,10 @@ def _white(model: RefinedModel) -> _Loadings:
     fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
     variance = step.linear.squared_errors / max(1.0, n_rows - fitted)
     meat = step_equations(step, data, held_out=NONE, weights=weights @ np.diag(variance) @ weights).matrix
-    values, vectors = np.linalg.eigh(meat)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
+    size = _sizes(meat)
+    values, vectors = np.linalg.eigh(meat / np.outer(size, size))
+    root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
     theta = (_inverse(normal.matrix) @ root).T
     coefficients = -np.einsum("st,tno->sno", theta, _slopes(model))
     return _loadings(
@@ -132,11 +134,16 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
 
 def _inverse(matrix: FloatArray) -> FloatArray:
     """Pseudo-inverse after scaling to a unit diagonal: a direction that the data do not show is left at rest."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
+    size = _sizes(matrix)
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     kept = values > LEAST_CURVATURE
     return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(size, size)
+
+
+def _sizes(matrix: FloatArray) -> FloatArray:
+    """(n,) roots of the diagonal, one where there is nothing."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return np.where(size > 0.0, size, 1.0)
 
 
 def _outputs_of(model: RefinedModel, real: FloatArray, imag: FloatArray) -> FloatArray:

@@ -147,7 +147,7 @@ def identify(
         return identify_setups(several, again, decimation=None if decimation == "auto" else decimation)
     kind_found = find_kind(several, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
-        several = released(several)
+        several = released(several, kind_found.starts)
         integrators, input_delay = 0, 0
         drift = "none" if drift == "auto" else drift
     with one_blas_thread():

@@ -2,7 +2,7 @@
 
     driven     inputs move throughout
     transient  inputs act in short events, and the structure rings
-    decay      no input; each record starts far above its end
+    decay      no input; each record starts far above its end, or does so once it is struck or let go
     ambient    no input; what is not measured drives it throughout
     response   frequency responses, not records in time
 
@@ -50,6 +50,12 @@ ABOVE = 10.0
 """or this many where the power never rises again by more than chance; stationary motion has neither."""
 ROUND_OFF = 1e-12
 """Take no end for quieter than this share of the greatest power: an encoder at rest has none."""
+FINE_PARTS = 60
+"""Look in so many parts for the blow or the release before which a record without inputs rests."""
+LEAVES_REST = 0.01
+"""See the first row that leaves rest where an output is this share of its furthest away, as where an input acts,"""
+DEVIATIONS = 6.0
+"""and so many standard deviations: chance has one in a thousand million."""
 RISE = 2.0
 """Call it a rise where a part has so many times the power of the one before it, above that of the record's end."""
 
@@ -62,11 +68,14 @@ class KindFound:
         kind: what they are treated as.
         choice: the same with its reason.
         warnings: a sentence where the data do not decide it, else nothing.
+        starts: row of each record at which its free motion begins, where it rests before; empty where all begin with
+            the record.
     """
 
     kind: RecordKind
     choice: Choice
     warnings: tuple[str, ...] = ()
+    starts: tuple[int, ...] = ()
 
 
 def given_kind(kind: str) -> GivenKind:
@@ -101,7 +110,8 @@ def find_kind(records: Sequence[Record], given: GivenKind = "auto") -> KindFound
     has_inputs = records[0].n_inputs > 0
     if given != "auto":
         _check_given(given, has_inputs=has_inputs)
-        return _found(given, "given as an argument")
+        starts = tuple(_free_from(record.outputs) for record in records) if given == "decay" else ()
+        return _found(given, "given as an argument", starts=starts)
     return _by_inputs(records) if has_inputs else _by_outputs(records)
 
 
@@ -173,12 +183,15 @@ def _acting(rows: BoolArray) -> int:
 
 
 def _by_outputs(records: Sequence[Record]) -> KindFound:
-    ratios, falls = zip(*(_fall(record.outputs) for record in records), strict=True)
+    starts = tuple(_free_from(record.outputs) for record in records)
+    ratios, falls = zip(*(_fall(one.outputs[k:]) for one, k in zip(records, starts, strict=True)), strict=True)
     least, greatest = min(ratios), max(ratios)
-    words = f"the outputs start with {least:.3g} times the power that they end with"
     decays = [ratio >= FAR_ABOVE or (ratio >= ABOVE and fall) for ratio, fall in zip(ratios, falls, strict=True)]
+    struck = any(starts)
+    words = f"the outputs start with {least:.3g} times the power that they end with"
     if all(decays):
-        return _found("decay", f"{words}, and there is no input: they ring down")
+        words = f"after a blow or a release that was not measured, {words}" if struck else words
+        return _found("decay", f"{words}, and there is no input: they ring down", starts=starts)
     if greatest < ABOVE:
         return _found("ambient", f"{words}, and there is no input: what drives them is not measured")
     if any(decays) and least < ABOVE:
@@ -188,6 +201,42 @@ def _by_outputs(records: Sequence[Record]) -> KindFound:
             "and others move throughout; identify them apart."
         )
     return _undecided("ambient", words, "decay")
+
+
+def _free_from(outputs: FloatArray) -> int:
+    """Row at which free motion begins where a record rests before it is struck or let go; 0 where it begins with it.
+
+    A blow takes as long to end as it took to its peak, and what is let go is free from the start; either way the motion
+    is free once twice the time from the first row that leaves rest to the furthest has passed. A spike leaves nothing.
+    """
+    n_rows = len(outputs) // FINE_PARTS
+    if n_rows < 2:
+        return 0
+    parts = outputs[: n_rows * FINE_PARTS].reshape(FINE_PARTS, n_rows, -1)
+    power = _variance(parts, axis=1)
+    levels = (power / np.maximum(power.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    strongest = int(levels.argmax())
+    # the part before the strongest may hold the first rows of the motion
+    quiet = levels[: max(0, strongest - 1)]
+    if not quiet.size or quiet.max() * FAR_ABOVE > levels[strongest]:
+        return 0
+    rest = outputs[: n_rows * quiet.size]
+    near = outputs[n_rows * quiet.size : n_rows * (strongest + 1)]
+    level = np.nansum(rest, axis=0) / np.maximum(np.isfinite(rest).sum(axis=0), 1)
+    away = np.abs(np.nan_to_num(near - level))
+    size = np.maximum(away.max(axis=0), np.finfo(float).tiny)
+    first = int(
+        (away > np.maximum(LEAVES_REST * size, DEVIATIONS * np.sqrt(_variance(rest, axis=0)))).any(axis=1).argmax()
+    )
+    furthest = int((away / size).max(axis=1).argmax())
+    return n_rows * quiet.size + first + 2 * max(0, furthest - first) + 1
+
+
+def _variance(values: FloatArray, *, axis: int) -> FloatArray:
+    """About the mean along an axis of what is there; 0 where nothing is."""
+    count = np.maximum(np.isfinite(values).sum(axis=axis, keepdims=True), 1)
+    away = np.nan_to_num(values - np.nansum(values, axis=axis, keepdims=True) / count)
+    return np.asarray(np.square(away).sum(axis=axis) / count.squeeze(axis))
 
 
 def _fall(outputs: FloatArray) -> tuple[float, bool]:
@@ -209,8 +258,9 @@ def _fall(outputs: FloatArray) -> tuple[float, bool]:
     return float(levels[0]), bool((levels[1:] - 1.0 <= RISE * levels[:-1]).all())
 
 
-def _found(kind: RecordKind, reason: str) -> KindFound:
-    return KindFound(kind=kind, choice=Choice(what="record kind", value=kind, reason=reason))
+def _found(kind: RecordKind, reason: str, *, starts: tuple[int, ...] = ()) -> KindFound:
+    kept = starts if any(starts) else ()
+    return KindFound(kind=kind, choice=Choice(what="record kind", value=kind, reason=reason), starts=kept)
 
 
 def _undecided(kind: RecordKind, words: str, other: RecordKind) -> KindFound:

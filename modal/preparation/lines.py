@@ -115,11 +115,12 @@ def blackman_harris(n_samples: int) -> FloatArray:
     return window
 
 
-def line_bins(values: FloatArray) -> tuple[BoolArray, FloatArray]:
+def line_bins(values: FloatArray, *, times: float = LINE) -> tuple[BoolArray, FloatArray]:
     """Where the spectrum of each column has lines.
 
     Args:
         values: (n_samples, n_channels), none missing.
+        times: the median nearby that the power of a line is at least.
 
     Returns:
         (n_frequencies, n_channels) True on a line, and the power there as a share of the channel's; the frequencies are
@@ -135,7 +136,7 @@ def line_bins(values: FloatArray) -> tuple[BoolArray, FloatArray]:
         medians = np.median(blocks, axis=1)
         padded = np.concatenate([medians[:1], medians, medians[-1:]])
         usual = np.repeat(np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:]), BESIDE, axis=0)
-        bins[first : first + len(usual)] = blocks.reshape(usual.shape) > LINE * usual
+        bins[first : first + len(usual)] = blocks.reshape(usual.shape) > times * usual
     return bins, spectra
 
 

@@ -68,17 +68,20 @@ class Rested:
     choice: Choice
 
 
-def released(records: Sequence[Record]) -> tuple[Record, ...]:
+def released(records: Sequence[Record], starts: Sequence[int] = ()) -> tuple[Record, ...]:
     """Decays as answers to a release: one row more in front, at rest, in which the record's own input is 1.
 
     Args:
-        records: without inputs, each of which rings down from its start.
+        records: without inputs, each of which rings down.
+        starts: row of each from which it does; the first unless given.
 
     Example:
         >>> (ringing,) = released([Record([], 0.9 ** np.arange(200.0), 0.01)])
         >>> ringing.inputs[:3].ravel().tolist(), ringing.outputs[:2].ravel().round(3).tolist()
         ([1.0, 0.0, 0.0], [0.0, 1.0])
     """
+    if starts:
+        records = [record.samples(start) for record, start in zip(records, starts, strict=True)]
     each = [np.nan_to_num(np.nanvar(record.outputs, axis=0)) for record in records]
     whole = np.maximum(np.sum(each, axis=0), np.finfo(float).tiny)
     order = np.argsort([-float((own / whole).sum()) for own in each], kind="stable")

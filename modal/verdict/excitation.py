@@ -6,7 +6,9 @@ without it. For a mode that the input drives it gets worse.
 
 Tones are lines too. A shaker that plays a few of them determines the response at so many frequencies and nowhere else;
 poles that stand on them, or anywhere between, explain the record as well as the modes do. What tells a mode is its
-answer between the lines: to what else the force holds, and to the tones' beginnings and ends.
+answer between the lines: to what else the force holds, and to the tones' beginnings and ends. The sums and multiples of
+tones, which amplifier, shaker and joints make, are lines as well, however weak: each tells of one frequency, in the
+force or in the answer alone.
 """
 
 from collections.abc import Sequence
@@ -36,6 +38,8 @@ LINES_A_STATE = 3
 """Take lines for a broad band where there are so many a state of the model: three numbers an unknown, as rows have."""
 NEARLY_ALL = 0.99
 """Count the strongest lines that hold this share of their power: a fit at best tells a hundredth."""
+WEAK_LINE = 1e-3
+"""Leave out beside the lines what stands above its neighbourhood more than chance lets one record do in a thousand."""
 LEAST_BESIDE = 5.0
 """Ask for this F ratio beside the lines: below it what the inputs make a mode do may be chance."""
 MOST_SHOWN = 6
@@ -123,8 +127,8 @@ class BetweenLines:
 
     Attributes:
         lines: (n_lines,) [Hz], by rising frequency.
-        gain: (n_modes,) as `driven_gain`, on the frequencies within twice the mode's half-power bandwidth that are no
-            line.
+        gain: (n_modes,) as `driven_gain`, on the frequencies within the mode's half-power bandwidth on either side, and
+            two main lobes of the window at least, at which no input and no output has a line.
         n_values: (n_modes,) independent values that it was taken on, all outputs together.
     """
 
@@ -167,14 +171,15 @@ def between_lines(
     with_it, without, n_values = np.zeros(len(modes)), np.zeros(len(modes)), np.zeros(len(modes), dtype=np.intp)
     for record, errors, one in zip(records, left, looked, strict=True):
         n = record.n_samples
-        between: BoolArray = np.convolve(one.bins, np.ones(2 * MAIN_LOBE + 1), mode="same") == 0
-        frequencies = np.fft.rfftfreq(n, record.dt)
         there: BoolArray = np.asarray(np.isfinite(errors).all(axis=1))
+        between = _between(record, one.bins)
+        frequencies = np.fft.rfftfreq(n, record.dt)
         window = np.where(there, blackman_harris(n), 0.0)[:, np.newaxis]
         rest = np.fft.rfft(window * np.where(there[:, np.newaxis], errors / output_scale, 0.0), axis=0)
         inputs, every = np.nan_to_num(record.inputs), np.ones(n, dtype=np.bool_)
         for i, mode in enumerate(modes):
-            reach = max(2.0 * mode.damping_ratio * mode.frequency, (MAIN_LOBE + 1) / (n * record.dt))
+            # of a mode narrower than the window's main lobe, what shows beside it is its skirt
+            reach = max(2.0 * mode.damping_ratio * mode.frequency, 2 * (MAIN_LOBE + 1) / (n * record.dt))
             near = (np.abs(frequencies - mode.frequency) <= reach) & between
             if mode.kind == "unstable" or not near.any():
                 continue
@@ -203,6 +208,14 @@ def _line_bins(inputs: FloatArray) -> _Lines:
     return _Lines(
         bins=np.asarray(bins.any(axis=1), dtype=np.bool_), power=power.sum(axis=1), share=float(power.sum(axis=0).max())
     )
+
+
+def _between(record: Record, lines: BoolArray) -> BoolArray:
+    """(n_frequencies,) where neither an input nor an output has a line, however weak, and the window shows none."""
+    times = float(np.log2(lines.size / WEAK_LINE))
+    weak, _ = line_bins(np.nan_to_num(np.hstack([record.inputs, record.outputs])), times=times)
+    shown = np.convolve(lines | weak.any(axis=1), np.ones(2 * MAIN_LOBE + 1), mode="same")
+    return np.asarray(shown == 0)
 
 
 def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:

@@ -18,6 +18,7 @@ from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of
 from modal.estimation.output_error import NONE, OutputError, RefinementStep, refine
+from modal.estimation.prediction_error import STILL, n_rows_of
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
@@ -42,8 +43,6 @@ ORDER_SHARES = (0.85, 1.2, 1.4)
 OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
-STEPS_AGAIN = 4
-"""Most refinement steps of a rerun."""
 
 
 def repeat(
@@ -59,7 +58,7 @@ def repeat(
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
-    Where the model was refined its reruns are refined too, on their own rows, with a few steps each: what they have in
+    Where the model was refined its reruns are refined too, on their own rows, with as many steps: what they have in
     common is then the system, not the bias of an observer.
 
     Args:
@@ -90,7 +89,7 @@ def repeat(
         blocks = blocks_by_turns(records, 2)
     else:
         blocks = blocks_of(records, [[runs_of(rows) for rows in half] for half in (first_half, second_half)])
-    again = _refinement(records, scaling, blocks, min(refinement_steps, STEPS_AGAIN))
+    again = _refinement(records, scaling, blocks, refinement_steps)
     for half, (label, gram, unseen) in enumerate(
         (("first half", one, second_half), ("second half", whole - one, first_half))
     ):
@@ -139,10 +138,11 @@ def _refined(models: Sequence[Realisation], again: _Refinement, *, held_out: int
     The first as it is without steps or a stable start.
     """
     best: tuple[RefinementStep, Realisation] | None = None
+    least = STILL / (n_rows_of(again.data) * again.data.records[0].n_outputs)
     for model in models if again.n_steps else ():
         start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
         if start is not None:
-            last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps)[-1]
+            last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
     return models[0] if best is None else in_units(*best, again.scaling)
 

@@ -52,6 +52,31 @@ def stepped_sine(seed: int, *, n_samples: int = 6000) -> HardRecord:
     return _record(rng, made, force, sensor=_log(rng, 0.003, 0.03), cell=_log(rng, 0.001, 0.01), lines=lines)
 
 
+def distorted_tones(seed: int, *, n_samples: int = 6000) -> HardRecord:
+    """Three tones, of which the amplifier makes squares and cubes and the structure's joints make more of them."""
+    rng = np.random.default_rng(seed)
+    made = _structure(rng, n_modes=int(rng.integers(2, 5)), n_inputs=1, n_outputs=int(rng.integers(1, 4)))
+    tones = np.sort(rng.choice(np.arange(5, 26), 3, replace=False)) * rng.uniform(0.008, 0.01) / made.dt
+    time = made.dt * np.arange(n_samples)[:, np.newaxis]
+    waves = (rng.uniform(0.3, 1.0, 3) * np.sin(2 * np.pi * (tones * time + rng.random(3)))).sum(axis=1, keepdims=True)
+    force = waves + _log(rng, 1e-4, 1e-2) * waves**2 + _log(rng, 1e-4, 1e-2) * waves**3
+    record = _record(rng, made, force, sensor=_log(rng, 0.001, 0.01), cell=_log(rng, 0.001, 0.01), lines=tones)
+    size = record.outputs.std(axis=0)
+    bent = record.outputs + _log(rng, 1e-3, 3e-2) * size * ((record.outputs / size) ** 2 + (record.outputs / size) ** 3)
+    return replace(record, outputs=bent)
+
+
+def tones_in_noise(seed: int, *, n_samples: int = 6000) -> HardRecord:
+    """Three tones in a broad band of a tenth to a third of their size, which drives the modes."""
+    rng = np.random.default_rng(seed)
+    made = _structure(rng, n_modes=int(rng.integers(2, 5)), n_inputs=1, n_outputs=int(rng.integers(1, 4)))
+    lines = np.sort(rng.uniform(0.02, 0.4, 3)) / made.dt
+    time = made.dt * np.arange(n_samples)[:, np.newaxis]
+    waves = (rng.uniform(0.3, 1.0, 3) * np.sin(2 * np.pi * (lines * time + rng.random(3)))).sum(axis=1, keepdims=True)
+    force = waves + _log(rng, 0.1, 0.3) * waves.std() * rng.standard_normal(waves.shape)
+    return _record(rng, made, force, sensor=_log(rng, 0.003, 0.03), cell=1e-3, lines=lines)
+
+
 def low_fit(seed: int, *, n_samples: int = 6000) -> HardRecord:
     """White forces, sensor noise 0.7 (even seeds) or 1.5 times the motion."""
     rng = np.random.default_rng(seed)
@@ -200,8 +225,9 @@ def hidden_earthquake(seed: int) -> HardRecord:
 FAMILIES = {
     one.__name__: one
     for one in (
-        tones, stepped_sine, low_fit, light_damping, driven, ambient, machine_lines, coloured_noise, spikes, clipped,
-        coarse, dead_channel, skewed, dry_friction, drifting_stiffness, hidden_earthquake,
+        tones, distorted_tones, tones_in_noise, stepped_sine, low_fit, light_damping, driven, ambient,
+        machine_lines, coloured_noise, spikes, clipped, coarse, dead_channel, skewed, dry_friction,
+        drifting_stiffness, hidden_earthquake,
     )
 }  # fmt: skip
 

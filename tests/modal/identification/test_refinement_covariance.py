@@ -9,6 +9,7 @@ from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, differences, loop_run, parameter_places
 
 from era.realisation import Realisation
+from modal.estimation.output_error import step_at
 from modal.identification.covariance import output_error_uncertainty
 from modal.identification.refined_search import MOST_STEPS, RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
@@ -250,3 +251,28 @@ def test_blocks_say_what_scatters_under_coloured_noise_where_the_white_formula_i
     wrong = white[0] / spread[0]
     assert np.all(wrong[[0, 2]] < 0.9), wrong
     assert np.all(wrong[[1, 3]] > 1.4), wrong
+
+
+def test_a_pole_that_dies_at_once_leaves_the_others_as_sure_as_they_were():
+    """What it does is a hundred thousand million times smaller: rounding of the rest must not become its own."""
+    turn = 0.9995 * np.exp(0.3j)
+    A = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+    start = Realisation(A, np.array([[1.0], [0.3]]), np.array([[1.0, 0.5]]), np.zeros((1, 1)), 0.01)
+    force = np.zeros((12_000, 1))
+    force[100:104, 0] = (0.5, 1.0, 1.0, 0.5)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(force.shape)
+    refined = refined_model([Record(force, simulate(start, force) + noise, 0.01)], start, 2, by="rows")
+    assert refined is not None
+    own = refined.step.parameters
+    larger = replace(
+        own,
+        poles=np.append(own.poles, [0.5, -1e-11]),
+        is_pair=np.append(own.is_pair, [False, False]),
+        inputs=np.vstack([own.inputs, np.ones((2, 1))]),
+        states=np.hstack([own.states, np.full((1, 2), 300.0)]),
+    )
+    modes = extract_modes(refined.realisation).modes
+    alone = output_error_uncertainty(refined, modes, n_lags=N_LAGS)
+    beside = output_error_uncertainty(replace(refined, step=step_at(larger, refined.data)), modes, n_lags=N_LAGS)
+    np.testing.assert_allclose(beside.frequency_std, alone.frequency_std, rtol=0.02)
+    np.testing.assert_allclose(beside.damping_ratio_std, alone.damping_ratio_std, rtol=0.02)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from field_records import KINDS, random_records
 
+from modal.identification.pipeline import identify
 from modal.preparation.kind import find_kind, given_kind
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -52,6 +53,61 @@ def test_undecided_says_so():
 def test_records_without_inputs_must_be_alike():
     with pytest.raises(InvalidDataError, match="of one kind"):
         find_kind([Record([], one.outputs[:, :1], 0.01) for kind in ("decay", "ambient") for one in made(kind, 501)])
+
+
+MODES = ((7.0, 0.01), (16.0, 0.006), (31.0, 0.004))
+
+
+def rings(time):
+    """(n, 2) displacement of three modes that are let go, or velocity of the same that were struck, at time 0."""
+    poles = [2 * np.pi * f * (-z + 1j * np.sqrt(1 - z * z)) for f, z in MODES]
+    each = [np.exp(pole * np.maximum(time, 0.0)) for pole in poles]
+    return np.column_stack([sum(a * one.real for a, one in zip(own, each, strict=True))
+                            for own in ((1.0, 0.6, 0.3), (0.7, -0.8, 0.4))])  # fmt: skip
+
+
+def at_rest_until(row, *, struck, n_rows=3000, noise=1e-3, seed=0):
+    """A record of 200 Hz that rests until a blow of 10 ms, which nobody measured, or until it is let go."""
+    time = (np.arange(n_rows) - row) / 200.0
+    motion = rings(time)
+    if struck:
+        motion[:row] = 0.0
+        pulse = np.sin(np.pi * np.arange(1, 4) / 4)
+        motion = np.column_stack([np.convolve(column, pulse)[:n_rows] for column in motion.T])
+        motion[row : row + 3] += 4.0 * pulse[:, np.newaxis]
+    return Record([], motion + noise * np.random.default_rng(seed).standard_normal(motion.shape) + 0.3, 1 / 200.0)
+
+
+@pytest.mark.parametrize("row", [400, 1000, 1800])
+@pytest.mark.parametrize("struck", [True, False])
+def test_what_rests_before_it_rings_down_is_a_decay(row, struck):
+    found = find_kind([at_rest_until(row, struck=struck)])
+    assert found.kind == "decay"
+    assert row <= found.starts[0] <= row + 60
+    assert "not measured" in found.choice.reason
+
+
+def test_a_blow_that_nobody_measured_gives_the_modes():
+    result = identify(at_rest_until(400, struck=True, n_rows=1500))
+    assert result.record_kind == "decay"
+    found = np.array([[mode.frequency, mode.damping_ratio] for mode in result.modes.system if mode.kind != "real"])
+    assert found.shape == (3, 2)
+    np.testing.assert_allclose(found[:, 0], [f for f, _ in MODES], rtol=1e-3)
+    np.testing.assert_allclose(found[:, 1], [z for _, z in MODES], rtol=0.05)
+
+
+@pytest.mark.parametrize("shape", ["spike", "train", "burst"])
+def test_an_event_is_no_release(shape):
+    rng = np.random.default_rng(4)
+    motion = 1e-3 * rng.standard_normal((3000, 2))
+    if shape == "spike":
+        motion[1500] += 5.0
+    else:
+        # as slow to come as to go, or suddenly there and then steady
+        time = (np.arange(3000) - 1500) / 400.0
+        size = np.exp(-np.square(time)) if shape == "train" else (time > 0.0).astype(float)
+        motion += size[:, np.newaxis] * rng.standard_normal((3000, 2))
+    assert find_kind([Record([], motion, 0.005)]).kind == "ambient"
 
 
 def test_what_the_caller_says():

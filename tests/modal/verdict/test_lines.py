@@ -93,6 +93,22 @@ def test_the_gain_beside_the_lines_is_that_of_the_rest_of_the_drive(case, floor,
     assert bool(line_doubt(found, ratio)) == (not shows)
 
 
+@pytest.mark.parametrize("size", [0.0, 0.5, 500.0])
+def test_a_weak_line_upon_a_mode_is_no_evidence(case, size):
+    """A multiple of the tone, weak or strong, in the mode's band; the rest of the measured force is the cell's own."""
+    realisation, modes = case
+    rng = np.random.default_rng(3)
+    rows = np.arange(4000.0)[:, np.newaxis]
+    cell = 1e-4
+    force = np.sin(0.45 * rows) + size * cell * np.sin(0.9 * rows)
+    truth = simulate(realisation, Record(force, np.zeros((4000, 2)), 0.01))
+    measured = Record(force + cell * rng.standard_normal(force.shape), truth.outputs, 0.01)
+    left = truth.outputs - simulate(realisation, measured).outputs + 1e-5 * rng.standard_normal((4000, 2))
+    found = between_lines(modes, [measured], [left], output_scale=np.ones(2))
+    assert found is not None
+    assert not found.gain[0] > 0.3
+
+
 def test_a_gap_leaves_the_lines_where_they_are(case):
     _, modes = case
     tone = np.sin(0.7 * np.arange(4000.0))[:, np.newaxis]
