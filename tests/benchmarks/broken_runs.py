@@ -207,8 +207,11 @@ def _removed(folder, target, rng, longest, within):
     parent.mkdir(parents=True)
     process = begun(folder, "first", out=parent / "out")
     time.sleep(rng.uniform(0.2, 0.9) * longest)
+    ended = process.poll()
     shutil.rmtree(target, ignore_errors=True)
     try:
+        if ended is not None:
+            return f"the run had ended, status {ended}"
         return refused(process, target, [])
     finally:
         shutil.rmtree(target, ignore_errors=True)
