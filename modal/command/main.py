@@ -18,7 +18,7 @@ from modal.command.terminal import plain_streams
 from modal.report.folder import clear_away
 from modal.sections.provenance import installed_version
 
-__all__ = ["leave", "main", "status"]
+__all__ = ["leave", "status"]
 
 app = typer.Typer(
     add_completion=True,
@@ -27,12 +27,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
-def main() -> None:
-    """Run the command where it was imported first, and leave with its exit status."""
-    Requests.listen()
-    leave()
 
 
 def leave() -> None:

@@ -52,7 +52,7 @@ def whole_numbers(line: str, at_least: int = 0, *, width: int = 10) -> list[int]
     if len(fields) < at_least:
         raise ValueError(f"{len(fields)} whole numbers on a line that has {at_least}")
     try:
-        return [int(field) for field in fields]
+        return [int(_plain(field)) for field in fields]
     except ValueError:
         raise ValueError(f"{line.strip()[:40]!r} where whole numbers stand") from None
 
@@ -73,12 +73,19 @@ def numbers(line: str, count: int, *, width: int) -> list[float]:
     if len(fields) < count:
         raise ValueError(f"{len(fields)} numbers on a line that has {count}")
     try:
-        found = [float(field.replace("D", "E").replace("d", "e")) for field in fields[:count]]
+        found = [float(_plain(field).replace("D", "E").replace("d", "e")) for field in fields[:count]]
     except ValueError:
         raise ValueError(f"{line.strip()[:40]!r} where numbers stand") from None
     if not all(map(math.isfinite, found)):
         raise ValueError("a number that is not finite")
     return found
+
+
+def _plain(field: str) -> str:
+    """The field, unless only Python would take it for a number: "14_0", or digits of another script."""
+    if "_" in field or not field.isascii():
+        raise ValueError(field)
+    return field
 
 
 def _cut(line: str, width: int) -> list[str]:

@@ -46,11 +46,15 @@ from okid.arrays import FloatArray, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.frequency_response import FrequencyResponse
+from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records
 
 __all__ = ["identify"]
+
+COPIES = 14
+"""Expect a peak of so many copies of the prepared records: a whole run took 14.4 on 1e7 samples of 8 channels."""
 
 
 def identify(
@@ -97,7 +101,8 @@ def identify(
         Every stage from the prepared records to the judged modes, and why each choice was made.
 
     Raises:
-        InvalidDataError: records that do not belong together or are not of one kind, or an argument outside its range.
+        InvalidDataError: records that do not belong together or are not of one kind, an argument outside its range, or
+            records too large for the memory that this process may have.
         InsufficientDataError: a constant channel, or records too short to fit any observer.
 
     References:
@@ -162,6 +167,7 @@ def identify(
             drift=drift,
             kind=kind_found.kind,
         )
+        _check_room(preparation.records)
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
@@ -306,3 +312,20 @@ def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck
         return check_innovations(model, records)
     except IdentificationError:  # no gain, or too few rows for the test
         return None
+
+
+def _check_room(records: Sequence[Record]) -> None:
+    """Raise before the work if it would end in a process that the system kills.
+
+    Raises:
+        InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed.
+    """
+    n_samples, n_channels = sum(one.n_samples for one in records), records[0].n_inputs + records[0].n_outputs
+    need = COPIES * n_samples * n_channels * np.dtype(float).itemsize
+    budget, whose = memory_budget()
+    if need > MEMORY_SHARE * budget:
+        raise InvalidDataError(
+            f"identifying {n_samples} samples of {n_channels} channels needs about {need / 2**30:.1f} GiB, more than "
+            f"{MEMORY_SHARE:.0%} of the {budget / 2**30:.1f} GiB that {whose}; give a stretch of the record, fewer "
+            "channels, or decimation=2 or more in Python."
+        )

@@ -13,7 +13,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,8 @@ from modal.modes.shape_comparison import pair_greatest_first
 from okid.arrays import ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
-from okid.readers.guard import check_file, check_memory, first_line, optional_package
+from okid.readers.arrays import array_of
+from okid.readers.guard import check_file, check_memory, first_line, optional_package, sound_archive
 
 __all__ = [
     "ModePairs",
@@ -357,15 +358,19 @@ def _read_csv(path: Path) -> Shapes:
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     head, body = rows[0], rows[1:]
+    if any("_" in cell for row in (head[1:], *(row[1:] for row in body)) for cell in row):
+        raise ValueError("a number with an underscore")  # which Python alone takes for one
     values = [[complex(cell.replace(" ", "").replace("i", "j")) for cell in row[1:]] for row in body]
     frequencies = [float(cell.replace("Hz", "").strip(" []")) for cell in head[1:]]
     return Shapes(np.array(values), tuple(row[0].strip() for row in body), np.array(frequencies))
 
 
 def _read_npz(path: Path) -> Shapes:
-    with np.load(path, allow_pickle=False) as archive:
-        frequencies = np.asarray(archive["frequencies"]) if "frequencies" in archive else None
-        return Shapes(np.asarray(archive["shapes"]), tuple(map(str, archive["names"])), frequencies)
+    with sound_archive(path) as archive:
+        arrays: dict[str, Any] = {
+            name.removesuffix(".npy"): array_of(archive.read(name)) for name in archive.namelist()
+        }
+    return Shapes(arrays["shapes"], tuple(map(str, arrays["names"])), arrays.get("frequencies"))
 
 
 def _read_uff(path: Path) -> Shapes:

@@ -1,8 +1,7 @@
 """The modes of many records as a Rerun recording: one page, and every number as a table."""
 
 import hashlib
-import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,13 +10,13 @@ import numpy as np
 from modal.plots.records import frequencies_of_records, places_of_records
 from modal.recording.figure import Pane, document_view, log_chart, plot_view
 from modal.recording.plan import cell
-from modal.recording.stream import APPLICATION, strict_errors
+from modal.recording.stream import write_stream
 from modal.recording.tables import LISTED, bullets, log_table, table
 
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["save_batch_recording", "write_stream"]
+__all__ = ["save_batch_recording"]
 
 FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
 WORDS: Final = "batch/words"
@@ -96,30 +95,3 @@ def _words(told: dict[str, list[str]]) -> str:
     rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[:LISTED]]
     more = bullets([f"and {len(failed) - LISTED} more in the table"]) if len(failed) > LISTED else []
     return "\n\n".join([head, table(["record", "status", "message"], rows), *more])
-
-
-def write_stream(path: Path, identity: str, name: str, log: "Callable[[rerun.RecordingStream], None]") -> Path:
-    """One recording into one file, which appears under its name when it is complete.
-
-    Args:
-        path: of the file, replaced if it is there.
-        identity: of the recording: the same content, the same identity.
-        name: of the recording, for the viewer.
-        log: logs all of it.
-    """
-    import rerun as rr
-
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        recording = rr.RecordingStream(APPLICATION, recording_id=identity)
-        recording.set_log_time_enabled(False)
-        recording.save(part)
-        recording.send_recording_name(name)
-        with strict_errors():
-            log(recording)
-        recording.flush(timeout_sec=600)
-        recording.disconnect()
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-    return path

@@ -8,7 +8,7 @@ import hashlib
 import os
 import secrets
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -64,6 +64,7 @@ __all__ = [
     "show_whole_record",
     "strict_errors",
     "whole_blueprint",
+    "write_stream",
 ]
 
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
@@ -387,9 +388,8 @@ def save_recording(
 
     Raises:
         InvalidDataError: the file exists and is not to be replaced, or its folder does not exist.
+        OSError: the file cannot be written.
     """
-    import rerun as rr
-
     if not isinstance(result, Diagnosis):
         require(result, Identification, where="save_recording", made_by="modal.identify")
     target = Path(path)
@@ -398,26 +398,60 @@ def save_recording(
     if not target.parent.is_dir():
         raise InvalidDataError(f"the folder {target.parent} for the recording does not exist; make it first.")
     _check_free(target, existing)
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
-    try:
-        identity, name = _identity(result)
-        # not the name of the file: the same input gives the same recording wherever it is written
-        kind = "diagnosis" if isinstance(result, Diagnosis) else "identification"
-        recording = rr.RecordingStream(APPLICATION, recording_id=identity)
-        recording.set_log_time_enabled(False)
-        recording.save(part)
-        recording.send_recording_name(label(name or kind, 60))
+
+    def log(recording: "rerun.RecordingStream") -> None:
         if isinstance(result, Diagnosis):
             log_diagnosis(result, recording)
         else:
             log_identification(result, recording, geometry=geometry, quality=quality)
-        recording.flush(timeout_sec=600)
-        recording.disconnect()
-        _check_free(target, existing)
-        part.replace(target)
+
+    identity, name = _identity(result)
+    # not the name of the file: the same input gives the same recording wherever it is written
+    kind = "diagnosis" if isinstance(result, Diagnosis) else "identification"
+    return write_stream(target, identity, label(name or kind, 60), log, existing=existing)
+
+
+def write_stream(
+    path: Path,
+    identity: str,
+    name: str,
+    log: "Callable[[rerun.RecordingStream], None]",
+    *,
+    existing: Literal["refuse", "replace"] = "replace",
+) -> Path:
+    """One recording into one file, which appears under its name when it is complete.
+
+    The recording is made in memory, where it is small (see `row_budget`), and its bytes are written here: Rerun's own
+    writer, a thread, cuts a file off in silence at a limit on its size, and waits ten minutes at a full disk.
+
+    Args:
+        path: of the file.
+        identity: of the recording: the same content, the same identity.
+        name: of the recording, for the viewer.
+        log: logs all of it.
+        existing: "refuse" to touch a file that has come to be there, or "replace" it.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import rerun as rr
+
+    recording = rr.RecordingStream(APPLICATION, recording_id=identity)
+    recording.set_log_time_enabled(False)
+    memory = recording.memory_recording()
+    recording.send_recording_name(name)
+    with strict_errors():
+        log(recording)
+    content = memory.drain_as_bytes()
+    recording.disconnect()
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        part.write_bytes(content)
+        _check_free(path, existing)
+        part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-    return target
+    return path
 
 
 def _identity(result: Identification | Diagnosis) -> tuple[str, str]:

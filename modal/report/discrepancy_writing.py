@@ -11,7 +11,7 @@ from pathlib import Path
 from modal import recording
 from modal.discrepancy.results import Diagnosis, Finding
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, draw_diagnosis
-from modal.report.folder import Existing, recording_written, refuse_names, write_folder
+from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json, number_cell, record_document
 from modal.sections.discrepancy_stages import rows_of, stages_of
 from modal.sections.discrepancy_values import effects_text, times_floor
@@ -206,7 +206,6 @@ def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenan
     }
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
-    with recording_written(files.recording):
-        recording.save_recording(diagnosis, files.recording)
+    recording.save_recording(diagnosis, files.recording)
     if files.model:
         diagnosis.model.save(files.model)

@@ -5,7 +5,6 @@ No request to stop is answered in the middle of that step.
 
 import contextlib
 import ctypes
-import errno
 import os
 import shutil
 import signal
@@ -27,7 +26,6 @@ __all__ = [
     "STOPS",
     "Existing",
     "clear_away",
-    "recording_written",
     "refuse_names",
     "scratch_folder",
     "uninterrupted",
@@ -66,9 +64,6 @@ def uninterrupted() -> Iterator[None]:
         if asked:
             signal.raise_signal(asked[0][0])
 
-
-LEAST_FREE = 1 << 20
-"""Bytes: with less than 1 MiB free once the recording is written, the disk is taken to be full."""
 
 LONGEST_PATH = 200
 """Letters of a path in a sentence."""
@@ -217,31 +212,6 @@ def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None
             f"{_named(folder)} cannot be written (no right to write in {str(nearest)!r}); choose another folder for "
             "the report."
         )
-
-
-@contextlib.contextmanager
-def recording_written(path: Path) -> Iterator[None]:
-    """Say that the disk is full where it is: the writer of recordings says that its thread stopped, or nothing at all.
-
-    Its last words may fail to reach a full disk in silence, so a disk that is full afterwards counts as a failure too.
-
-    Args:
-        path: of the recording.
-
-    Raises:
-        OSError: less than 1 MiB is free now.
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        _refuse_full_disk(path, error)
-        raise
-    _refuse_full_disk(path, None)
-
-
-def _refuse_full_disk(path: Path, cause: Exception | None) -> None:
-    if shutil.disk_usage(path.parent).free < LEAST_FREE:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from cause
 
 
 def _named(folder: Path) -> str:

@@ -13,7 +13,7 @@ from modal.comparison.source import PART, summary_of
 from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification, write_parts
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
-from modal.report.folder import Existing, recording_written, refuse_names, write_folder
+from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures, setting_of
@@ -219,8 +219,7 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
     }
     for path, text in pages.items():
         path.write_bytes(text.encode("utf-8"))
-    with recording_written(files.recording):
-        recording.save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
+    recording.save_recording(result, files.recording, geometry=setting.geometry, quality=setting.quality)
 
 
 def _beside(files: ReportFiles) -> str:

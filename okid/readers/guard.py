@@ -19,6 +19,7 @@ __all__ = [
     "MAX_CHANNELS",
     "MAX_DEPTH",
     "MAX_MEMBERS",
+    "MEMORY_SHARE",
     "Damage",
     "check_channel_count",
     "check_file",
@@ -47,7 +48,7 @@ LONGEST_PATH = 200
 """Letters of a path in a sentence."""
 
 MEMORY_SHARE = 0.8
-"""Share of the memory that reading one file may take."""
+"""Refuse to read a file or to identify a record that would take a greater share of the memory."""
 
 CGROUPS, CGROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from okid.readers.guard import DEFLATE_RATIO, MAX_DEPTH, MAX_MEMBERS, Damage, check_memory
+from okid.readers.guard import DEFLATE_RATIO, MAX_MEMBERS, Damage, check_memory
 
 __all__ = ["Value", "read_elements"]
 
@@ -203,7 +203,7 @@ def _matrix(parts: _Elements, depth: int) -> tuple[str, Value]:
         value = _fields(parts, math.prod(shape), depth, is_object=kind == OBJECT)
     else:
         raise Damage(f"a matrix of class {kind}")
-    if parts.left and value is not None:
+    if parts.left:
         raise Damage(f"{parts.left} bytes follow the samples of {name!r}")
     return name, value
 
@@ -253,14 +253,12 @@ def _fields(parts: _Elements, count: int, depth: int, *, is_object: bool) -> dic
     names = [_name(content[start : start + length]) for start in range(0, len(content), length)]
     if len(set(names)) < len(names) or "" in names:
         raise Damage("fields without a name of their own")
-    values = _cells(parts, count * len(names), depth) if count == 1 else None
-    return None if values is None else dict(zip(names, values, strict=True))
+    values = _cells(parts, count * len(names), depth)  # several are walked as well: their sizes are claims too
+    return dict(zip(names, values, strict=True)) if count == 1 else None
 
 
-def _cells(parts: _Elements, count: int, depth: int) -> list[Value] | None:
+def _cells(parts: _Elements, count: int, depth: int) -> list[Value]:
     if 8 * count > parts.left:
         raise Damage(f"{count} parts are announced in {parts.left} bytes")
-    if depth > MAX_DEPTH:
-        return None
     within = (_Elements(data=parts.following(MATRIX)[1], order=parts.order) for _ in range(count))
     return [_matrix(each, depth + 1)[1] for each in within]

@@ -1,12 +1,15 @@
 """Whole runs of `modal-report` that are broken off or meet: nothing half-written, nothing lost, nothing left over.
 
-    python tests/benchmarks/broken_runs.py [--pairs 50] [--kills 100] [--stops 200] [--seed 0]
+    python tests/benchmarks/broken_runs.py [--pairs 50] [--kills 100] [--stops 200] [--places 10] [--seed 0]
 
 pairs: two runs into one folder at a time: one succeeds, the other says that the folder is taken, and the folder is
 whole. kills: kill -9 at a random time, with and without --overwrite: the folder is absent, the old one or the new one,
 and the next run (after every tenth kill) leaves nothing else. stops: Ctrl-C at a random time from the first line of the
-entry point on: no traceback; exit status 130 and nothing written, or a run that ended as usual. A result is whole if
-all its files are there and name the record that it was made of.
+entry point on: no traceback; exit status 130 and nothing written, or a run that ended as usual. places: full disks of
+so many sizes (a tmpfs where mounting is allowed, and a limit on the size of a file), a file system and a folder that
+are read only, a folder of somebody else's (these as the user nobody), and a folder that is removed during the run:
+one sentence, exit status 2, nothing written. A result is whole if all its files are there and name the record that it
+was made of.
 """
 
 import argparse
@@ -28,6 +31,9 @@ START = (
     "Requests.listen(); print('ready', flush=True); main()"
 )
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+MOST = 1 << 20
+"""Bytes of the largest file of a run, about: a disk may be smaller or larger."""
+
 KNOWN = ("first.csv", "second.csv", "out", "kept")
 FILES = {
     *("report.html", "report.md", "report.json", "report.schema.json"),
@@ -51,12 +57,12 @@ def make_records(folder):
         (folder / f"{name}.csv").write_text(f"time,force,tip\n{rows}")
 
 
-def begun(folder, record, *more):
-    """A run that has just come to the first line of our entry point."""
+def begun(folder, record, *more, out="out", before=()):
+    """A run that has just come to the first line of our entry point; `before` stands before the interpreter."""
     choices = ("--observer-order", "12", "--ridge", "0", "--order", "4")
-    arguments = ("run", f"{record}.csv", "--inputs", "force", "-o", "out", *choices, *more)
+    arguments = ("run", f"{record}.csv", "--inputs", "force", "-o", str(out), *choices, *more)
     process = subprocess.Popen(
-        [sys.executable, "-c", START, *arguments],
+        [*before, sys.executable, "-c", START, *arguments],
         cwd=folder,
         env=ENVIRONMENT,
         stdin=subprocess.PIPE,
@@ -139,11 +145,84 @@ def stop(folder, rng, longest):
     return f"status {status}, {found}: {words[-300:]!r}"
 
 
+def refused(process, parent, there):
+    """What a run in a poor place came to: refused in one sentence with nothing written, done, or what is wrong."""
+    words, status = process.communicate()[1], process.returncode
+    found = sorted(str(path) for path in parent.rglob("*")) if parent.exists() else []
+    if status in (0, 1) and {Path(name).name for name in found} >= FILES and ".modal-report" not in str(found):
+        return "done"
+    if status != 2 or words.count("\n") != 1 or not words.endswith(".\n") or found != there:
+        return f"status {status}, {found}: {words[-1500:]}"
+    reason = words[words.find("(") : words.find(")") + 1] or words[:80]
+    return f"refused {reason}"
+
+
+def places(folder, rng, count, longest):
+    """Each poor place, and what a run into it came to."""
+    target = folder / "place"
+    nobody = () if os.name == "nt" or os.geteuid() else ("setpriv", "--reuid", "nobody", "--clear-groups")
+    for number in range(count):
+        size = int(rng.uniform(0.0, 1.4) * MOST / 1024)
+        yield f"files of at most {size} KiB", _limited(folder, target, size)
+        if nobody:
+            target.mkdir()
+            subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={max(size, 4)}k", "tmpfs", target], check=True)
+            try:
+                yield f"a disk of {size} KiB", refused(begun(folder, "first", out=target / "out"), target, [])
+            finally:
+                subprocess.run(["umount", target], check=True)
+                target.rmdir()
+        yield f"removed during the run ({number % 2})", _removed(folder, target, rng, longest, number % 2)
+    target.mkdir()
+    for mode, what in ((0o555, "a folder that is read only"), (0o000, "a folder that is closed")):
+        target.chmod(mode)
+        yield what, refused(begun(folder, "first", out=target / "out", before=nobody), target, [])
+        yield (
+            f"{what}, further down",
+            refused(begun(folder, "first", out=target / "a" / "b", before=nobody), target, []),
+        )
+    target.chmod(0o755)
+    if nobody:
+        yield "a folder of another user", refused(begun(folder, "first", out=target / "out", before=nobody), target, [])
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", target], check=True)
+        try:
+            yield "a file system that is read only", refused(begun(folder, "first", out=target / "out"), target, [])
+        finally:
+            subprocess.run(["umount", target], check=True)
+    target.rmdir()
+
+
+def _limited(folder, target, size):
+    target.mkdir()
+    try:
+        before = ("prlimit", f"--fsize={1024 * size}")
+        return refused(begun(folder, "first", out=target / "out", before=before), target, [])
+    finally:
+        shutil.rmtree(target)
+
+
+def _removed(folder, target, rng, longest, within):
+    """The folder above the target is removed: the target's own, which is given, or one further up."""
+    parent = target / "above" if within else target
+    parent.mkdir(parents=True)
+    process = begun(folder, "first", out=parent / "out")
+    time.sleep(rng.uniform(0.2, 0.9) * longest)
+    ended = process.poll()
+    shutil.rmtree(target, ignore_errors=True)
+    try:
+        if ended is not None:
+            return f"the run had ended, status {ended}"
+        return refused(process, target, [])
+    finally:
+        shutil.rmtree(target, ignore_errors=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=50)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--stops", type=int, default=200)
+    parser.add_argument("--places", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = random.Random(options.seed)  # noqa: S311 - no secret
@@ -166,6 +245,9 @@ def main():
         ):
             for outcome, count in Counter(once(number) for number in range(times)).most_common():
                 print(f"{what:6} {count:4} {outcome}", flush=True)
+        folder.chmod(0o755)  # the user nobody reads the record
+        for what, outcome in places(folder, rng, options.places, longest) if options.places else ():
+            print(f"places {what}: {outcome}", flush=True)
 
 
 if __name__ == "__main__":

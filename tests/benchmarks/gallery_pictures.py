@@ -41,7 +41,7 @@ def run(name, folder):
         return
     with contextlib.redirect_stdout(io.StringIO()) as told:
         if name == "demo":
-            from modal.command.main import main
+            from modal.command.entry import main
 
             sys.argv = ["modal-report", "demo", "-o", str(folder)]
             with contextlib.suppress(SystemExit):

@@ -28,7 +28,7 @@ def pages_of(repository):
 
 HELP = """
 import contextlib, io, json, sys
-from modal.command.main import main
+from modal.command.entry import main
 said = {}
 for command in sys.argv[1:]:
     sys.argv, text, status = ["modal-report", command, "--help"], io.StringIO(), None

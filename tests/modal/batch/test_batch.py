@@ -20,7 +20,7 @@ from okid.errors import InvalidDataError, UnreadableFileError
 
 from .conftest import QUICK, write_run
 
-COMMAND = "from modal.command.main import main\nif __name__ == '__main__':\n    main()\n"
+COMMAND = "from modal.command.entry import main\nif __name__ == '__main__':\n    main()\n"
 CRASH = """
 import os, sys
 flag = {flag!r}

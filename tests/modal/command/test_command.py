@@ -23,7 +23,7 @@ from modal.command.main import status as _status
 from modal.command.options import plain_name, spread_files
 from modal.comparison.source import read_result
 
-COMMAND = [sys.executable, "-c", "from modal.command.main import main; main()"]
+COMMAND = [sys.executable, "-c", "from modal.command.entry import main; main()"]
 HERE = Path(modal.identification.pipeline.__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -312,7 +312,7 @@ else:
     from modal.identification.result import load
     modal.identification.pipeline.identify = lambda *_arguments, **_options: load("result.npz")
     modal.recording.save_recording = waiting
-from modal.command.main import main
+from modal.command.entry import main
 sys.argv[1:] = {arguments!r}
 main()
 """

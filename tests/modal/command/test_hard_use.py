@@ -72,6 +72,15 @@ def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):
     assert not (data / "out").exists()
 
 
+def test_what_memory_cannot_hold_is_said_before_the_work(data, monkeypatch, capsys):
+    monkeypatch.setattr("modal.identification.pipeline.memory_budget", lambda: (1e5, "the container leaves"))
+    assert status(["run", "a.csv", "--inputs", "force", "-o", "out"]) == 2
+    said = capsys.readouterr().err
+    assert "identifying 400 samples of 2 channels needs about" in said
+    assert "that the container leaves; give a stretch of the record" in said
+    assert not (data / "out").exists()
+
+
 def test_a_recording_that_is_cut_off_is_a_sentence(data):
     head = b"RRF2\x00\x29\x00\x00" + bytes(100)
     (data / "a.rrd").write_bytes(head + b"RRF2FOOT\x01\x00\x00\x00")

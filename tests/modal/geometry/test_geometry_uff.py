@@ -172,6 +172,16 @@ REFUSED = {
         UnreadableFileError,
         "where whole numbers stand",
     ),
+    "a whole number of Python's": (
+        set_15() + set_82(1, 2).replace("    2\n", "  2_0\n"),
+        UnreadableFileError,
+        "whole numb",
+    ),
+    "a number of Python's": (
+        set_15().replace("0.00000E+00", "0.0_000E+00"),
+        UnreadableFileError,
+        "where numbers stand",
+    ),
     "letters for the unit": (set_15() + data_set(164, "", "metres"), UnreadableFileError, "'metres' where numbers"),
     "letters in an element": (set_15() + data_set(2412, "a b c d e f"), UnreadableFileError, "'a b c d e f' where"),
     "half a node more": (

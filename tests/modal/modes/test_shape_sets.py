@@ -96,7 +96,9 @@ def test_shapes_come_back_from_a_file(tmp_path, ending):
     assert np.array_equal(found.shapes, shapes)
 
 
-@pytest.mark.parametrize("content", [b"", b"a,b\nc,not a number\n", b"\x00\xff\x00", b"channel,1 Hz\na,1\na,2\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"a,b\nc,not a number\n", b"\x00\xff\x00", b"channel,1 Hz\na,1\na,2\n", b"channel,1 Hz\na,1_0\n"]
+)
 def test_a_file_without_shapes_is_told_in_one_sentence(tmp_path, content):
     for ending in (".csv", ".npz", ".uff"):
         path = tmp_path / f"broken{ending}"

@@ -139,6 +139,19 @@ def test_mat_5_sizes_are_walked(tmp_path):
     refused(tmp_path / "a.mat", r"an array of shape \(29, 2\) in 480 bytes")
 
 
+def test_mat_5_sizes_are_walked_in_several_structures_too(tmp_path):
+    """Several structures are passed over, but what they claim must be there."""
+    several = np.zeros((2, 1), dtype=[("x", object)])
+    several["x"] = [[1.5], ["a text"]]
+    scipy.io.savemat(tmp_path / "a.mat", {"several": several, "tip": TIPS})
+    np.testing.assert_array_equal(read_table(tmp_path / "a.mat").values, TIPS)
+    data = bytearray((tmp_path / "a.mat").read_bytes())
+    assert data[128 + 8 + 16 + 8] == 2
+    data[128 + 8 + 16 + 8] = 9  # structures
+    (tmp_path / "a.mat").write_bytes(data)
+    refused(tmp_path / "a.mat", "parts are announced in|bytes are announced, and")
+
+
 def test_a_damaged_hdf5_signature_is_told_from_mat_5(tmp_path):
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
     (tmp_path / "a.mat").write_bytes(header.ljust(512, b"\0") + b"\x88HDF\r\n\x1a\n" + bytes(600))
