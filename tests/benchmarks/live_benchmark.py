@@ -24,16 +24,17 @@ WRITER = """
 import sys, time
 import numpy as np
 values = np.load(sys.argv[2])
+pieces = [values[k : k + 100] for k in range(0, len(values), 100)]
+if sys.argv[1].endswith("npy"):
+    pieces = [piece.tobytes() for piece in pieces]
+else:
+    pieces = ["".join(",".join(f"{x:.8g}" for x in row) + "\\n" for row in piece).encode() for piece in pieces]
 start = time.time()
 print(start, flush=True)
 with open(sys.argv[1], "ab", buffering=0) as file:
-    for k in range(0, len(values), 100):
-        time.sleep(max(0.0, start + (k + 100) / 10_000 - time.time()))
-        piece = values[k : k + 100]
-        if sys.argv[1].endswith("npy"):
-            file.write(piece.tobytes())
-        else:
-            file.write("".join(",".join(f"{x:.8g}" for x in row) + "\\n" for row in piece).encode())
+    for k, piece in enumerate(pieces):
+        time.sleep(max(0.0, start + (k + 1) / 100 - time.time()))
+        file.write(piece)
 """
 
 
