@@ -59,8 +59,8 @@ Records = Annotated[
     list[Path],
     typer.Argument(
         metavar="FILE",
-        help="CSV, NPY, NPZ, MAT, UFF 58, Parquet or TDMS; several files are several records of one system, or the "
-        "channels of one record.",
+        help="CSV, NPY, NPZ, MAT, UFF 58, Parquet, TDMS, LVM or WAV; several files are several records of one system, "
+        "or the channels of one record.",
     ),
 ]
 

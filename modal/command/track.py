@@ -1,5 +1,8 @@
-"""`modal-report track`: the modes of a batch followed through time, what causes explain of them, and what changed."""
+"""Modes through time: `modal-report track` follows those of a batch, `modal-report live` those of a growing file."""
 
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -8,14 +11,21 @@ import typer
 from rich.console import Console
 
 from modal.batch.tables import Batch
-from modal.command.options import Traceback, examples, faults
+from modal.command.options import Dt, Hold, Inputs, Outputs, Traceback, examples, faults, name_list
+from modal.command.stopping import Requests
 from modal.command.terminal import listing, plain, show_paths
+from modal.identification.order_search import choose_orders
+from modal.recording.live import estimate_recording, live_recording, log_estimate
+from modal.tracking.growing import growing_blocks
+from modal.tracking.live import LiveEstimate, follow
 from modal.tracking.page import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
 from okid.arrays import FloatArray
+from okid.errors import InvalidDataError
 from okid.readers.dispatch import read_table
+from okid.record import Record
 
-__all__ = ["EXAMPLES", "track"]
+__all__ = ["EXAMPLES", "LIVE_EXAMPLES", "live", "track"]
 
 EXAMPLES = examples(
     "what batch wrote: track year_result",
@@ -61,3 +71,124 @@ def _read_causes(path: Path) -> dict[str, FloatArray]:
     """Every column of numbers but the time."""
     table = read_table(path)
     return {table.columns[k].name: np.array(table.values[:, k], dtype=np.float64) for k in table.channels()}
+
+
+LIVE_EXAMPLES = examples(
+    "a logger that appends to a CSV: live run.csv --inputs force --window 5",
+    "into a recording, without a viewer: live run.csv --inputs force --recording live.rrd",
+    "an array without a time column, orders given: live run.npy --inputs column_0 --dt 0.001 --observer-order 50",
+)
+BLOCKS = 10
+"""Cut a window into so many blocks: an estimate is then new by a tenth of what it is made of."""
+
+
+def live(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Text table (CSV, ...) or NPY that still grows.")],
+    *,
+    inputs: Inputs = None,
+    outputs: Outputs = None,
+    dt: Dt = None,
+    hold: Hold = "band_limited",
+    window: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the sliding window.")] = 10.0,
+    observer_order: Annotated[
+        int | None, typer.Option(metavar="N", help="Past samples the observer uses; chosen on the first window.")
+    ] = None,
+    order: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of states; chosen on the first window.")
+    ] = None,
+    patience: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Without a new row for so long, the file is complete.")
+    ] = 10.0,
+    recording: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Write a recording instead of opening a viewer.")
+    ] = None,
+    traceback: Traceback = False,
+) -> None:
+    """Follow the modes of a sliding window while a file grows; each is stamped at its window's middle.
+
+    Exit status: 0 the file stopped growing; 1 it did before the first window was full; 2
+    wrong use or unreadable input; 130 stopped.
+    """
+    with faults(show=traceback):
+        console = Console(highlight=False)
+
+        def tell(text: str) -> None:
+            console.print(plain(text, "yellow"))
+
+        blocks = growing_blocks(
+            file,
+            inputs=name_list(inputs, "inputs") or (),
+            outputs=name_list(outputs, "outputs"),
+            dt=dt,
+            input_hold=hold,
+            block=window / BLOCKS,
+            patience=patience,
+            tell=tell,
+            stop=lambda: Requests.asked > 0,
+        )
+        began = list(itertools.islice(blocks, BLOCKS))
+        if not began:
+            raise InvalidDataError(f"{file.name} holds fewer rows than channels; write more, or wait longer.")
+        if observer_order is None or order is None:
+            chosen = choose_orders(
+                _unbroken(began),
+                observer_order=observer_order or "auto",
+                order=order or "auto",
+            )
+            observer_order, order = chosen.observer_order, chosen.order
+            console.print(
+                plain(f"observer order {observer_order}, model order {order}, chosen on the first window", "")
+            )
+        estimates = follow(
+            itertools.chain(began, blocks), dt=began[0].dt, window=window, observer_order=observer_order, order=order
+        )
+        n_estimates = _show(estimates, console, recording, tell)
+        Requests.check()
+        if not n_estimates:
+            tell(f"{file.name} ended before the first window of {window:.3g} s was full; give a shorter --window.")
+        raise typer.Exit(0 if n_estimates else 1)
+
+
+def _unbroken(blocks: list[Record]) -> list[Record]:
+    """The blocks as one record where none is missing, else those that are longest without a gap."""
+    joined = [[blocks[0]]]
+    for before, block in itertools.pairwise(blocks):
+        on_time = abs(block.start_time - before.start_time - before.duration) <= 0.5 * block.dt
+        joined = [*joined[:-1], [*joined[-1], block]] if on_time else [*joined, [block]]
+    return [
+        Record(
+            np.vstack([one.inputs for one in part]),
+            np.vstack([one.outputs for one in part]),
+            part[0].dt,
+            input_names=part[0].input_names,
+            output_names=part[0].output_names,
+            input_units=part[0].input_units,
+            output_units=part[0].output_units,
+            input_hold=part[0].input_hold,
+        )
+        for part in joined
+    ]
+
+
+def _show(estimates: Iterator[LiveEstimate], console: Console, path: Path | None, tell: Callable[[str], None]) -> int:
+    """Every estimate as a line and in the recording or viewer; how many there were."""
+    count = 0
+    with contextlib.ExitStack() as stack:
+        if path is None:
+            viewer = stack.enter_context(live_recording(tell=tell))
+            stream = None if viewer is None else viewer.stream
+        else:
+            stream = stack.enter_context(estimate_recording(path))
+        for estimate in estimates:
+            count += 1
+            said = [
+                f"{mode.frequency:.5g} Hz {100 * mode.damping_ratio:.2g} %"
+                for mode in estimate.modes
+                if mode.kind == "oscillatory"
+            ]
+            console.print(plain(f"{estimate.time:10.4g} s  {', '.join(said) or 'no mode'}", ""))
+            for text in estimate.warnings:
+                tell(text)
+            if stream is not None:
+                log_estimate(estimate.time, estimate.modes, estimate.warnings, stream)
+    return count

@@ -12,7 +12,7 @@ import numpy as np
 
 from era.kalman import check_innovations
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Folds, Trial
+from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.modal_states import one_blas_thread
 from modal.identification.covariance import with_deviations
@@ -34,6 +34,8 @@ from modal.identification.words import (
 )
 from modal.modes.extraction import extract_modes
 from modal.preparation.band import missed_share
+from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
+from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
@@ -134,22 +136,25 @@ def identify(
     several = as_records(records)
     if has_absent_outputs(several):
 
-        def again(parts: Sequence[Record], factor: int) -> Identification:
+        def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
             return identify(
                 parts,
                 observer_order=observer_order,
                 ridge=ridge,
                 order=order,
-                decimation=factor,
+                decimation=1,
                 refinement=refinement,
                 missing=missing,
                 integrators=integrators,
-                input_delay=input_delay,
+                input_delay="auto" if delays is None else delays,
                 drift=drift,
                 kind=kind,
             )
 
-        return identify_setups(several, again, decimation=None if decimation == "auto" else decimation)
+        given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
+        return identify_setups(
+            several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
+        )
     kind_found = find_kind(several, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
         several = released(several, kind_found.starts)
@@ -185,6 +190,24 @@ def identify(
             preparation.records, found, n_rest=sum(preparation.n_rest), refinement=refinement, feedback=fed_back
         )
         result = _identified(several, kind_found, preparation, taken, final=final, wanted=found.chosen, tell=tell)
+        if isinstance(input_delay, str) and several[0].n_inputs:
+            factor = round(preparation.records[0].dt / several[0].dt)
+            result = _with_real_modes(
+                result,
+                lambda delays: identify(
+                    records,
+                    observer_order=observer_order,
+                    ridge=ridge,
+                    order=order,
+                    decimation=decimation,
+                    refinement=refinement,
+                    missing=missing,
+                    integrators=integrators,
+                    input_delay=[factor * delay for delay in delays],
+                    drift=drift,
+                    kind=kind,
+                ),
+            )
         return with_feedback(result, unbiased=final.noise is not None) if fed_back else result
 
 
@@ -236,6 +259,7 @@ def _identified(
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if prepared[0].n_inputs else None,
     )
+    of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
     residuals = check_residuals(observer, prepared)
     result = Identification(
@@ -250,7 +274,7 @@ def _identified(
         realisation=preparation.complete(model),
         fitted_model=model,
         modes=replace(
-            modes,
+            of_inputs,
             output_names=prepared[0].output_names,
             output_units=prepared[0].output_units,
             input_names=prepared[0].input_names,
@@ -291,8 +315,38 @@ def _identified(
         uncertainty=uncertainty,
         innovations=_innovations(model, runs.records),
         innovation_covariance=_covariance(final),
+        input_delay=preparation.input_delay,
     )
     tell("done", 1.0)
+    return result
+
+
+def _with_real_modes(result: Identification, again: Callable[[list[int]], Identification]) -> Identification:
+    """The result with the input delays that the phases of its modes ask for, if that explains the data as well.
+
+    Args:
+        result: with the delays that the pulse response shows.
+        again: identifies with other delays, in samples of the records of the result.
+    """
+    tried, names = [result.input_delay], result.records[0].input_names
+    longest = int(LONGEST_SHARE * max(record.n_samples for record in result.records))
+    while (asked := delay_of_phases(result.modes, result.input_delay, longest=longest)) not in tried:
+        tried.append(asked)
+        said = ", ".join(
+            f"{name}: {new} samples instead of {old}"
+            for name, new, old in zip(names, asked, result.input_delay, strict=True)
+            if new != old
+        )
+        other = again(list(asked))
+        if 1.0 - other.fit.mean > WITHIN * (1.0 - result.fit.mean):
+            text = (
+                f"The phases of the modes ask for another input delay ({said}), but with it the model explains less, "
+                "so it was not taken; do not trust modal masses and scales at these inputs, or give input_delay."
+            )
+            return replace(result, warnings=(*result.warnings, text))
+        why = f"it makes the residues of the modes real, which the last choice did not ({said})"
+        choices = tuple(replace(one, reason=why) if one.what == "input delay" else one for one in other.choices)
+        result = replace(other, choices=choices)
     return result
 
 

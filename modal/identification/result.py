@@ -106,6 +106,8 @@ class Identification(Displayed):
         record_kind: "driven", "transient", "decay", "ambient" or "response" (`choices` says why); None in a file that
             was saved before there were any.
         response: the table of frequency responses that was identified, None where it was records.
+        input_delay: (n_inputs,) samples of `records` by which each input acts late: those that the realisation has as
+            states and the modes do not; () in a file that was saved before it was kept.
     """
 
     records: tuple[Record, ...]
@@ -127,6 +129,7 @@ class Identification(Displayed):
     fitted_model: Realisation | None = None
     record_kind: RecordKind | None = None
     response: FrequencyResponse | None = None
+    input_delay: tuple[int, ...] = ()
 
     def display_rows(self) -> list[tuple[str, str]]:
         """The records, the fits, the modes of the system, and what the reader must know."""

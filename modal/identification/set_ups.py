@@ -1,26 +1,41 @@
-"""Roving sensors: several set-ups, each of which measured some of the outputs, as one modal model.
+"""Set-ups of roving sensors, each of which measured some of the outputs, as one modal model.
 
-Each set-up is identified by itself. What it did not measure is simulated by the model of a set-up that did, driven by
-its own inputs and started from its own references, so that a level of its own costs nothing; then one model is fitted
-to all records with all channels. What is simulated brings no new information, but makes the errors look small, so the
-deviations of the joint model are those of the set-ups together: information adds,
+**With inputs.** Each set-up is identified by itself, which tells how late its inputs act there (two starts of a
+recorder are no one instant) and, at the references, how much it moves for its force. Delays are taken out of the
+records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. What a
+set-up did not measure is then simulated by the model of one that did, driven by its own inputs and started from its own
+references; one model is fitted to all records with all channels. What is simulated brings no new information, but makes
+the errors look small, so the deviations of the joint model are those of the set-ups together: information adds,
 
     1 / var = sum over set-ups of 1 / var_s
+
+**Without inputs.** What drives the structure is another force in every set-up, so neither levels nor innovations can be
+shared: only poles and shapes are common. Each set-up is identified by its outputs alone; a part of a shape is scaled to
+the others by the references, alpha_s = (phi_ref,s^H phi_ref) / |phi_ref,s|^2, and poles and scaled parts are averaged
+with their information. To first order that is what one fit of common poles and shapes to all set-ups gives.
+
+References:
+    Reynders, Magalhaes, De Roeck, Cunha, Merging strategies for multi-setup operational modal analysis, 27th
+    International Modal Analysis Conference, 2009 (PoSER, PreGER).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from era.simulation import estimate_initial_state, simulate
+from era.realisation import Realisation
+from era.simulation import estimate_initial_state, predict, simulate
 from modal.identification.result import Identification
-from modal.modes.choice import Choice
-from modal.modes.mode import Mode
+from modal.modes.choice import Choice, Fit
+from modal.modes.modal_form import continuous_poles, discrete_poles, modal_basis
+from modal.modes.mode import ModalModel, Mode, Uncertainty
 from modal.modes.shape_sets import assurance
 from modal.preparation.band import coherent_band
-from okid.arrays import FloatArray
-from okid.errors import InvalidDataError
+from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, without_input_delay
+from okid.arrays import ComplexArray, FloatArray
+from okid.errors import IdentificationError, InvalidDataError
+from okid.markov import MarkovParameters
 from okid.record import Record
 
 __all__ = ["has_absent_outputs", "identify_setups"]
@@ -29,6 +44,9 @@ SAME_FREQUENCY = 6.0
 """Take a pole of a set-up for a mode of the joint model within so many of its standard deviations,"""
 SAME_SHAPE = 0.8
 """and from this assurance on over the outputs of the set-up."""
+
+Again = Callable[[Sequence[Record], Sequence[int] | None], Identification]
+"""Identifies records that have all their channels, with these input delays or those that the data tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -46,42 +64,154 @@ class _SetUp:
     outputs: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Agreement:
+    """How the answer of one set-up to an input relates to that of the set-up before it.
+
+    Attributes:
+        delay: samples by which the input acts later here, over and above what both were corrected by.
+        gain: of the answer at the references.
+        gain_std: relative standard deviation of that.
+        apart: names of references whose gains differ from that of the others, with their gains.
+    """
+
+    delay: int
+    gain: float
+    gain_std: float
+    apart: tuple[str, ...]
+
+
 def has_absent_outputs(records: Sequence[Record]) -> bool:
     """Whether an output that other records have holds no number in some record."""
     return any(not np.isfinite(record.outputs).any(axis=0).all() for record in records)
 
 
 def identify_setups(
-    records: Sequence[Record], again: Callable[[Sequence[Record], int], Identification], *, decimation: int | None
+    records: Sequence[Record], again: Again, *, decimation: int | None, input_delay: Sequence[int] | None = None
 ) -> Identification:
     """One modal model of all set-ups.
 
     Args:
         records: on the union of the channels (`okid.join_setups`), an absent output NaN throughout.
-        again: identifies records that have all their channels, with a decimation.
+        again: identifies records that have all their channels, at the time step that they have.
         decimation: as given, None to choose one for all set-ups.
+        input_delay: (n_inputs,) samples of the records, None where the data tell.
 
     Raises:
-        InvalidDataError: no input was measured, or an output that no set-up with the same inputs has.
+        InvalidDataError: an output that no set-up with the same inputs has, or set-ups without inputs whose references
+            do not connect them or which share no mode.
     """
-    if not records[0].n_inputs:
-        raise InvalidDataError(
-            "set-ups of roving sensors are joined by what the inputs make of them, but no input was measured; identify "
-            "each set-up by itself, or measure an input."
-        )
     setups = _setups(records)
     if decimation is None:
         centred = [_own_channels(records, one) for one in setups]
         decimation = min(coherent_band([record.detrended() for record in own]).factor for own in centred)
     records = [record.decimated(decimation).detrended() for record in records]
-    results = [again(_own_channels(records, one), 1) for one in setups]
-    filled = list(records)
+    given = [None if input_delay is None else [input_delay[i] // decimation for i in one.inputs] for one in setups]
+    results = [again(_own_channels(records, one), delays) for one, delays in zip(setups, given, strict=True)]
+    if not records[0].n_inputs:
+        return _ambient(records, setups, results)
+    aligned, results, said, warnings = _aligned(records, setups, results, again)
+    filled = list(aligned)
     for one in setups:
         absent = [o for o in range(records[0].n_outputs) if o not in one.outputs]
         for member in one.members:
-            filled[member] = _completed(records[member], one, absent, setups, results)
-    joint = again(filled, 1)
-    return _with_joint_deviations(joint, records, setups, results)
+            filled[member] = _completed(aligned[member], one, absent, setups, results)
+    joint = again(filled, [0] * records[0].n_inputs)
+    return _with_joint_deviations(joint, records, setups, results, said=said, warnings=warnings)
+
+
+def _aligned(
+    records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification], again: Again
+) -> tuple[list[Record], list[Identification], tuple[Choice, ...], tuple[str, ...]]:
+    """Records whose inputs act at once and with one gain, and what each set-up gives with them."""
+    aligned, made = list(records), list(results)
+    choices: list[str] = []
+    warnings: list[str] = []
+    for k, one in enumerate(setups):
+        delays, gains = list(results[k].input_delay) or [0] * len(one.inputs), [1.0] * len(one.inputs)
+        names = [records[0].input_names[i] for i in one.inputs]
+        who = _named(records, one)
+        for at, i in enumerate(one.inputs):
+            found = _agreement(i, k, setups, made, records[0].output_names)
+            if found is None:
+                continue
+            partner, agreement = found
+            delays[at] = max(0, delays[at] + agreement.delay)
+            if abs(np.log(abs(agreement.gain))) > SAME_FREQUENCY * agreement.gain_std or agreement.gain < 0.0:
+                gains[at] = agreement.gain
+                warnings.append(
+                    f"{who} answers {names[at]} {agreement.gain:.4g} times as much at the references as "
+                    f"{_named(records, setups[partner])} does; its input was scaled by that. Look for a gain that was "
+                    "changed: shapes are right, modal masses only if the first set-up's are."
+                )
+            if agreement.apart:
+                warnings.append(
+                    f"the references of {who} do not agree on its gain against {_named(records, setups[partner])}: "
+                    f"{', '.join(agreement.apart)}. A sensor's gain or place was changed, so the parts of the shapes "
+                    "are scaled wrong by as much; correct the records."
+                )
+        if any(delays):
+            late = [f"{name} {d} samples" for name, d in zip(names, delays, strict=True) if d]
+            choices.append(f"{who}: {', '.join(late)}")
+        for member, record in zip(one.members, _corrected(records, one, delays, gains), strict=True):
+            aligned[member] = record
+        if tuple(delays) != (results[k].input_delay or tuple(delays)) or gains != [1.0] * len(gains):
+            made[k] = again(_own_channels(aligned, one), [0] * len(one.inputs))
+        else:
+            core = without_input_delay(results[k].realisation, delays)
+            made[k] = replace(results[k], realisation=core, input_delay=(0,) * len(delays))
+    if not choices:
+        return aligned, made, (), tuple(warnings)
+    choice = Choice(
+        what="input delays of set-ups",
+        value="; ".join(choices),
+        reason="taken out of each set-up's records, so that one model answers all of them",
+    )
+    return aligned, made, (choice,), tuple(warnings)
+
+
+def _corrected(records: Sequence[Record], one: _SetUp, delays: Sequence[int], gains: Sequence[float]) -> list[Record]:
+    whole, factors = [0] * records[0].n_inputs, np.ones(records[0].n_inputs)
+    for i, delay, gain in zip(one.inputs, delays, gains, strict=True):
+        whole[i], factors[i] = delay, gain
+    late = late_inputs([records[member] for member in one.members], whole)
+    return [replace(record, inputs=record.inputs * factors) for record in late]
+
+
+def _agreement(
+    i: int, k: int, setups: Sequence[_SetUp], results: Sequence[Identification], output_names: Sequence[str]
+) -> tuple[int, _Agreement] | None:
+    """How input i acts in set-up k against the earlier one with most references; None where there is none."""
+    shared = [(len(set(setups[p].outputs) & set(setups[k].outputs)), -p) for p in range(k) if i in setups[p].inputs]
+    if not shared or max(shared)[0] == 0:
+        return None
+    partner = -max(shared)[1]
+    references = [o for o in setups[k].outputs if o in setups[partner].outputs]
+    quotients, variances, angular = [], [], []
+    for mode in results[k].modes.system:
+        rows, others = _places(setups[k], references), _places(setups[partner], references)
+        own = _same(mode, rows, results[partner].modes, others)
+        if own is None or mode.kind != "oscillatory" or own.mass_std is None or mode.mass_std is None:
+            continue
+        here, there = setups[k].inputs.index(i), setups[partner].inputs.index(i)
+        quotients.append(mode.shape[rows] * mode.participation[here] / (own.shape[others] * own.participation[there]))
+        variances.append(mode.mass_std[rows, here] ** 2 + own.mass_std[others, there] ** 2)
+        angular.append(mode.pole.imag * results[k].modes.dt)
+    if not quotients:
+        return None
+    farthest = int(LONGEST_SHARE * min(run.n_samples for run in results[k].records))
+    delay, sign, level, spread = delay_between(
+        np.array(quotients), np.array(variances), np.array(angular), longest=farthest
+    )
+    middle = float(np.median(level))
+    apart = tuple(
+        f"{output_names[o]} {np.exp(own):.4g} times"
+        for o, own, std in zip(references, level, spread, strict=True)
+        if abs(own - middle) > SAME_FREQUENCY * np.hypot(std, float(spread.min()))
+    )
+    gain_std = float((spread**-2.0).sum() ** -0.5)
+    agreement = _Agreement(delay=delay, gain=sign * float(np.exp(middle)), gain_std=gain_std, apart=apart)
+    return partner, agreement
 
 
 def _setups(records: Sequence[Record]) -> list[_SetUp]:
@@ -91,6 +221,20 @@ def _setups(records: Sequence[Record]) -> list[_SetUp]:
         seen = np.flatnonzero(np.isfinite(record.outputs).any(axis=0))
         groups.setdefault((tuple(moving.tolist()), tuple(seen.tolist())), []).append(index)
     return [_SetUp(members=tuple(own), inputs=key[0], outputs=key[1]) for key, own in groups.items()]
+
+
+def _named(records: Sequence[Record], one: _SetUp) -> str:
+    return ", ".join(records[i].name or f"record {i}" for i in one.members)
+
+
+def _measured(records: Sequence[Record], setups: Sequence[_SetUp]) -> str:
+    names = records[0].output_names
+    return "; ".join(f"{_named(records, one)}: {', '.join(names[o] for o in one.outputs)}" for one in setups)
+
+
+def _places(one: _SetUp, outputs: Sequence[int]) -> list[int]:
+    """Where outputs stand among those of a set-up."""
+    return [one.outputs.index(o) for o in outputs]
 
 
 def _own_channels(records: Sequence[Record], one: _SetUp) -> list[Record]:
@@ -131,7 +275,13 @@ def _completed(
 
 
 def _with_joint_deviations(
-    joint: Identification, records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]
+    joint: Identification,
+    records: Sequence[Record],
+    setups: Sequence[_SetUp],
+    results: Sequence[Identification],
+    *,
+    said: tuple[Choice, ...],
+    warnings: tuple[str, ...],
 ) -> Identification:
     modes = tuple(_with_deviations(mode, setups, results) for mode in joint.modes)
     uncertainty = joint.uncertainty
@@ -145,27 +295,23 @@ def _with_joint_deviations(
             shape_std=np.array(shapes).reshape(len(modes), n_outputs),
             markov_std=np.full(uncertainty.markov_std.shape, np.nan),
         )
-    said = [
-        f"{', '.join(records[i].name or str(i) for i in one.members)}: "
-        + ", ".join(records[0].output_names[o] for o in one.outputs)
-        for one in setups
-    ]
+    measured = _measured(records, setups)
     choice = Choice(
         what="set-ups",
-        value=f"{len(setups)}: {'; '.join(said)}",
+        value=f"{len(setups)}: {measured}",
         reason="outputs that a set-up lacks are simulated by the model of one that has them; deviations are those of "
         "all set-ups together",
     )
     warning = (
-        f"Not every set-up measured every output: {'; '.join(said)}. What is missing was simulated, so fits and "
+        f"Not every set-up measured every output: {measured}. What is missing was simulated, so fits and "
         "residuals look better than the measured samples alone allow; intervals are those of all set-ups together."
     )
     return replace(
         joint,
         modes=replace(joint.modes, modes=modes),
         uncertainty=uncertainty,
-        choices=(joint.choices[0], choice, *joint.choices[1:]),
-        warnings=(warning, *joint.warnings),
+        choices=(joint.choices[0], choice, *said, *joint.choices[1:]),
+        warnings=(warning, *warnings, *joint.warnings),
     )
 
 
@@ -174,7 +320,7 @@ def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Ide
     information = np.zeros(2)
     shape_information = np.zeros(mode.shape.size)
     for one, result in zip(setups, results, strict=True):
-        own = _same(mode, one, result)
+        own = _same(mode, list(one.outputs), result.modes, _places(one, one.outputs))
         if own is None:
             continue
         for k, std in enumerate((own.frequency_std, own.damping_ratio_std)):
@@ -202,14 +348,252 @@ def _deviation(information: FloatArray) -> FloatArray:
     return result
 
 
-def _same(mode: Mode, one: _SetUp, result: Identification) -> Mode | None:
-    """The mode of a set-up that this one is; None where it has none."""
-    near = [
-        other
-        for other in result.modes
-        if other.kind == mode.kind
-        and other.verdict != "noise"
-        and abs(other.frequency - mode.frequency) <= SAME_FREQUENCY * other.frequency_std
-        and assurance(other.shape[:, np.newaxis], mode.shape[list(one.outputs)][:, np.newaxis])[0, 0] >= SAME_SHAPE
-    ]
+def _same(mode: Mode, rows: Sequence[int], modes: Iterable[Mode], others: Sequence[int]) -> Mode | None:
+    """The mode of another result that this one is, by frequency and the shapes at the same outputs.
+
+    Args:
+        mode: of another result.
+        rows: its outputs that both measured.
+        modes: among which it is looked for.
+        others: the same outputs there.
+    """
+    near = []
+    for other in modes:
+        std = np.hypot(other.frequency_std, np.nan_to_num(mode.frequency_std))
+        # without an interval: within the half-power band
+        reach = SAME_FREQUENCY * std if np.isfinite(std) else other.damping_ratio * other.frequency
+        alike = assurance(other.shape[list(others)][:, np.newaxis], mode.shape[list(rows)][:, np.newaxis])[0, 0]
+        known = other.kind == mode.kind and other.verdict != "noise"
+        if known and abs(other.frequency - mode.frequency) <= reach and alike >= SAME_SHAPE:
+            near.append(other)
     return min(near, key=lambda other: abs(other.pole - mode.pole), default=None)
+
+
+def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]) -> Identification:
+    """The modes that all set-ups found, their parts scaled by the references."""
+    joined: list[Mode] = []
+    alone: list[str] = []
+    for mode in results[0].modes:
+        if mode.kind != "oscillatory" or mode.verdict == "noise":
+            continue
+        found = _followed(mode, records, setups, results)
+        if isinstance(found, Mode):
+            joined.append(found)
+        else:
+            alone.append(f"{mode.frequency:.4g} Hz (not in {found})")
+    for one, result in zip(setups[1:], results[1:], strict=True):
+        own = [mode for mode in result.modes.system if _among(mode, joined, one) is None]
+        alone += [f"{mode.frequency:.4g} Hz (only in {_named(records, one)})" for mode in own]
+    if not joined:
+        raise IdentificationError(
+            f"the {len(setups)} set-ups have no mode in common ({'; '.join(alone) or 'the first has none'}); record "
+            "each for longer, or identify each set-up by itself."
+        )
+    first = results[0]
+    modes = ModalModel(
+        modes=tuple(sorted(joined, key=lambda mode: mode.frequency)),
+        dt=first.modes.dt,
+        indicator_caution=first.modes.indicator_caution,
+        indicators_missing="each set-up has its own: those of the first are shown",
+        output_names=records[0].output_names,
+        output_units=records[0].output_units,
+    )
+    measured = _measured(records, setups)
+    words = (
+        f"Not every set-up measured every output: {measured}. Poles and shapes are averages over the set-ups; what is "
+        "missing was made of each set-up's own modal states, so it tells nothing new."
+    )
+    warnings = [words]
+    if alone:
+        warnings.append(f"Modes that not every set-up found were left out: {'; '.join(alone)}.")
+    everywhere = [text for text in first.warnings if all(text in result.warnings for result in results)]
+    warnings += everywhere
+    for one, result in zip(setups, results, strict=True):
+        warnings += [f"{_named(records, one)}: {text}" for text in result.warnings if text not in everywhere]
+    choice = Choice(
+        what="set-ups",
+        value=f"{len(setups)}: {measured}",
+        reason="each was identified by its outputs alone; the references scale what the others saw",
+    )
+    model = _realised(modes)
+    placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
+    predicted = tuple(record for _, some in placed for record in some)
+    return replace(
+        first,
+        records=tuple(record for some, _ in placed for record in some),
+        simulated=predicted,
+        predicted=predicted,
+        observer=None,
+        residuals=None,
+        excitation=None,
+        markov=MarkovParameters(system=np.zeros((2, model.n_outputs, 0)), dt=model.dt),
+        realisation=model,
+        fitted_model=model,
+        modes=modes,
+        choices=(first.choices[0], choice, *first.choices[1:]),
+        fit=_joint_fit(setups, results, model.n_outputs),
+        warnings=tuple(warnings),
+        uncertainty=Uncertainty(
+            method="output error",
+            frequency_std=np.array([mode.frequency_std for mode in modes]),
+            damping_ratio_std=np.array([mode.damping_ratio_std for mode in modes]),
+            shape_std=np.array(
+                [np.full(model.n_outputs, np.nan) if mode.shape_std is None else mode.shape_std for mode in modes]
+            ),
+            markov_std=np.zeros((2, model.n_outputs, 0)),
+        ),
+        innovations=None,
+        innovation_covariance=None,
+    )
+
+
+def _among(mode: Mode, joined: Sequence[Mode], one: _SetUp) -> Mode | None:
+    own = list(one.outputs)
+    return _same(mode, _places(one, own), joined, own)
+
+
+def _followed(
+    mode: Mode, records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]
+) -> Mode | str:
+    """The mode through all set-ups, or the name of a set-up that has none."""
+    n_outputs = records[0].n_outputs
+    shape = np.zeros(n_outputs, dtype=np.complex128)
+    information = np.zeros(n_outputs)
+    seen: list[Mode] = []
+    left = list(range(len(setups)))
+    while left:
+        k = max(left, key=lambda k: (int((information[list(setups[k].outputs)] > 0).sum()), -k))
+        references = [o for o in setups[k].outputs if information[o] > 0]
+        one, rows = setups[k], list(setups[k].outputs)
+        if not seen:
+            own, scale, scale_std = mode, 1.0 + 0.0j, 0.0
+        else:
+            if not references:
+                raise InvalidDataError(
+                    f"{_named(records, one)} shares no sensor with the other set-ups, so its parts of the shapes "
+                    "cannot be scaled to theirs; keep a reference sensor in its place."
+                )
+            known = replace(mode, shape=shape)
+            found = _same(known, references, results[k].modes, _places(one, references))
+            if found is None:
+                return _named(records, one)
+            own = found
+            here = own.shape[_places(one, references)]
+            weight = 1.0 / (_spread(own)[_places(one, references)] ** 2 + 1.0 / information[references])
+            norm = (weight * np.abs(here) ** 2).sum()
+            scale = complex((weight * here.conj() * shape[references]).sum() / norm)
+            scale_std = float(norm**-0.5)
+        seen.append(own)
+        part = own.shape * scale
+        variance = (abs(scale) * _spread(own)) ** 2 + np.abs(own.shape * scale_std) ** 2
+        gained = 1.0 / np.maximum(variance, np.finfo(float).tiny)
+        shape[rows] = (shape[rows] * information[rows] + part * gained) / (information[rows] + gained)
+        information[rows] += gained
+        left.remove(k)
+    return _averaged(mode, seen, shape, information)
+
+
+def _spread(mode: Mode) -> FloatArray:
+    """(n_outputs,) deviation of the components, also of the largest; one for all where none is known."""
+    if mode.shape_std is None or not np.isfinite(mode.shape_std).all() or not mode.shape_std.any():
+        return np.full(mode.shape.size, 1.0 / np.sqrt(mode.shape.size))
+    largest = float(mode.shape_std.max())
+    spread: FloatArray = np.where(mode.shape_std > 0.0, mode.shape_std, largest)
+    return spread
+
+
+def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray) -> Mode:
+    """One mode of those of all set-ups: pole by information, the least certain of the verdicts."""
+    frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
+    damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
+    largest = int(np.abs(shape).argmax())
+    size = 2.0 * np.pi * frequency
+    weakest = min(found, key=lambda one: one.probability)
+    shape_std = information**-0.5 / abs(shape[largest])
+    shape_std[largest] = 0.0
+    known = all(one.shape_std is not None for one in found)
+    return replace(
+        mode,
+        pole=size * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
+        frequency=frequency,
+        damping_ratio=damping,
+        frequency_std=frequency_std,
+        damping_ratio_std=damping_std,
+        shape=shape / shape[largest],
+        shape_std=shape_std if known else None,
+        mass_std=None,
+        probability=weakest.probability,
+        verdict=weakest.verdict,
+        damping_resolved=all(one.damping_resolved for one in found),
+        repeatability=min(one.repeatability for one in found),
+        reason=f"found in all {len(found)} set-ups; the least sure of them: {weakest.reason}",
+    )
+
+
+def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
+    """Average by information and its deviation; the plain one and nan where a deviation is not known."""
+    value, std = np.array(values), np.array(deviations)
+    if not (np.isfinite(std).all() and (std > 0.0).all()):
+        return float(value.mean()), float("nan")
+    weight = std**-2.0
+    return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
+
+
+def _realised(modes: ModalModel) -> Realisation:
+    """The modes as a state space model without inputs, two states a mode."""
+    poles, _ = discrete_poles(modes.modes, modes.dt)
+    n_states, n_outputs = 2 * len(poles), len(modes.output_names)
+    A, C = np.zeros((n_states, n_states)), np.zeros((n_outputs, n_states))
+    for r, (pole, mode) in enumerate(zip(poles, modes.modes, strict=True)):
+        at = slice(2 * r, 2 * r + 2)
+        A[at, at] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+        C[:, at] = np.column_stack([mode.shape.real, mode.shape.imag])
+    return Realisation(A, np.zeros((n_states, 0)), C, np.zeros((n_outputs, 0)), modes.dt)
+
+
+def _filled(
+    records: Sequence[Record], one: _SetUp, result: Identification, modes: ModalModel
+) -> tuple[list[Record], list[Record]]:
+    """The records of a set-up and their predictions, absent outputs from the states of the joined modes alone."""
+    model, basis = result.realisation, modal_basis(result.realisation)
+    own, absent = list(one.outputs), [o for o in range(records[0].n_outputs) if o not in one.outputs]
+    C, K = np.zeros((records[0].n_outputs, model.order)), np.zeros((model.order, records[0].n_outputs))
+    C[own], K[:, own] = model.C, 0.0 if model.K is None else model.K
+    poles = continuous_poles(basis.poles, model.dt)
+    for mode in modes:
+        at = int(np.abs(poles - mode.pole).argmin())
+        here = basis.outputs[:, at]
+        scale = np.vdot(mode.shape[own], here) / np.vdot(mode.shape[own], mode.shape[own])
+        C[absent] += 2.0 * (mode.shape[absent, np.newaxis] * scale * basis.left[at]).real
+    virtual = Realisation(model.A, np.zeros((model.order, 0)), C, np.zeros((len(C), 0)), model.dt, K=K)
+    measured, predicted = [], []
+    for record in result.records:
+        outputs = np.zeros((record.n_samples, records[0].n_outputs))
+        outputs[:, own] = record.outputs
+        whole = replace(
+            record, outputs=outputs, output_names=records[0].output_names, output_units=records[0].output_units
+        )
+        run = predict(virtual, whole).outputs
+        outputs = outputs.copy()
+        outputs[:, absent] = run[:, absent]
+        measured.append(replace(whole, outputs=outputs))
+        predicted.append(replace(whole, outputs=run))
+    return measured, predicted
+
+
+def _joint_fit(setups: Sequence[_SetUp], results: Sequence[Identification], n_outputs: int) -> Fit:
+    """Fits of each output, the mean over the set-ups that measured it."""
+
+    def mean(name: str) -> FloatArray:
+        total, count = np.zeros(n_outputs), np.zeros(n_outputs)
+        for one, result in zip(setups, results, strict=True):
+            total[list(one.outputs)] += getattr(result.fit, name)
+            count[list(one.outputs)] += 1
+        return total / count
+
+    return Fit(
+        cross_validated=mean("cross_validated"),
+        folds=np.concatenate([result.fit.folds for result in results]),
+        whole=mean("whole"),
+        one_step=mean("one_step"),
+    )

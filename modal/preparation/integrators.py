@@ -9,13 +9,15 @@ parabola); those are taken off the sums and off the outputs, which leaves their 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN
 from modal.modes.choice import Choice
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel
 from modal.preparation.drift import (
     SIGNIFICANT,
     FreedTrials,
@@ -29,7 +31,7 @@ from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["Integrators", "choose_integrators", "given_integrators", "with_integrators"]
+__all__ = ["Integrators", "choose_integrators", "driven_by_inputs", "given_integrators", "with_integrators"]
 
 MOST = 2
 """Force to position is the most that mechanics asks for."""
@@ -138,6 +140,30 @@ def with_integrators(realisation: Realisation, number: int) -> Realisation:
             singular_values=model.singular_values,
         )
     return model
+
+
+def driven_by_inputs(modes: ModalModel, number: int) -> ModalModel:
+    """The modes of a model of summed inputs with the participations that the inputs themselves have.
+
+    At its pole the sum multiplies an input by lambda / (lambda - 1), once for each time: without it modal masses would
+    be those of another structure.
+
+    Example:
+        >>> from modal.modes.extraction import extract_modes
+        >>> slow = Realisation([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+        >>> [mode.participation.real.round(9).tolist() for mode in driven_by_inputs(extract_modes(slow), 1)]
+        [[-1.0]]
+    """
+    if not number:
+        return modes
+    poles, _ = discrete_poles(modes.modes, modes.dt)
+    return replace(
+        modes,
+        modes=tuple(
+            mode if pole == 1.0 else replace(mode, participation=mode.participation * (pole / (pole - 1.0)) ** number)
+            for mode, pole in zip(modes.modes, poles, strict=True)
+        ),
+    )
 
 
 def _slow_error(trials: FreedTrials, number: int, n_functions: int) -> FloatArray | None:

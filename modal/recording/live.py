@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from modal.identification.result import Identification
+from modal.modes.mode import ModalModel
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
 from modal.recording.figure import document_view
@@ -52,10 +53,12 @@ __all__ = [
     "PATIENCE",
     "LiveRecording",
     "Relay",
+    "estimate_recording",
     "host_and_port",
     "listens",
     "live_blueprint",
     "live_recording",
+    "log_estimate",
     "log_progress",
     "log_records",
     "log_result",
@@ -342,6 +345,51 @@ def log_result(
     _attempt(
         live, lambda recording: log_identification(identification, recording.stream, geometry=geometry, quality=quality)
     )
+
+
+@contextmanager
+def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
+    """A recording of windowed modes in a file, readable while it grows.
+
+    Args:
+        path: of the file.
+    """
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
+    stream.set_log_time_enabled(False)
+    stream.save(path)
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def log_estimate(
+    time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: "rerun.RecordingStream"
+) -> None:
+    """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it.
+
+    Args:
+        time_in_middle: of the window [s].
+        modes: of the window.
+        warnings_of_it: a sentence each.
+        stream: of `live_recording` or `estimate_recording`.
+    """
+    import rerun as rr
+
+    seen = [mode for mode in modes if mode.kind == "oscillatory"]
+    stream.set_time("time", duration=time_in_middle)
+    for path, values in (
+        ("modes/frequency [Hz]", [mode.frequency for mode in seen]),
+        ("modes/damping ratio [%]", [100.0 * mode.damping_ratio for mode in seen]),
+    ):
+        stream.log(path, rr.SeriesPoints(marker_sizes=3.0), static=True)
+        if values:
+            stream.log(path, rr.Scalars(values))
+    for text in warnings_of_it:
+        stream.log("log", rr.TextLog(text, level="WARN"))
+    stream.flush(timeout_sec=CLOSING)
 
 
 def _log_steps(live: LiveRecording, *, share: float = 0.0) -> None:

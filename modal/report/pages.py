@@ -369,7 +369,7 @@ def _title(result: Identification) -> str:
 
 def _snippet(result: Identification, provenance: Provenance) -> str:
     """Python that makes the result again; names are written as Python literals of ASCII."""
-    if result.observer is None or not result.records:
+    if result.response is not None or not result.records:
         table = "...  # the frequency responses of this result"
         if provenance.sources:
             table = f"okid.read_response({provenance.sources[0]!a})"
@@ -390,9 +390,17 @@ def _snippet(result: Identification, provenance: Provenance) -> str:
         )
     order = (result.fitted_model or result.realisation).order
     given = {choice.what for choice in result.choices if choice.reason == GIVEN}
+    observer = result.observer  # ambient set-ups have one each
+    fitted = (
+        ()
+        if observer is None
+        else (
+            ("observer order", f"observer_order={observer.order}"),
+            ("ridge", f"ridge={observer.ridge!r}"),
+        )
+    )
     settings = (
-        ("observer order", f"observer_order={result.observer.order}"),
-        ("ridge", f"ridge={result.observer.ridge!r}"),
+        *fitted,
         ("model order", f"order={order}"),
         ("record kind", f"kind={result.record_kind!a}"),
     )

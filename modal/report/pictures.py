@@ -234,7 +234,7 @@ def _colour_words(evidence: OrderEvidence) -> str:
 
 
 def _fit_pictures(result: Identification) -> dict[str, Picture]:
-    if result.residuals is None or not result.records:
+    if not result.records:
         return {**response_pictures(result), **_markov_picture(result)}
     record = result.records[0]
     shown = least_fitted(result)
@@ -255,12 +255,13 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
             "spectra",
             f"Power spectra of the outputs, measured and {modelled}; green lines are the modes of the system.{which}",
         ),
-        "residuals": drawn(
+    }
+    if result.residuals is not None:
+        pictures["residuals"] = drawn(
             plots.residual_autocorrelation(result.residuals, output_names=record.output_names),
             "residuals",
             "Autocorrelation of the one-step residuals: white residuals stay within the band.",
-        ),
-    }
+        )
     if result.markov.n_inputs:
         pictures |= {**response_pictures(result), **_markov_picture(result)}
     return pictures

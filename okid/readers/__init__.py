@@ -1,4 +1,4 @@
-"""Records from files: CSV and other text tables, NPY, NPZ, MAT, universal files, Parquet, TDMS.
+"""Records from files: CSV and other text tables, NPY, NPZ, MAT, universal files, Parquet, TDMS, LVM, WAV.
 
 `read_record` reads one file, `read_records` several, `describe_file` says what a file holds and what becomes of its
 units, `read_described` does both in one reading. Nothing in a file is ever executed; sizes that do not fit into memory

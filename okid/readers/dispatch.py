@@ -6,17 +6,18 @@ What a file holds, in words: channels, units and what was done to them.
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.arrays import read_npy, read_npz
-from okid.readers.guard import check_file
+from okid.readers.arrays import read_npy, read_npz, table_from_arrays
+from okid.readers.guard import check_file, foreign
 from okid.readers.mat import read_mat
 from okid.readers.parquet import read_parquet
 from okid.readers.table import LeftOut, Table, stated_step
-from okid.readers.tdms import read_tdms
+from okid.readers.tdms import read_lvm, read_tdms, read_wav
 from okid.readers.text import read_text
 from okid.readers.uff import read_uff
 from okid.readers.units import UnitConversion, convert_unit
@@ -31,8 +32,27 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
     **dict.fromkeys((".uff", ".unv", ".ufb"), read_uff),
     **dict.fromkeys((".parquet", ".pq"), read_parquet),
     ".tdms": read_tdms,
+    ".lvm": read_lvm,
+    ".wav": read_wav,
 }
 """One function a file type."""
+
+OTHERS = "okid.readers"
+"""Group of entry points under which other packages offer readers, each named by its ending without the dot."""
+
+
+def _reader_of_others(suffix: str) -> Callable[[Path], Table] | None:
+    """A reader that another package offers: from a path to arrays by name, as `okid.readers.arrays` reads them."""
+    found = list(entry_points(group=OTHERS, name=suffix.lstrip("."))) if suffix else []
+    if not found:
+        return None
+
+    def read(path: Path) -> Table:
+        with foreign(path, f"{suffix} file, as {found[0].value} reads it,"):
+            contents = dict(found[0].load()(path))
+        return table_from_arrays(contents, path=path, file_format=suffix.lstrip(".").upper())
+
+    return read
 
 
 def read_table(path: str | Path) -> Table:
@@ -43,11 +63,11 @@ def read_table(path: str | Path) -> Table:
     """
     path = Path(path)
     check_file(path)
-    reader = READERS.get(path.suffix.lower())
+    reader = READERS.get(path.suffix.lower()) or _reader_of_others(path.suffix.lower())
     if reader is None:
         raise UnreadableFileError(
             f"{path.name} is of type {path.suffix or 'none'}, which is not read; the types read are "
-            f"{', '.join(READERS)}."
+            f"{', '.join(READERS)}, and what packages offer as entry points of {OTHERS!r}."
         )
     try:
         with np.errstate(all="ignore"):  # what is not finite is looked at afterwards

@@ -162,6 +162,7 @@ _COMMON_UNITS = frozenset(
         *("gf", "kgf", "ozf", "oz", "lb", "kp", "daN", "mil", "mils", "thou", "ips", "dps", "mbar", "hPa"),
         *("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi"),
         *("V", "mV", "µV", "uV", "A", "mA", "W", "kW", "J", "kJ"),
+        *("mph", "kn", "kt", "kts", "knots", "Ohm", "Ω", "kΩ", "mAh", "Wh", "hp", "PS", "C", "F"),
         *("K", "°C", "°F", "degC", "degF", "rad", "mrad", "deg", "°", "ºC", "º", "Hz", "kHz"),
         *("rpm", "RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "1/min", "oz-in", "ozf-in", "in-lb", "ft-lb"),
         *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u."),
@@ -169,7 +170,7 @@ _COMMON_UNITS = frozenset(
 )
 """What a pair of parentheses may hold to be read as a unit, alone or as products, quotients and powers."""
 
-_SEPARATORS = re.compile(r"[/*·^ ()²³]+|-?\d")
+_SEPARATORS = re.compile(r"[/*·⋅^ ()²³]+|-?\d")
 
 MAX_NAME = 200
 

@@ -1,4 +1,8 @@
-"""TDMS of National Instruments: each channel with its unit and waveform step."""
+"""Recorders' own files: TDMS and LVM of National Instruments, and sound files.
+
+TDMS and LVM hold each channel with its unit and time step. A sound file holds shares of full scale at a rate: what full
+scale means in volts or pascals stands nowhere in it, so its channels have no unit.
+"""
 
 import contextlib
 import logging
@@ -13,7 +17,15 @@ from okid.errors import UnreadableFileError
 from okid.readers.guard import Damage, check_channel_count, check_memory, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
-__all__ = ["read_tdms"]
+__all__ = ["read_lvm", "read_tdms", "read_wav"]
+
+END_OF_HEADER = "***End_of_Header***"
+
+MEMORY_A_BYTE = 40.0
+"""Bytes of memory that a byte of such a file may take: lists of cells, then numbers."""
+
+FULL_SCALE = {"u1": 1 << 7, "i2": 1 << 15, "i4": 1 << 31}
+"""Divide whole numbers of a sound file by this; those of 24 bits come in the upper bits of 32."""
 
 
 def read_tdms(path: Path) -> Table:
@@ -54,6 +66,110 @@ def read_tdms(path: Path) -> Table:
             if values.dtype.kind not in "iuf" or not values.size
         ),
     )
+
+
+def read_lvm(path: Path) -> Table:
+    """The channels of a LabVIEW measurement file, a text with a header for the file and one for its segment.
+
+    Raises:
+        UnreadableFileError: another kind of text, several segments, or channels of different length or time step.
+    """
+    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    with foreign(path, "LabVIEW measurement file"):
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+        lines = text.splitlines()
+        if not lines or not lines[0].startswith("LabVIEW Measurement"):
+            raise Damage(f"it begins with {text[:30]!r} instead of 'LabVIEW Measurement'")
+        ends = [at for at, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)]
+        if len(ends) < 2:
+            raise Damage(f"it has {len(ends)} of two headers")
+        separator = (
+            "," if any(line.replace(",", "\t").split("\t")[:2] == ["Separator", "Comma"] for line in lines) else "\t"
+        )
+        of_file = _fields(lines[: ends[0]], separator)
+        segment = _fields(lines[ends[0] + 1 : ends[1]], separator)
+    if len(ends) > 2:
+        raise UnreadableFileError(
+            f"{path.name} holds {len(ends) - 1} segments, each with a header of its own; one file is one record, so "
+            "save each segment as a file, or write one header only."
+        )
+    with foreign(path, "LabVIEW measurement file"):
+        n_channels = int(segment["Channels"][0])
+        check_channel_count(path, n_channels)
+        decimal = of_file.get("Decimal_Separator", ["."])[0]
+        several = of_file.get("X_Columns", ["One"])[0] == "Multi"
+        heads = lines[ends[1] + 1].split(separator)
+        first = [k for k, head in enumerate(heads) if head.strip() not in ("X_Value", "Comment")][:n_channels]
+        if len(first) != n_channels or (several and heads.count("X_Value") != n_channels):
+            raise Damage(f"its header promises {n_channels} channels, its table has {len(first)}")
+        steps, counts = (
+            set(_numbers(segment.get("Delta_X", []), decimal)[:n_channels]),
+            set(segment.get("Samples", [])[:n_channels]),
+        )
+        if len(steps) > 1 or len(counts) > 1:
+            raise Damage(f"its channels have different time steps ({sorted(steps)}) or lengths ({sorted(counts)})")
+        rows = [line.split(separator) for line in lines[ends[1] + 2 :] if line.strip()]
+        values = np.array([_numbers([row[k] for k in first], decimal) for row in rows])
+        promised = [int(count) for count in counts]
+        if promised and len(values) != promised[0]:
+            raise Damage(f"its header promises {promised[0]} samples, it has {len(values)}")
+    names = [heads[k].strip() for k in first]
+    units = [_lvm_unit(label) for label in segment.get("Y_Unit_Label", [])] + [""] * n_channels
+    unique = unique_names(names, [f"{name} {k}" for k, name in enumerate(names)])
+    step = steps.pop() if steps else None
+    return Table(
+        path=path,
+        format="LVM",
+        columns=tuple(Column(name=name, unit=unit, header=name) for name, unit in zip(unique, units, strict=False)),
+        values=values,
+        dt=step or None,
+        start_time=next(iter(_numbers(segment.get("X0", []), decimal)), 0.0),
+    )
+
+
+def _fields(lines: list[str], separator: str) -> dict[str, list[str]]:
+    """The cells behind the first one of each line."""
+    cells = [line.split(separator) for line in lines]
+    return {row[0].strip(): [cell.strip() for cell in row[1:] if cell.strip()] for row in cells if len(row) > 1}
+
+
+def _numbers(cells: list[str], decimal: str = ".") -> list[float]:
+    return [float(cell.replace(decimal, ".")) if cell.strip() else np.nan for cell in cells]
+
+
+def _lvm_unit(label: str) -> str:
+    """LabVIEW writes whole words with a capital: Volts, Newtons."""
+    return label.lower() if len(label) > 3 and label.isalpha() else label
+
+
+def read_wav(path: Path) -> Table:
+    """The channels of a sound file as shares of full scale.
+
+    Raises:
+        UnreadableFileError: damaged, cut off, or compressed.
+    """
+    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    with foreign(path, "WAV file"):
+        with path.open("rb") as file:
+            head = file.read(12)
+        if head[:4] not in (b"RIFF", b"RF64") or head[8:12] != b"WAVE":
+            raise Damage(f"it begins with {head[:12]!r}")
+        promised = int.from_bytes(head[4:8], "little") + 8
+        if head[:4] == b"RIFF" and promised > path.stat().st_size:
+            raise Damage(f"its header promises {promised} bytes, it has {path.stat().st_size}")
+        from scipy.io import wavfile  # only where a sound file is read
+
+        rate, samples = wavfile.read(path)
+        values = np.asarray(samples).reshape(len(samples), -1)
+        check_channel_count(path, values.shape[1])
+        kind = values.dtype.str[1:]
+        scaled = values.astype(np.float64)
+        if kind in FULL_SCALE:
+            scaled = (scaled - (FULL_SCALE[kind] if kind == "u1" else 0)) / FULL_SCALE[kind]
+        elif values.dtype.kind != "f":
+            raise Damage(f"its samples are {values.dtype}")
+    columns = tuple(Column(name=f"channel_{k}") for k in range(scaled.shape[1]))
+    return Table(path=path, format="WAV", columns=columns, values=scaled, dt=1.0 / rate)
 
 
 @contextlib.contextmanager

@@ -29,7 +29,18 @@ from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.table import Column, Table, looks_like_unit, split_header, unique_names
 
-__all__ = ["MISSING", "Dialect", "TextLayout", "find_layout", "is_missing", "is_number", "read_text", "split_cells"]
+__all__ = [
+    "MISSING",
+    "Dialect",
+    "TextLayout",
+    "find_layout",
+    "is_missing",
+    "is_number",
+    "more_rows",
+    "read_text",
+    "split_cells",
+    "table_of_text",
+]
 
 MISSING = (
     *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),
@@ -305,6 +316,24 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
     if not headers[-1] and layout.headers and np.isnan(values[:, -1]).all():  # rows that end with a delimiter
         columns, values = columns[:-1], values[:, :-1]
     return Table(path=path, format="text table", columns=tuple(columns), values=values)
+
+
+def table_of_text(data: bytes, path: Path) -> Table:
+    """The table of whole lines that were read from a file already; errors as in `read_text`."""
+    return _read(io.BytesIO(data), data[:SAMPLE_BYTES], path)
+
+
+def more_rows(data: bytes, head: bytes, path: Path) -> FloatArray:
+    """The numbers of lines that were appended to a text table, laid out as its first lines are.
+
+    Args:
+        data: whole lines.
+        head: the first lines of the file.
+        path: of the file, for messages.
+    """
+    layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
+    names = [split_header(header)[0] for header in layout.headers] or [str(k) for k in range(layout.n_columns)]
+    return _numbers(io.BytesIO(data), layout, names, path)
 
 
 def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -> FloatArray:

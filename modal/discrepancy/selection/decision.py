@@ -61,12 +61,7 @@ from okid.arrays import TINY, FloatArray
 from okid.display import Displayed
 from okid.record import Record
 
-__all__ = [
-    "Decision",
-    "criterion",
-    "decide_nodes",
-    "sureness",
-]
+__all__ = ["Decision", "criterion", "decide_nodes", "doubted_gain", "sureness"]
 
 
 def sureness(node: Node, task: Task) -> list[float]:
@@ -503,7 +498,7 @@ def _doubted_gains(best: Node, root: Node) -> list[str]:
         if item.effect.key in {"input_gain", "sensor_gain"}:
             gain = float(best.coarse.unknowns.common[best.coarse.assembly.common_of(i).start])
             if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
-                reasons.append(_doubted_gain(gain, item.where))
+                reasons.append(doubted_gain(gain, item.where))
             elif abs(gain - 1.0) < SLIGHT:
                 reasons.append(
                     f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
@@ -512,7 +507,7 @@ def _doubted_gains(best: Node, root: Node) -> list[str]:
     return reasons
 
 
-def _doubted_gain(gain: float, where: str) -> str:
+def doubted_gain(gain: float, where: str) -> str:
     """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
     words = f"a gain of {number(gain)} at {where} looks like"
     if abs(gain) < HARDLY_FOLLOWS:

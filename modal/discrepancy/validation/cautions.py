@@ -7,24 +7,27 @@ import numpy as np
 
 from modal.discrepancy.fitting.nodes import Node
 from modal.discrepancy.results import Diagnosis, explained_words
+from modal.discrepancy.selection.decision import doubted_gain
 from modal.discrepancy.validation.other_hold import hold_words
 from modal.preparation.faults import spoiled_channels
 from modal.structure.reciprocity import INTERNAL_FORCE
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
+from okid.readers.units import unit_error
 from okid.record import Record
 
-__all__ = ["early_words", "free_words", "grid_error", "spoiled_words", "with_cautions"]
+__all__ = ["early_words", "free_words", "grid_error", "spoiled_words", "unit_words", "with_cautions"]
 
 
 def with_cautions(found: Diagnosis) -> Diagnosis:
     """The diagnosis with a warning more for what its records get wrong, and advice where a hold is in doubt."""
     warnings = [words for words in (explained_words(found), early_words(found)) if words]
-    warnings += spoiled_words(found) + free_words(found)
+    units, vague = unit_words(found)
+    warnings += spoiled_words(found) + free_words(found) + units
     hold = hold_words(found)
     return replace(
         found,
-        warnings=(*warnings, *found.warnings),
+        warnings=(*warnings, *(words for words in found.warnings if words not in vague)),
         advice=(*found.advice, *((hold,) if hold else ())),
     )
 
@@ -54,6 +57,21 @@ def free_words(found: Diagnosis) -> list[str]:
         "can take up the gain of a sensor or an input: whether a gain is wrong is not known; pass M, C and K to know"
     )
     return [words]
+
+
+def unit_words(found: Diagnosis) -> tuple[list[str], list[str]]:
+    """Sentences on gains that look like a certain conversion of units, and those of the decision that say less."""
+    sentences, vague = [], []
+    for one in found.findings:
+        if one.effect in {"input_gain", "sensor_gain"}:
+            gain = one.parameters[0]
+            if words := unit_error(gain.value, gain.std):
+                sentences.append(
+                    f"{one.where} reads {number(gain.value, 4)} times what the model expects, which is {words}; look "
+                    "at the units of this channel, in the file and in the model, before anything else"
+                )
+                vague.append(doubted_gain(gain.value, one.where))
+    return sentences, vague
 
 
 def _alike(records: Sequence[Record]) -> list[Record]:

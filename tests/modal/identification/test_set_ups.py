@@ -1,12 +1,16 @@
 """Roving sensors and a roving hammer: one modal model over all set-ups, against a chain whose modes are known."""
 
+import re
+
 import numpy as np
 import pytest
+import roving
 import scipy
 
 import modal
 import okid
-from okid.errors import InsufficientDataError, InvalidDataError
+from modal.modes.response_synthesis import continuous_residue
+from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError
 
 DT = 0.05
 POLE_DAMPING = 0.015
@@ -50,9 +54,26 @@ def check_modes(result, points):
 
 
 def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
-    """Levels differ by 5; the second point is the reference."""
-    records = [set_up(1, 2, [1, 0]), set_up(2, 2, [1, 2], level=5.0)]
+    """Levels differ by 5, the second recorder starts 4 samples early and its force amplifier says half; y1 is shared.
+
+    Delay and gain belong to a set-up, so neither may be seen in the joint shapes and residues.
+    """
+    late = set_up(2, 2, [1, 2], level=5.0, n=904)
+    second = okid.Record(
+        0.5 * late.inputs[4:],
+        late.outputs[:-4],
+        DT,
+        input_names=["force"],
+        output_names=late.output_names,
+        name="set-up 2",
+    )
+    records = [set_up(1, 2, [1, 0]), second]
     result = modal.identify(okid.join_setups(records))
+    assert any("set-up 2: force 4 samples" in choice.value for choice in result.choices)
+    assert any(re.search(r"set-up 2 answers force (1\.99|2\.0)\d* times", text) for text in result.warnings)
+    for mode, shape in zip(result.modes.system, SHAPES, strict=True):
+        residue = 2j * mode.pole.imag * continuous_residue(mode, DT)[:, 0]
+        np.testing.assert_allclose(residue, shape[2] * shape[[1, 0, 2]], atol=0.01)
     check_modes(result, [1, 0, 2])
     assert result.modes.output_names == ("y1", "y0", "y2")
     assert "set-up 1: y1, y0; set-up 2: y1, y2" in result.warnings[0]
@@ -80,12 +101,12 @@ def test_a_roving_hammer_gives_all_modes():
 
 
 def test_what_cannot_be_joined_is_refused():
-    ambient = [
+    noise = [
         okid.Record([], np.random.default_rng(k).standard_normal((200, 2)), DT, output_names=["r", f"y{k}"])
         for k in range(2)
     ]
-    with pytest.raises(InvalidDataError, match="no input was measured"):
-        modal.identify(okid.join_setups(ambient))
+    with pytest.raises(IdentificationError, match="no mode in common"):
+        modal.identify(okid.join_setups(noise))
     both = [set_up(1, 2, [1, 0]), set_up(2, 2, [1, 2])]
     moved = okid.Record(both[1].inputs, both[1].outputs, DT, input_names=["other"], output_names=both[1].output_names)
     with pytest.raises(InvalidDataError, match="rove sensors or hammer"):
@@ -93,3 +114,37 @@ def test_what_cannot_be_joined_is_refused():
     nowhere = okid.Record(both[0].inputs, np.column_stack([both[0].outputs[:, 0], np.full(900, np.nan)]), DT)
     with pytest.raises((InvalidDataError, InsufficientDataError), match="output_1"):
         modal.identify(nowhere)
+
+
+def test_ambient_set_ups_are_scaled_by_their_references(tmp_path):
+    """Unknown forces at all points, seven times as large in the second set-up."""
+    records = []
+    for seed, sensors, level in ((1, [1, 0], 1.0), (2, [1, 2], 7.0)):
+        rng = np.random.default_rng(seed)
+        clean = sum(motion(level * rng.standard_normal(4000), point, sensors) for point in range(3))
+        values = clean + 0.02 * clean.std(axis=0) * rng.standard_normal(clean.shape)
+        names = [f"y{k}" for k in sensors]
+        records.append(okid.Record([], values, DT, output_names=names, name=f"set-up {seed}"))
+    result = modal.identify(okid.join_setups(records))
+    assert len(result.modes.system) == 3
+    for mode, frequency, truth in zip(result.modes.system, FREQUENCIES, SHAPES, strict=True):
+        assert abs(mode.frequency - frequency) < 3 * mode.frequency_std < 0.01 * frequency
+        assert abs(mode.damping_ratio - POLE_DAMPING) < 3 * mode.damping_ratio_std < POLE_DAMPING
+        shape = truth[[1, 0, 2]] / truth[[1, 0, 2]][np.abs(mode.shape).argmax()]
+        assert (np.abs(mode.shape - shape) <= 5 * mode.shape_std).all()
+    assert "set-up 1: y1, y0; set-up 2: y1, y2" in result.warnings[0]
+    assert (
+        modal.load(result.save(tmp_path / "result.npz")).modes.system[0].frequency == result.modes.system[0].frequency
+    )
+
+
+@pytest.mark.slow
+def test_the_trigger_of_each_blow_leaves_modal_masses_alone():
+    """Delays of 0, 2, 5 and 3 samples: every residue is that of the chain, real but for the pole."""
+    sensors = [1, 3]
+    result = modal.identify(okid.join_setups(roving.hammer_blows([0, 2, 5, 3], sensors=sensors, n=400)))
+    assert result.input_delay == (0, 2, 5, 3)
+    assert len(result.modes.system) == 4
+    for mode, shape in zip(result.modes.system, roving.SHAPES.T, strict=True):
+        residue = 2j * mode.pole.imag * continuous_residue(mode, roving.DT)
+        np.testing.assert_allclose(residue, np.outer(shape[sensors], shape), atol=0.01)

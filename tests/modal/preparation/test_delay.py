@@ -9,7 +9,15 @@ import era
 import modal.preparation.delay
 from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
-from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
+from modal.modes.mode import ModalModel, Mode
+from modal.preparation.delay import (
+    choose_input_delay,
+    delay_between,
+    delay_of_phases,
+    given_input_delay,
+    late_inputs,
+    with_input_delay,
+)
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 
@@ -125,3 +133,52 @@ def test_a_fit_that_leaves_less_than_nothing_by_rounding_does_no_harm(monkeypatc
     monkeypatch.setattr(modal.preparation.delay, "solve", exact)
     rng = np.random.default_rng(0)
     assert len(choose_input_delay([record_of(rng, two_modes(rng, 1), (3,))]).samples) == 1
+
+
+def _turned(delays, taken, *, seed=None):
+    """Modes of unit mass whose residues are turned by what is left of the delays; noise where a seed is given."""
+    dt, angular = 0.01, 2 * np.pi * np.array([2.0, 5.5, 8.5, 10.2])
+    rng = np.random.default_rng(0)
+    modes = []
+    for size in angular:
+        pole = size * complex(-0.01, 0.99995)
+        left = np.exp(-pole * dt * (np.array(delays) - np.array(taken)))
+        if seed is not None:
+            left = np.exp(2j * np.pi * np.random.default_rng([seed, int(size)]).random(len(delays)))
+        drive = rng.standard_normal(len(delays)) * left / (2j * pole.imag) * np.expm1(pole * dt) / pole
+        modes.append(
+            Mode(
+                pole=pole,
+                kind="oscillatory",
+                frequency=abs(pole) / (2 * np.pi),
+                damping_ratio=0.01,
+                shape=np.array([1.0, -0.4]),
+                participation=drive,
+                verdict="system",
+            )
+        )
+    return ModalModel(modes=tuple(modes), dt=dt, indicator_caution=0.1, output_units=("m", "m"))
+
+
+@pytest.mark.parametrize("taken", [(0, 0, 0), (0, 3, 7), (2, 4, 6), (1, 3, 9)])
+def test_the_phases_of_the_modes_tell_the_delays(taken):
+    assert delay_of_phases(_turned((0, 3, 6), taken), taken, longest=60) == (0, 3, 6)
+
+
+def test_phases_at_random_seldom_change_a_delay():
+    """Of 600 inputs without a delay; where a delay was seen, 5 % may take it back."""
+    found = [delay_of_phases(_turned((0, 3, 6), (0, 3, 0), seed=seed), (0, 3, 0), longest=60) for seed in range(300)]
+    assert sum(delay != 0 for one in found for delay in one[::2]) <= 6
+    assert sum(one[1] != 3 for one in found) <= 0.05 * 300 + 3 * (0.05 * 300) ** 0.5
+
+
+def test_a_delay_and_a_gain_between_set_ups_are_told_by_the_same_modes():
+    rng = np.random.default_rng(1)
+    angular = np.array([0.13, 0.34, 0.53])
+    for delay, gain in ((4, 2.0), (-3, -0.5), (0, 1.0)):
+        noise = 0.01 * (rng.standard_normal((3, 2)) + 1j * rng.standard_normal((3, 2)))
+        quotient = gain * np.exp(-1j * angular * delay)[:, np.newaxis] * (1.0 + noise)
+        found, sign, level, spread = delay_between(quotient, np.full((3, 2), 1e-4), angular, longest=40)
+        assert (found, sign) == (delay, np.sign(gain))
+        assert (np.abs(level - np.log(abs(gain))) < 4 * spread).all()
+        assert (spread < 0.02).all()
