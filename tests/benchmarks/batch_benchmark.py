@@ -6,6 +6,7 @@
 start of the processes, passing of tasks, tables and pages.
 """
 
+import argparse
 import os
 import resource
 import signal
@@ -68,7 +69,9 @@ def run(folder: Path, out: Path, workers: int, *, kill_after: int | None) -> Non
 
 
 def main() -> None:
-    n_files = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("n_files", nargs="?", type=int, default=100, help="files in the folder")
+    n_files = parser.parse_args().n_files
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "runs"
         folder.mkdir()

@@ -7,6 +7,7 @@ last row of a block was written to the estimate that holds it; cost is the CPU t
 record.
 """
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -54,7 +55,9 @@ def record():
 
 
 def main() -> None:
-    kind = sys.argv[1] if len(sys.argv) > 1 else "npy"
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", nargs="?", choices=("npy", "csv"), default="npy", help="of the growing file")
+    kind = parser.parse_args().kind
     with tempfile.TemporaryDirectory() as folder:
         path, source = Path(folder) / f"run.{kind}", Path(folder) / "source.npy"
         values = record()
