@@ -130,16 +130,16 @@ def check_lengths(inputs: FloatArray, outputs: FloatArray) -> None:
         raise InvalidDataError(
             f"a record needs at least one output and one sample, but its outputs have the shape {outputs.shape}."
         )
-    if inputs.shape[0] != outputs.shape[0]:
-        raise InvalidDataError(
-            f"inputs have {inputs.shape[0]} samples and outputs {outputs.shape[0]}; both must cover the same rows."
-        )
     for kind, array in (("inputs", inputs), ("outputs", outputs)):
         n_samples, n_channels = array.shape
         if n_channels > n_samples:
             raise InvalidDataError(
                 f"{kind} have {n_channels} channels but only {n_samples} samples; rows are samples, so pass {kind}.T."
             )
+    if inputs.shape[0] != outputs.shape[0]:
+        raise InvalidDataError(
+            f"inputs have {inputs.shape[0]} samples and outputs {outputs.shape[0]}; give both over the same rows."
+        )
 
 
 def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -> tuple[str, ...]:

@@ -91,7 +91,7 @@ def check_records(
         if any(held is record or _same(held, record) for record in fits):
             raise InvalidDataError(
                 f"held-out record {held.name or 'without a name'} is also among the records to fit, so it proves "
-                "nothing; hold out another one"
+                "nothing; hold out another one."
             )
     return fits, helds, _level_notes(fits, helds)
 

@@ -56,7 +56,7 @@ from okid.rows import as_records
 __all__ = ["identify"]
 
 COPIES = 14
-"""Expect a peak of so many copies of the prepared records: a whole run took 14.4 on 1e7 samples of 8 channels."""
+"""Expect a peak of so many copies of the records: a whole run took 14.4 on 1e7 samples of 8 channels."""
 
 
 def identify(
@@ -155,6 +155,7 @@ def identify(
         return identify_setups(
             several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
         )
+    _check_room(several)
     kind_found = find_kind(several, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
         several = released(several, kind_found.starts)
@@ -172,7 +173,6 @@ def identify(
             drift=drift,
             kind=kind_found.kind,
         )
-        _check_room(preparation.records)
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
@@ -381,5 +381,5 @@ def _check_room(records: Sequence[Record]) -> None:
         raise InvalidDataError(
             f"identifying {n_samples} samples of {n_channels} channels needs about {need / 2**30:.1f} GiB, more than "
             f"{MEMORY_SHARE:.0%} of the {budget / 2**30:.1f} GiB that {whose}; give a stretch of the record, fewer "
-            "channels, or decimation=2 or more in Python."
+            "channels, or every second sample behind an anti-alias filter."
         )

@@ -226,6 +226,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = random.Random(options.seed)  # noqa: S311 - no secret
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in the background, and so would a run
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_records(folder)

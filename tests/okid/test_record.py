@@ -55,6 +55,7 @@ def test_a_record_cannot_be_changed():
         (([0.0] * 4, np.ones((5, 1)), 1.0), {}, "4 samples and outputs 5"),
         (([], np.ones((5, 0)), 1.0), {}, "at least one output"),
         (([], [], 1.0), {}, "at least one output and one sample"),
+        ((np.ones((1, 5)), np.ones((2, 5)), 1.0), {}, r"5 channels but only 1 samples.*inputs\.T"),
         (([], np.ones((2, 5)), 1.0), {}, r"5 channels but only 2 samples.*outputs\.T"),
         ((np.ones((3, 4)), np.ones(3), 1.0), {}, r"4 channels but only 3 samples.*inputs\.T"),
         (([], np.ones(4), 0.0), {}, "positive time step"),
