@@ -108,7 +108,7 @@ def diff(
     """Say what changed from result A to result B: modes matched, shifts against their intervals, modes lost and new.
 
     Exit status: 0 compared, whatever was found; 1 compared, but a result
-    has no mode of the system or its data do not carry it; 2 wrong use or
+    has no mode of the system or is not reliable; 2 wrong use or
     unreadable input.
     """
     with faults(show=traceback):

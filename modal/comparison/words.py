@@ -171,7 +171,7 @@ def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
     for one in (comparison.before, comparison.after):
         if one.trust == "not carried":
             name = shorten(visible(one.name), LONGEST_NAME)
-            sentences.append(f"The data of {name} do not carry its result, so its modes are not certain.")
+            sentences.append(f"The result of {name} is not reliable, so its modes are not certain.")
     if any(one.kind == "unit" for one in comparison.differences):
         sentences.append("Channels of another unit were left out where shapes are compared.")
     return tuple(sentences)

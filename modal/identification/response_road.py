@@ -389,7 +389,8 @@ def _in_these_words(modes: ModalModel) -> ModalModel:
         reason = mode.reason
         for words, instead in WORDS.items():
             reason = reason.replace(words, instead)
-        said.append(replace(mode, reason=reason))
+        reappears = tuple((WORDS.get(what, what), overlap) for what, overlap in mode.reappears)
+        said.append(replace(mode, reason=reason, reappears=reappears))
     return replace(modes, modes=tuple(said))
 
 

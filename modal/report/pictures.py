@@ -19,11 +19,13 @@ from modal.plots.results import (
     fit_chart,
     least_fitted,
     measured_responses,
+    overview,
     shape_assurance,
     synthesised_alone,
 )
 from modal.plots.vector import Notes, chart_text, svg_text
 from modal.quality import check_quality
+from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 
@@ -166,11 +168,22 @@ MOST_LAGS = 2000
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
     """All pictures that the result has the numbers for, by name."""
     return {
+        **_overview_picture(result),
         **_geometry_picture(result, setting),
         **_order_pictures(result),
         **_fit_pictures(result),
         **_mode_pictures(result, setting),
     }
+
+
+def _overview_picture(result: Identification) -> dict[str, Picture]:
+    what = "Mean power spectrum of the outputs" if result.response is None else "Mean of the squared responses"
+    found = ", ".join(f"{hertz(frequency)}" for frequency in result.modes.frequencies[:MOST_ASSURED])
+    marked = f" Green: the modes found, at {found} Hz." if found else " No mode of the system was found."
+    doubtful = any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes)
+    open_ = " Dashed: poles that the data do not settle." if doubtful else ""
+    caption = f"{what}, measured and of the model.{marked}{open_}"
+    return {"overview": readable(overview(result), "overview", caption)}
 
 
 def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:

@@ -14,6 +14,7 @@ from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, wh
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
     from modal.quality import DataQuality
+    from modal.quality.findings import ChannelStatistics
 
 __all__ = [
     "ChannelRow",
@@ -202,6 +203,9 @@ def _left_out(result: Identification) -> str:
     return f"They leave out {calibration}."
 
 
+LEVELS_FIRST = {"bad": 0, "doubtful": 1, "good": 2}
+"""Order channels by these, the worst first."""
+
 MOST_BANDS = 6
 """Bands of an input that are written out."""
 
@@ -227,6 +231,9 @@ class ChannelRow:
         unit: "" where unknown.
         notes: one an entry of `sensor_columns`.
         bands: where an input moves, in words; "" for an output.
+        fit: of an output, on data kept aside; nan for an input.
+        level: "bad", "doubtful" or "good" by its data; "" where they were not looked at.
+        statistics: of its data; None where they were not looked at.
     """
 
     name: str
@@ -234,6 +241,9 @@ class ChannelRow:
     unit: str
     notes: tuple[str, ...]
     bands: str
+    fit: float
+    level: str
+    statistics: "ChannelStatistics | None"
 
 
 def about_lines(specification: "Specification | None") -> tuple[tuple[str, str], ...]:
@@ -255,26 +265,35 @@ def sensor_columns(specification: "Specification | None") -> tuple[str, ...]:
     return tuple(heading for _, heading in _used(specification))
 
 
-def channel_rows(result: Identification, specification: "Specification | None") -> tuple[ChannelRow, ...]:
-    """Inputs, then outputs, each with what is known of its sensor."""
+def channel_rows(
+    result: Identification, specification: "Specification | None" = None, quality: "DataQuality | None" = None
+) -> tuple[ChannelRow, ...]:
+    """Every channel with what is known of its sensor, its data and its fit: the worst first, then in their order."""
     record, used = result.channels, _used(specification)
     notes = {} if specification is None else {note.channel: note for note in specification.sensors}
     excited = () if result.excitation is None else result.excitation.excited_bands
     bands = [_bands_text(bands) for bands in excited] or [""] * record.n_inputs
-    return tuple(
-        ChannelRow(
-            name=name,
-            role=role,
-            unit=unit,
-            notes=tuple(_said(notes.get(name), key) for key, _ in used),
-            bands=bands[number] if role == "input" else "",
-        )
-        for role, names, units in (
-            ("input", record.input_names, record.input_units),
-            ("output", record.output_names, record.output_units),
-        )
-        for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    )
+    looked_at = {} if quality is None else {(one.role, one.name): one for one in quality.channels}
+    rows = []
+    for role, names, units in (
+        ("input", record.input_names, record.input_units),
+        ("output", record.output_names, record.output_units),
+    ):
+        for number, (name, unit) in enumerate(zip(names, units, strict=True)):
+            seen = looked_at.get((role, name))
+            rows.append(
+                ChannelRow(
+                    name=name,
+                    role=role,
+                    unit=unit,
+                    notes=tuple(_said(notes.get(name), key) for key, _ in used),
+                    bands=bands[number] if role == "input" else "",
+                    fit=float(result.fit.cross_validated[number]) if role == "output" else math.nan,
+                    level="" if seen is None else seen.level,
+                    statistics=None if seen is None else seen.statistics,
+                )
+            )
+    return tuple(sorted(rows, key=lambda row: (LEVELS_FIRST.get(row.level, 3), row.role == "input", row.fit)))
 
 
 def _used(specification: "Specification | None") -> tuple[tuple[str, str], ...]:

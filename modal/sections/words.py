@@ -8,13 +8,25 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
-from modal.wording.names import shorten
+from modal.modes.mode import Mode
+from modal.verdict.judgement import FOUND_AGAIN
+from modal.wording.names import shorten, visible
 from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
+    from modal.quality import DataQuality
 
-__all__ = ["data_sentences", "fit_word", "limits_class", "limits_sentence", "limits_short", "modes_headline"]
+__all__ = [
+    "data_sentences",
+    "fit_word",
+    "limits_class",
+    "limits_sentence",
+    "limits_short",
+    "modes_headline",
+    "next_sentences",
+    "remark_of",
+]
 
 
 def modes_headline(result: Identification) -> str:
@@ -41,6 +53,33 @@ def fit_word(fit: float) -> str:
     if not math.isfinite(fit):
         return "not known"
     return "good" if fit >= GOOD_FIT else "fair" if fit >= LEAST_FIT else "poor"
+
+
+def next_sentences(result: Identification, quality: "DataQuality | None" = None) -> tuple[str, ...]:
+    """What to do with the result, by the same rules as `modal.identification.words.trust_of`; never empty."""
+    said = []
+    system = result.modes.system
+    bad = () if quality is None else [one for one in quality.findings if one.level == "bad"]
+    if bad:
+        said.append(f"Mend the data ({bad[0].what}, {visible(bad[0].where)}) and identify again.")
+    if result.warnings:
+        what = "the warning" if len(result.warnings) == 1 else f"the {counted(len(result.warnings))} warnings"
+        said.append(f"Read {what} before you quote a number.")
+    if not system:
+        said.append("Quote nothing; measure longer, drive harder or in a broader band, then identify again.")
+    if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
+        said.append(
+            "A second record of the same test, identified together with this one, may settle the doubtful poles."
+        )
+    if any(not mode.damping_resolved and mode.kind == "oscillatory" for mode in system):
+        said.append("A longer record is needed where the damping is not resolved.")
+    return tuple(said) or ("Nothing speaks against quoting these modes, with their intervals.",)
+
+
+def remark_of(mode: Mode) -> str:
+    """What the reason says besides how well the mode was found again, where the shares of that are known."""
+    parts = mode.reason.split("; ")
+    return "; ".join(part for part in parts if not (mode.reappears and part.startswith(FOUND_AGAIN)))
 
 
 def data_sentences(result: Identification) -> tuple[str, ...]:

@@ -303,7 +303,7 @@ def test_settings_channels_units_and_sampling_are_compared(result):
     assert differing["setting", "model order"] == ("6", "8")
     assert differing["fit", "trust"] == ("carried", "not carried")
     cautions = " ".join(words.caution_sentences(found))
-    assert "do not carry" in cautions
+    assert "is not reliable" in cautions
     assert "another unit" in cautions
     assert "same measured data" in cautions  # its samples are the same
 

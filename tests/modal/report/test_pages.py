@@ -256,7 +256,7 @@ def test_the_test_file_is_shown_and_harmless(identification):
     assert NASTY in page.text
     for shown in (page.text, text):
         assert "\N{RIGHT-TO-LEFT OVERRIDE}" not in shown
-    assert "<script" not in text.split("## Data quality")[0]
+    assert "<script" not in text.split("## Channels and quality of the data")[0]
 
 
 def quality(*levels):
@@ -290,12 +290,14 @@ def test_the_quality_of_the_data_is_shown(identification, levels, word):
     page, text = with_setting(identification, Setting(quality=found, quality_of="as read"))
     words = page.text
     n_serious = sum(level != "note" for level in levels)
-    assert f"data {word} {n_serious or 'nothing'} to look at" in re.sub(r"\s+", " ", words)
+    assert f"quality of the data {word} {n_serious or 'no'} finding{'s' * (n_serious != 1)}" in re.sub(
+        r"\s+", " ", words
+    )
     for shown in (words, text):
         assert found.verdict in shown
         assert "the records as read" in shown
         assert ("Number 0." in shown) is bool(levels)
-    assert "<script" not in text.split("## Data quality")[1].split("## Choices")[0]
+    assert "<script" not in text.split("## Channels and quality of the data")[1].split("## Choices")[0]
 
 
 @pytest.mark.parametrize(("count", "more"), [(MOST_FINDINGS, False), (MOST_FINDINGS + 2, True)])
@@ -308,17 +310,19 @@ def test_a_flood_of_findings_is_bounded(identification, count, more):
 
 def test_data_that_were_not_looked_at_are_not_judged(identification):
     page, text = with_setting(identification, Setting())
-    assert "Looked at" not in page.text + text
+    assert "the records as" not in page.text + text
 
 
-@pytest.mark.parametrize(("count", "said"), [(MOST_SUMMED_UP, ""), (MOST_SUMMED_UP + 3, "the other 3 stand under")])
+@pytest.mark.parametrize(
+    ("count", "said"), [(MOST_SUMMED_UP, ""), (MOST_SUMMED_UP + 3, "the other 3 are listed under")]
+)
 def test_the_first_page_has_room_for_ten_modes(identification, count, said):
     modes = tuple(
         replace(identification.modes.modes[0], frequency=float(i + 1), reason=f"reason {i}.") for i in range(count)
     )
     result = replace(identification, modes=replace(identification.modes, modes=modes))
     words = Skeleton(html_text(result, Provenance(), {})).text
-    assert ("stand under" in words) is bool(said)
+    assert ("are listed under" in words) is bool(said)
     assert said in words
     assert all(words.count(f"reason {i}.") == 1 for i in range(count))
 
