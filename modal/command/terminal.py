@@ -124,9 +124,7 @@ def show_result(
         console.print(plain(f"and {hidden} more noise pole{'s' * (hidden > 1)}, all in the report", "bright_black"))
     show_limits(console, limits)
     listing(console, "Warnings", result.warnings, "yellow")
-    told = data_sentences(result)
-    usual = result.record_kind == "driven"  # its reason is among the choices of the report
-    listing(console, "Data", (*told[usual:], *remarks), "")
+    listing(console, "Data", (*data_sentences(result), *remarks), "")
 
 
 def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:

@@ -213,8 +213,8 @@ def document_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"urn:okid-modal:{SCHEMA.replace('/', ':')}",
         "title": "Report of a modal identification",
-        "description": "The numbers of the result; time histories, coefficients of the observer, pulse responses and the poles of the other "
-        "model orders are in result.npz alone (modal.load). A number that is not finite is null.",
+        "description": "The numbers. Time histories, coefficients of the observer, pulse responses and the "
+        "poles of the other model orders are in result.npz alone (modal.load). A number that is not finite is null.",
         **_object(properties),
         "$defs": {"numbers": NUMBERS},
     }

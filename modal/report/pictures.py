@@ -258,8 +258,8 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
         "histories": drawn(
             fit_chart(result),
             "histories",
-            f"Measured (blue) and {modelled} (orange), by the model of all rows; the fit beside each name is that on "
-            f"held-out rows.{first}{which}",
+            f"Left, measured (blue) and what the model of all rows leaves of it (red); right, the strongest moment, "
+            f"measured and {modelled} (orange). The fit beside each name is that to data kept aside.{first}{which}",
         ),
         "spectra": readable(
             plots.output_spectra(

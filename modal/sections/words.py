@@ -83,8 +83,9 @@ def remark_of(mode: Mode) -> str:
 
 
 def data_sentences(result: Identification) -> tuple[str, ...]:
-    """What kind of record it is, and what the inputs cannot show, as far as it is not among the warnings already."""
-    kind = tuple(f"Record kind: {c.value} ({c.reason})." for c in result.choices if c.what == "record kind")
+    """What kind of record it is, unless driven, and what the inputs cannot show, as far as no warning says it."""
+    told = [one for one in result.choices if one.what == "record kind" and one.value != "driven"]
+    kind = tuple(f"Record kind: {one.value} ({one.reason})." for one in told)
     messages = () if result.excitation is None else result.excitation.messages
     return (*kind, *(message for message in messages if message not in result.warnings))
 

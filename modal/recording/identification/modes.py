@@ -217,9 +217,10 @@ def _key(identification: Identification, plan: Plan) -> str:
     spread = "±: 95 % interval. " if np.isfinite([mode.frequency_std for mode in plan.modes]).any() else ""
     return (
         f"{spread}f: frequency. ζ: damping ratio. repeats: mean overlap with the same mode found again from other "
-        "data and orders, 1 is the same; it decides the verdict. P: probability that the mode belongs to the system. gain: share of the squared error without the "
-        "mode that it removes. γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase "
-        "collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode singular value over the largest. "
+        "data and orders, 1 is the same; it decides the verdict. P: probability that the mode belongs to the system. "
+        "gain: share of the squared error without the mode that it removes. γ: amplitude coherence. EMAC: extended "
+        "modal amplitude coherence. MPC: phase collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode "
+        "singular value over the largest. "
         f"n/(pq) = {_number(caution, 2)}"
         + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
     )
