@@ -49,7 +49,7 @@ def show_difference(console: Console, comparison: Comparison) -> None:
 
 def _table(pairs: Sequence[ModePair]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
-    for heading in ("", "Hz before", "after", "frequency", "damping ratio", "assurance"):
+    for heading in ("", "Hz before", "after", "frequency", "damping ratio", "MAC"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("")
     for pair in pairs:

@@ -17,7 +17,7 @@ from modal.plots.figures import figure_of
 from modal.plots.histories import measured_against_simulated
 from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.order import mark_modes, stabilisation_diagram
-from modal.plots.panels import STYLE
+from modal.plots.panels import STYLE, Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
 from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
 from modal.sections.discrepancy_stages import power_spectra
@@ -166,17 +166,19 @@ def overview(result: Identification) -> Chart:
     figure = grid_of(1, 1, size=(STYLE.page, 2.6))
     panel = figure.panels[0]
     seen, lowest = frequency >= low, 0.0
-    for power, role, label, width in zip(
-        mean, ("measured", "model"), ("measured", "model"), (STYLE.thick, STYLE.stroke), strict=True
-    ):
+    lines: tuple[tuple[FloatArray, Role, float], ...] = (
+        (mean[0], "measured", STYLE.thick),
+        (mean[1], "model", STYLE.stroke),
+    )
+    for power, role, width in lines:
         level = 10.0 * np.log10(np.maximum(power[seen] / peak, DEEPEST))
         lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
-        panel.line(frequency[seen], level, role, width=width, label=label)
+        panel.line(frequency[seen], level, role, width=width, label=role)
     doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
     for number, mode in enumerate(doubtful):
-        names = {"follows": "doubtful"} if number else {"label": "doubtful"}
+        named = ("", "doubtful") if number else ("doubtful", "")
         ends = [mode.frequency, mode.frequency], [-np.inf, np.inf]
-        panel.line(*ends, "doubtful", width=STYLE.thin, dash="dashed", **names)
+        panel.line(*ends, "doubtful", width=STYLE.thin, dash="dashed", label=named[0], follows=named[1])
     band = (float(frequency[0]), float(frequency[-1]))
     mark_modes(panel, result.modes, 0.05 * (band[1] - band[0]))
     panel.x.limits, panel.y.limits = band, (lowest - 4.0, 4.0)

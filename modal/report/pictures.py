@@ -319,8 +319,8 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
         pictures["assurance"] = drawn(
             plots.assurance_matrix(shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED], frequencies),
             "assurance",
-            "Modal assurance of the system modes with one another: large numbers off the diagonal mean that the "
-            f"sensors can hardly tell the two shapes apart. {compared}".rstrip()
+            "MAC (modal assurance criterion) of the modes with one another: large numbers off the diagonal mean that "
+            f"the sensors can hardly tell the two shapes apart. {compared}".rstrip()
             + _first(frequencies, system),
         )
     return pictures

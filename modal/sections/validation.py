@@ -14,7 +14,7 @@ from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, wh
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
     from modal.quality import DataQuality
-    from modal.quality.findings import ChannelStatistics
+    from modal.quality.findings import ChannelQuality, ChannelStatistics
 
 __all__ = [
     "ChannelRow",
@@ -273,7 +273,8 @@ def channel_rows(
     notes = {} if specification is None else {note.channel: note for note in specification.sensors}
     excited = () if result.excitation is None else result.excitation.excited_bands
     bands = [_bands_text(bands) for bands in excited] or [""] * record.n_inputs
-    looked_at = {} if quality is None else {(one.role, one.name): one for one in quality.channels}
+    channels = () if quality is None else quality.channels
+    looked_at: dict[tuple[str, str], ChannelQuality] = {(one.role, one.name): one for one in channels}
     rows = []
     for role, names, units in (
         ("input", record.input_names, record.input_units),

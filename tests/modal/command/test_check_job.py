@@ -93,7 +93,7 @@ def test_the_page_has_a_row_a_channel_and_a_sentence_a_finding():
     assert "2000 samples every 0.01 s (100 Hz, 20 s), 1 input, 2 outputs" in text
     assert "tip: g -> m/s^2" in text
     good = shown(record(clipped=False))
-    assert "Nothing is wrong" in good
+    assert "No fault was found" in good
     assert "\nBad" not in good
 
 
