@@ -196,7 +196,7 @@ def _mode_table(modes: Sequence[Mode]) -> Table:
     table.add_column("verdict", no_wrap=True)
     n_believed = sum(mode.verdict != "noise" for mode in modes)
     shown = numbered(modes)[: n_believed + MOST_NOISE]
-    remarks = [remark_of(mode) if mode.verdict != "noise" else _first_part(mode.reason) for _, mode in shown]
+    remarks = [_first_part(remark_of(mode)) for _, mode in shown]
     if any(remarks):
         table.add_column("why", ratio=1)
     for (number, mode), remark in zip(shown, remarks, strict=True):
@@ -223,8 +223,9 @@ def listing(console: Console, heading: str, sentences: Sequence[str], style: str
 
 
 def _first_part(reason: str) -> str:
-    """The reason without its numbers, which the report has."""
-    return re.split(r" \(|; ", reason, maxsplit=1)[0]
+    """The reason without its numbers, which the report has, and without what the column of damping says."""
+    first = re.split(r" \(|; ", reason, maxsplit=1)[0]
+    return "" if first.startswith("damping not resolved") else first
 
 
 def _number(value: float, form: str) -> str:

@@ -70,8 +70,8 @@ MORE_THAN_STATED = 2.0
 to 1.5, and the number of averages alone can be off by no more than their share."""
 WORDS = {
     "halves of the data": "halves of the averages",
-    "other observer order and ridge": "other lags",
     "another observer order and ridge give": "other lags give",
+    "other observer order and ridge": "other lags",
     "the observer order and ridge": "the lags that the start is made of",
 }
 """Say what was changed for a rerun of responses."""

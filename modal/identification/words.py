@@ -160,13 +160,16 @@ def _refinement(found: Search) -> tuple[Choice, ...]:
     without = [1.0 - trial.error for trial in found.trials if not trial.refinement_steps]
     compared = f"held-out fit {1.0 - chosen.error:.3f}, the best without refinement {max(without):.3f}"
     if chosen.refinement_steps == 0:
-        value, why = "none", f"held-out rows gain nothing by it: {compared}"
+        value, why = "none", f"data kept aside fit no better by it: {compared}"
     elif found.ground.by == "rows":
-        value, why = "until it stands still", f"output error; few blows hold too little for an early stop: {compared}"
+        value, why = "to convergence", f"output error; too few blows to stop earlier by data kept aside: {compared}"
     elif chosen.refinement_steps == MOST_STEPS:
-        value, why = "until it stands still", f"output error, held-out rows do not lose by any step: {compared}"
+        value, why = "to convergence", f"output error; no step made data kept aside fit worse: {compared}"
     else:
-        value, why = f"{chosen.refinement_steps} steps", f"output error, stopped where held-out rows lose: {compared}"
+        value, why = (
+            f"{chosen.refinement_steps} steps",
+            f"output error, stopped where data kept aside fit worse: {compared}",
+        )
     return (Choice(what="refinement", value=value, reason=why),)
 
 
@@ -228,9 +231,8 @@ def warnings_in_words(
     words = []
     driven = records[0].n_inputs > 0
     if fit.mean < EXPLAINS or missed > MOST_MISSED:
-        share = max(0, int(np.floor(100 * fit.mean)))
         what = "a free run of the model" if driven else "one-step prediction"
-        how = f"{what} reproduces {share} % of data kept aside"
+        how = f"{what} reproduces {reproduced(fit.mean)} of data kept aside"
         if missed > MOST_MISSED or not driven or not modes.system:
             much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
             words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
@@ -355,7 +357,8 @@ def trust_of(result: Identification) -> Judgement:
         reasons.append("No pole of the model is accepted as a mode of the system.")
     if n_system and (damping := damping_sentence(result)):
         reasons.append(damping)
-    reasons += [sentence for sentence in (doubtful_sentence(result), caution_sentence(result)) if sentence]
+    caution = "" if result.modes.indicators_missing else caution_sentence(result)
+    reasons += [sentence for sentence in (doubtful_sentence(result), caution) if sentence]
     if not n_system:
         return Judgement(trust="not carried", label="Not reliable", reasons=tuple(reasons))
     if result.warnings or not fit >= GOOD_FIT:
@@ -414,7 +417,7 @@ def caution_sentence(result: Identification) -> str:
     """What n / (p q) says about the classical indicators; "" while it is small."""
     caution = result.modes.indicator_caution
     if result.modes.indicators_missing:
-        return f"The classical indicators are not known: {result.modes.indicators_missing}"
+        return f"The classical indicators are not known: {result.modes.indicators_missing.rstrip('.')}."
     if not caution > MOST_CAUTION:
         return ""
     return (

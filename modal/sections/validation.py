@@ -37,16 +37,17 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
     """How the fit on held-out rows was found, and how far it lies below that on all rows."""
     if result.response is not None:
         halves = (
-            "Tested on halves of the averages: responses plus and minus an error drawn as theirs is are two tables, as "
-            "two halves of the blocks would have given them; the model of each was held against the other, every line "
-            "in its standard deviations."
+            "Tested on halves of the averages: an error as large as theirs is drawn, added for one table and taken off "
+            "for the other, as two halves of the blocks would differ. The model of each was compared with the other, "
+            "every line in units of its standard deviation."
         )
         return (halves,)
     n_folds = int(np.size(result.fit.folds))
     inputs = result.channels.n_inputs
     run = "a free run from the inputs alone" if inputs else "a prediction one step ahead, because no input was measured"
     sentences = [
-        f"Tested by {run}: in {_folds(n_folds)} the model was fitted to the other rows and run over those held out."
+        f"Tested by {run}: in {_folds(n_folds)} part of the data was kept aside, the model fitted to the rest and run "
+        "over that part."
         if n_folds
         else f"Tested by {run}; no rows were held out."
     ]
@@ -55,13 +56,13 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
         drop = whole - held_out
         if drop > 0.05:
             sentences.append(
-                f"On all rows the fit is {whole:.2f}, {drop:.2f} more than on held-out rows: a sign that the model "
-                "follows the noise of the rows that it was fitted to."
+                f"On all data the fit is {whole:.2f}, {drop:.2f} more than on data kept aside: a sign that the model follows "
+                "the noise of the data that it was fitted to."
             )
         else:
             sentences.append(
-                f"On all rows the fit is {whole:.2f}, on held-out rows {held_out:.2f}: no sign that the model "
-                "follows the noise of the rows that it was fitted to."
+                f"On all data the fit is {whole:.2f}, on data kept aside {held_out:.2f}: no sign that the model follows the "
+                "noise of the data that it was fitted to."
             )
     low = [
         name

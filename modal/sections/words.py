@@ -68,11 +68,8 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
     if not system:
         said.append("Quote nothing; measure longer, drive harder or in a broader band, then identify again.")
     if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
-        said.append(
-            "A second record of the same test, identified together with this one, may settle the doubtful poles."
-        )
-    if any(not mode.damping_resolved and mode.kind == "oscillatory" for mode in system):
-        said.append("A longer record is needed where the damping is not resolved.")
+        more = "A second record of this test, identified together with it," if result.records else "More averages"
+        said.append(f"{more} may settle the doubtful poles.")
     return tuple(said) or ("Nothing speaks against quoting these modes, with their intervals.",)
 
 

@@ -13,9 +13,11 @@ from modal.acceptance.check import LimitOutcome
 from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
+from modal.report import pages
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures
 from modal.sections.provenance import Provenance, SourceFile
+from modal.verdict.judgement import FOUND_AGAIN
 from okid.record import Record
 
 NASTY = "</style></script><script>alert(1)</script> {{ 7*7 }} {% raw %} |"
@@ -131,6 +133,49 @@ def test_page_says_what_was_found(page):
         "11.1",
     ):
         assert words in text
+
+
+def test_page_one_holds_the_response_what_to_do_and_the_shapes(plain_files):
+    text = plain_files.html.read_text(encoding="utf-8")
+    places = [
+        text.index(mark) for mark in ("<h1>", "<b>Next:</b>", 'data-chart="overview"', 'id="modes"', 'id="shapes"')
+    ]
+    assert places == sorted(places)
+    assert places[-1] < text.index('id="setup"')
+    assert "the modes found, at 3.67, 11.1, 16.6 Hz" in text  # for those who cannot see the picture, and below it
+
+
+def test_every_picture_has_words_and_one_legend(plain_files):
+    text = plain_files.html.read_text(encoding="utf-8")
+    pictures = re.findall(r"<svg [^>]*viewBox[^>]*>", text)
+    assert pictures
+    assert all(re.search(r'aria-label="[^"]{20,}"', one) for one in pictures)
+    assert ".toggles + .plot .key { display: none; }" in text  # the buttons of a picture are its legend
+
+
+def test_how_well_a_mode_reappears_is_a_bar_and_no_sentence_in_every_row(identification):
+    shares = (("halves of the data", 0.91), ("other model orders", 0.83))
+    modes = tuple(
+        replace(mode, reappears=shares, reason=f"{FOUND_AGAIN}halves of the data 0.91, other model orders 0.83")
+        for mode in identification.modes.modes[:3]
+    )
+    result = replace(identification, modes=replace(identification.modes, modes=modes))
+    text = html_text(result, Provenance(), {})
+    assert text.count("width:91%") == text.count("width:83%") == 3
+    assert "found again: halves" not in text
+    odd = replace(modes[0], reason=f"{modes[0].reason}; damping not resolved: a doubt")
+    result = replace(result, modes=replace(result.modes, modes=(odd, *modes[1:])))
+    assert html_text(result, Provenance(), {}).count("damping not resolved: a doubt") == 1
+
+
+@pytest.mark.parametrize(("most", "said"), [(4, ""), (3, "1 more channel"), (2, "2 more channels")])
+def test_channels_beyond_a_number_are_folded_and_none_is_lost(identification, monkeypatch, most, said):
+    monkeypatch.setattr(pages, "MOST_CHANNELS", most)
+    text = html_text(identification, Provenance(), {})
+    assert (f"<summary>{said}</summary>" in text) is bool(said)
+    assert ("<summary>" in text) is bool(said)
+    rows = re.findall(r"<tr><td><bdi>(\w+)</bdi></td><td>(?:in|out)put", text)
+    assert sorted(rows) == ["floor_1", "floor_2", "floor_3", "ground"]
 
 
 def test_noise_modes_stand_apart_from_the_others(page):
