@@ -56,13 +56,13 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
         drop = whole - held_out
         if drop > 0.05:
             sentences.append(
-                f"On all data the fit is {whole:.2f}, {drop:.2f} more than on data kept aside: a sign that the model follows "
-                "the noise of the data that it was fitted to."
+                f"On all data the fit is {whole:.2f}, {drop:.2f} more than on data kept aside: a sign that the model "
+                "follows the noise of the data that it was fitted to."
             )
         else:
             sentences.append(
-                f"On all data the fit is {whole:.2f}, on data kept aside {held_out:.2f}: no sign that the model follows the "
-                "noise of the data that it was fitted to."
+                f"On all data the fit is {whole:.2f}, on data kept aside {held_out:.2f}: no sign that the model "
+                "follows the noise of the data that it was fitted to."
             )
     low = [
         name
