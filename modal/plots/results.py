@@ -167,8 +167,8 @@ def overview(result: Identification) -> Chart:
     panel = figure.panels[0]
     seen, lowest = frequency >= low, 0.0
     lines: tuple[tuple[FloatArray, Role, float], ...] = (
-        (mean[0], "measured", STYLE.thick),
-        (mean[1], "model", STYLE.stroke),
+        (mean[0], "measured", STYLE.under),
+        (mean[1], "model", STYLE.thin),
     )
     for power, role, width in lines:
         level = 10.0 * np.log10(np.maximum(power[seen] / peak, DEEPEST))
