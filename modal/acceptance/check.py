@@ -319,10 +319,10 @@ def _settled(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
 
 
 def _trust(limit: AcceptanceLimit, result: Identification) -> LimitOutcome:
-    """How far the data carry the result as a whole."""
+    """How far the result as a whole can be relied on."""
     found = trust_of(result).trust
     met = found in ("carried", limit.trust)
-    wanted = 'the data carry it ("carried")' if limit.trust == "carried" else 'at least "with care"'
+    wanted = 'the result reliable ("carried")' if limit.trust == "carried" else 'at least "with care"'
     return _outcome(limit, required=wanted, found=f'"{found}"', answer=YES if met else NO)
 
 

@@ -51,7 +51,7 @@ class AcceptanceLimit:
         kind: "mode": a mode of the system lies in the band, its damping ratio in the range; "no_mode": none lies there;
             "n_modes": their number; "damping": the damping ratio of every mode in the band; "fit": cross-validated,
             mean over outputs; "uncertainty": half the 95 % interval of every mode in the band; "settled": no pole in
-            the band is doubtful; "trust": the data carry the result as a whole.
+            the band is doubtful; "trust": the result as a whole can be relied on.
         name: e.g. "first bending"; "" where it has none.
         frequency: band [Hz]; None for all.
         damping: range of the damping ratio of a "mode"; None where any will do.

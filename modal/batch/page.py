@@ -41,7 +41,7 @@ def first_looks(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     failed = [one.record for one in outcomes if one.status == "failed"]
     groups = (
         (failed, "failed: see why below"),
-        (poor, "identified, but the data do not carry the result"),
+        (poor, "identified, but the result is not reliable"),
         (odd, "not like the others in time step, channels or units"),
     )
     return tuple(f"{len(names)} {what}: {_few(names)}" for names, what in groups if names)

@@ -32,7 +32,10 @@ LONGEST_NAME = 28
 """Shorten the name of a channel to so many letters in the table."""
 
 WIDE = 100
-"""Show the extremes of each channel where a line has so many letters."""
+"""Show mean and extremes of each channel where a line has so many letters."""
+
+LEAST_FOUND = 18
+"""Keep so many letters for a channel and for what was found in it, so that both fit into 80."""
 
 MOST_CHANNELS = 40
 """Show so many channels; of more, those without a finding are left out first."""
@@ -84,28 +87,28 @@ def _shown(channels: Sequence[ChannelQuality]) -> list[ChannelQuality]:
 
 
 def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
-    """One row a channel; on a narrow screen without its extremes, so that what was found in it has room."""
-    extremes = ("least", "greatest") if width >= WIDE else ()
+    """One row a channel, first what was found; on a narrow screen without the mean and the extremes."""
+    wide = width >= WIDE
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("channel", no_wrap=True)
+    table.add_column("found", ratio=1, min_width=LEAST_FOUND)
     table.add_column("", no_wrap=True)
-    for heading in ("mean", "std", *extremes):
+    for heading in ("mean", "std", "least", "greatest") if wide else ("std",):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     table.add_column("SNR >=", justify="right", no_wrap=True)
     table.add_column("explained", justify="right", no_wrap=True)
-    table.add_column("found", ratio=1)
     for channel in channels:
         numbers = channel.statistics
-        values = (numbers.mean, numbers.std, *((numbers.smallest, numbers.largest) if extremes else ()))
+        values = (numbers.mean, numbers.std, numbers.smallest, numbers.largest) if wide else (numbers.std,)
         table.add_row(
-            plain(shorten(channel.name, LONGEST_NAME)),
+            plain(shorten(channel.name, LONGEST_NAME if wide else LEAST_FOUND)),
+            _what(channel),
             plain(channel.role, "bright_black"),
             *(plain(_number(x)) for x in values),
-            plain(shorten(channel.unit, 12), "bright_black"),
+            plain(shorten(channel.unit, 12 if wide else 7), "bright_black"),
             plain(_number(numbers.signal_to_noise, "{:.0f} dB")),
             plain(whole_percent(numbers.explained)),
-            _what(channel),
         )
     return table
 

@@ -29,7 +29,7 @@ def demo(
     """Identify an embedded example whose true modes are known, and compare what is found with what is true.
 
     It takes seconds and needs no file. Exit status: 0 done; 1 done, but
-    the data do not carry the result; 2 wrong use.
+    the result is not reliable; 2 wrong use.
     """
     with faults(show=traceback):
         job = Job(folder=folder, existing="replace" if overwrite else "refuse", live=live, printed=pdf)

@@ -49,7 +49,7 @@ def show_difference(console: Console, comparison: Comparison) -> None:
 
 def _table(pairs: Sequence[ModePair]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
-    for heading in ("", "Hz before", "after", "frequency", "damping ratio", "assurance"):
+    for heading in ("", "Hz before", "after", "frequency", "damping ratio", "MAC"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("")
     for pair in pairs:
@@ -108,7 +108,7 @@ def diff(
     """Say what changed from result A to result B: modes matched, shifts against their intervals, modes lost and new.
 
     Exit status: 0 compared, whatever was found; 1 compared, but a result
-    has no mode of the system or its data do not carry it; 2 wrong use or
+    has no mode of the system or is not reliable; 2 wrong use or
     unreadable input.
     """
     with faults(show=traceback):

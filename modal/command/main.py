@@ -1,6 +1,6 @@
 """The command `modal-report`: from measured files to modes, a report and a recording.
 
-Exit status: 0 done; 1 done, but the data do not carry the result (cross-validated fit below 0.5, no mode of the system,
+Exit status: 0 done; 1 done, but the result is not reliable (no mode of the system,
 or a gap that no effect is proved to explain) or a limit of acceptance is not surely met; 2 wrong use or unreadable
 input, one sentence on stderr, nothing written; 3 a fault of ours; 130 stopped.
 """

@@ -363,7 +363,7 @@ def carry_out(
             write_pdf(files.html, job.pdf)
         limits = () if specification is None else check_limits(result, specification)
     console = Console(highlight=False)
-    show_result(console, result, remarks=(*remarks, *unseen), limits=limits)
+    show_result(console, result, remarks=(*remarks, *unseen), limits=limits, quality=quality)
     return Finished(result=result, files=files, pdf=job.pdf, limits=limits, console=console)
 
 
@@ -429,7 +429,7 @@ def run(
 ) -> None:
     """Identify the modes in measured FILES and write a report and a Rerun recording.
 
-    Exit status: 0 done; 1 done, but the data do not carry the result
+    Exit status: 0 done; 1 done, but the result is not reliable
     or a limit of --test is not surely met; 2 wrong use or unreadable input.
     """
     with faults(show=traceback):
@@ -454,5 +454,5 @@ def run(
 
 
 def exit_status(finished: Finished) -> int:
-    """0 where the data carry the result and every limit is surely met, 1 otherwise."""
+    """0 where the result can be relied on and every limit is surely met, 1 otherwise."""
     return 0 if trust_of(finished.result).trust != "not carried" and all_met(finished.limits) else 1

@@ -13,7 +13,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskProgressColumn, TextColumn
@@ -28,10 +28,13 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode, numbered
 from modal.recording.live import live_recording
-from modal.report.writing import LARGEST_KEPT, ReportFiles
-from modal.sections.words import data_sentences, modes_headline
+from modal.report.writing import ReportFiles
+from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
+
+if TYPE_CHECKING:
+    from modal.quality import DataQuality
 
 __all__ = [
     "Progress",
@@ -102,19 +105,23 @@ def plain(text: str, style: str = "") -> Text:
 
 
 def show_result(
-    console: Console, result: Identification, *, remarks: Sequence[str] = (), limits: Sequence[LimitOutcome] = ()
+    console: Console,
+    result: Identification,
+    *,
+    remarks: Sequence[str] = (),
+    limits: Sequence[LimitOutcome] = (),
+    quality: "DataQuality | None" = None,
 ) -> None:
-    """Headline, mode table, limits of acceptance, fit and warnings in words."""
+    """Headline, how sure, what to do, mode table, limits of acceptance, warnings."""
     judgement = trust_of(result)
-    console.print()
     console.print(plain(modes_headline(result), "bold"))
+    console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
+    console.print(plain("Next: ", "bold") + plain(" ".join(next_sentences(result, quality))))
+    console.print()
     console.print(_mode_table(result.modes.modes))
     hidden = sum(mode.verdict == "noise" for mode in result.modes) - MOST_NOISE
     if hidden > 0:
-        poles = "pole" if hidden == 1 else "poles"
-        console.print(plain(f"and {hidden} more noise {poles}, all in the report", "bright_black"))
-    console.print()
-    console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
+        console.print(plain(f"and {hidden} more noise pole{'s' * (hidden > 1)}, all in the report", "bright_black"))
     show_limits(console, limits)
     listing(console, "Warnings", result.warnings, "yellow")
     listing(console, "Data", (*data_sentences(result), *remarks), "")
@@ -142,8 +149,8 @@ def _limit_text(outcome: LimitOutcome) -> str:
 
 def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> None:
     """True and found modes of the demo side by side."""
-    table = Table(title="Found against true", title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for heading in ("true [Hz]", "found [Hz]", "off by", "true damping", "found", "shape assurance"):
+    table = Table(box=None, pad_edge=False, header_style="bright_black")
+    for heading in ("true [Hz]", "found [Hz]", "off by", "true damping", "found", "MAC"):
         table.add_column(heading, justify="right")
     table.add_column("verdict")
     for row in comparison:
@@ -162,16 +169,13 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
 
 def show_files(console: Console, files: ReportFiles, *, pdf: Path | None = None) -> None:
     """Where the report is, one line a file, so that it can be opened by a click or a copy."""
+    others = (files.markdown, files.json, files.csv, files.uff55, files.result)
     show_paths(
         console,
-        (files.html, "report to read"),
+        (files.html, "the report"),
         (pdf, "the same on paper"),
-        (files.markdown, "the same as Markdown"),
-        (files.json, "every number"),
-        (files.csv, "one row a pole"),
-        (files.uff55, "the modes for other programs"),
-        (files.result, f"the result itself, its summary above {LARGEST_KEPT >> 20} MiB, for modal.load and diff"),
         (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
+        (files.recording.parent, f"also {', '.join(path.name for path in others)}"),
     )
 
 
@@ -188,11 +192,14 @@ def _mode_table(modes: Sequence[Mode]) -> Table:
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("Hz", justify="right", no_wrap=True)
     table.add_column("damping", justify="right", no_wrap=True)
-    table.add_column("repeat.", justify="right", no_wrap=True)
+    table.add_column("reappears", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    table.add_column("why", ratio=1)
     n_believed = sum(mode.verdict != "noise" for mode in modes)
-    for number, mode in numbered(modes)[: n_believed + MOST_NOISE]:
+    shown = numbered(modes)[: n_believed + MOST_NOISE]
+    remarks = [_first_part(remark_of(mode)) for _, mode in shown]
+    if any(remarks):
+        table.add_column("why", ratio=1)
+    for (number, mode), remark in zip(shown, remarks, strict=True):
         colour = _COLOURS[mode.verdict]
         table.add_row(
             plain(str(number), "bright_black"),
@@ -200,10 +207,7 @@ def _mode_table(modes: Sequence[Mode]) -> Table:
             plain(damping_text(mode), colour),
             plain(_number(mode.repeatability, "{:.2f}"), colour),
             plain(mode.verdict, colour),
-            plain(
-                mode.reason if mode.verdict != "noise" else _first_part(mode.reason),
-                "" if mode.verdict == "system" else colour,
-            ),
+            *([plain(remark, "" if mode.verdict == "system" else colour)] if any(remarks) else []),
         )
     return table
 
@@ -219,8 +223,9 @@ def listing(console: Console, heading: str, sentences: Sequence[str], style: str
 
 
 def _first_part(reason: str) -> str:
-    """The reason without its numbers, which the report has."""
-    return re.split(r" \(|; ", reason, maxsplit=1)[0]
+    """The reason without its numbers, which the report has, and without what the column of damping says."""
+    first = re.split(r" \(|; ", reason, maxsplit=1)[0]
+    return "" if first.startswith("damping not resolved") else first
 
 
 def _number(value: float, form: str) -> str:

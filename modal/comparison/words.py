@@ -1,6 +1,7 @@
 """A comparison in plain words: the headline, one sentence a mode, and what the test behind it can and cannot say."""
 
 import math
+from collections.abc import Iterable
 
 from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import Shift
@@ -148,6 +149,8 @@ def unmatched_sentence(one: Unmatched, *, present: str, absent: str) -> str:
 
 def how_sentence(comparison: Comparison) -> str:
     """What the verdicts rest on."""
+    if not comparison.pairs:
+        return "No shift was tested, because no mode is in both results."
     if not comparison.n_tests:
         return "No shift could be tested, because no uncertainty is known."
     tests = "One shift was tested" if comparison.n_tests == 1 else f"{comparison.n_tests} shifts were tested together"
@@ -160,6 +163,12 @@ def how_sentence(comparison: Comparison) -> str:
 def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
     """What makes the comparison weaker than it looks."""
     sentences = []
+    names = [{channel.name for channel in one.outputs} for one in (comparison.before, comparison.after)]
+    if not names[0] & names[1]:
+        sentences.append(
+            f"The results have no output channel in common ({_named(names[0])}; {_named(names[1])}): modes were "
+            "matched by frequency and damping alone, and no shape was compared."
+        )
     if comparison.same_data:
         sentences.append(
             "Both results come from the same measured data: their errors are not independent, and a shift is the work "
@@ -171,7 +180,7 @@ def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
     for one in (comparison.before, comparison.after):
         if one.trust == "not carried":
             name = shorten(visible(one.name), LONGEST_NAME)
-            sentences.append(f"The data of {name} do not carry its result, so its modes are not certain.")
+            sentences.append(f"The result of {name} is not reliable, so its modes are not certain.")
     if any(one.kind == "unit" for one in comparison.differences):
         sentences.append("Channels of another unit were left out where shapes are compared.")
     return tuple(sentences)
@@ -187,8 +196,14 @@ def least_text(shift: Shift) -> str:
 
 def _shape_text(shift: Shift) -> str:
     least = least_text(shift)
-    known = f"assurance {assurance_text(shift)}" if math.isfinite(shift.after) else "not compared"
+    known = f"MAC {assurance_text(shift)}" if math.isfinite(shift.after) else "not compared"
     return f"{known} ({least})" if least else known
+
+
+def _named(names: Iterable[str]) -> str:
+    shown = sorted(names)
+    more = f" and {len(shown) - 3} more" if len(shown) > 3 else ""
+    return ", ".join(shorten(visible(name), LONGEST_NAME) for name in shown[:3]) + more
 
 
 def _sure(several: tuple[Unmatched, ...]) -> int:

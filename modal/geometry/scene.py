@@ -315,7 +315,7 @@ def comparison_words(output_names: Sequence[str], output_units: Sequence[str]) -
             "The assurance is that of the numbers as they are, so outputs in units with large numbers weigh more in it."
         )
     return (
-        "The outputs have different units: for the assurance all are made displacements, velocities divided by the "
+        "The outputs have different units: for the MAC all are made displacements, velocities divided by the "
         "pole and accelerations by its square."
     )
 

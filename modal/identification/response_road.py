@@ -70,8 +70,8 @@ MORE_THAN_STATED = 2.0
 to 1.5, and the number of averages alone can be off by no more than their share."""
 WORDS = {
     "halves of the data": "halves of the averages",
-    "other observer order and ridge": "other lags",
     "another observer order and ridge give": "other lags give",
+    "other observer order and ridge": "other lags",
     "the observer order and ridge": "the lags that the start is made of",
 }
 """Say what was changed for a rerun of responses."""
@@ -389,7 +389,8 @@ def _in_these_words(modes: ModalModel) -> ModalModel:
         reason = mode.reason
         for words, instead in WORDS.items():
             reason = reason.replace(words, instead)
-        said.append(replace(mode, reason=reason))
+        reappears = tuple((WORDS.get(what, what), overlap) for what, overlap in mode.reappears)
+        said.append(replace(mode, reason=reason, reappears=reappears))
     return replace(modes, modes=tuple(said))
 
 

@@ -30,7 +30,16 @@ from modal.verdict.judgement import Reruns
 from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.names import shorten
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, counted, fit_text, hertz, ratio_text, with_interval
+from modal.wording.numbers import (
+    GOOD_FIT,
+    LEAST_FIT,
+    NINETY_FIVE,
+    counted,
+    hertz,
+    ratio_text,
+    reproduced,
+    with_interval,
+)
 from okid.arrays import FloatArray
 from okid.excitation import Excitation
 from okid.record import Record
@@ -151,13 +160,16 @@ def _refinement(found: Search) -> tuple[Choice, ...]:
     without = [1.0 - trial.error for trial in found.trials if not trial.refinement_steps]
     compared = f"held-out fit {1.0 - chosen.error:.3f}, the best without refinement {max(without):.3f}"
     if chosen.refinement_steps == 0:
-        value, why = "none", f"held-out rows gain nothing by it: {compared}"
+        value, why = "none", f"data kept aside fit no better by it: {compared}"
     elif found.ground.by == "rows":
-        value, why = "until it stands still", f"output error; few blows hold too little for an early stop: {compared}"
+        value, why = "to convergence", f"output error; too few blows to stop earlier by data kept aside: {compared}"
     elif chosen.refinement_steps == MOST_STEPS:
-        value, why = "until it stands still", f"output error, held-out rows do not lose by any step: {compared}"
+        value, why = "to convergence", f"output error; no step made data kept aside fit worse: {compared}"
     else:
-        value, why = f"{chosen.refinement_steps} steps", f"output error, stopped where held-out rows lose: {compared}"
+        value, why = (
+            f"{chosen.refinement_steps} steps",
+            f"output error, stopped where data kept aside fit worse: {compared}",
+        )
     return (Choice(what="refinement", value=value, reason=why),)
 
 
@@ -219,16 +231,15 @@ def warnings_in_words(
     words = []
     driven = records[0].n_inputs > 0
     if fit.mean < EXPLAINS or missed > MOST_MISSED:
-        share = max(0, int(np.floor(100 * fit.mean)))
         what = "a free run of the model" if driven else "one-step prediction"
-        how = f"{what} explains {share} % of the outputs' motion on held-out rows"
+        how = f"{what} reproduces {reproduced(fit.mean)} of data kept aside"
         if missed > MOST_MISSED or not driven or not modes.system:
             much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
             words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
         else:
             words.append(
                 f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
-                "does not follow the inputs. Low fit is no error: each mode is judged by itself."
+                "does not follow the inputs. That is no error: each mode is judged by itself."
             )
     else:
         poor = [
@@ -237,7 +248,7 @@ def warnings_in_words(
             if value < EXPLAINS
         ]
         if poor:
-            words.append(f"The model does not explain these outputs (held-out fit): {', '.join(poor)}.")
+            words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
     spread = float(fit.folds.max() - fit.folds.min())
     if spread > FOLDS_APART:
         words.append(
@@ -338,47 +349,41 @@ class Judgement:
 
 
 def trust_of(result: Identification) -> Judgement:
-    """Whether the data carry the result; the command's exit status is 1 exactly when they do not."""
+    """Whether the result can be relied on; the command's exit status is 1 exactly when no mode is accepted."""
     fit = result.fit.mean
     n_system = len(result.modes.system)
     reasons = [fit_sentence(result)]
     if not n_system:
-        reasons.append("No pole of the model is accepted as a mode of the system, so there is nothing to quote.")
+        reasons.append("No pole of the model is accepted as a mode of the system.")
     if n_system and (damping := damping_sentence(result)):
         reasons.append(damping)
-    reasons += [sentence for sentence in (doubtful_sentence(result), caution_sentence(result)) if sentence]
+    caution = "" if result.modes.indicators_missing else caution_sentence(result)
+    reasons += [sentence for sentence in (doubtful_sentence(result), caution) if sentence]
     if not n_system:
-        return Judgement(trust="not carried", label="The data do not carry it", reasons=tuple(reasons))
+        return Judgement(trust="not carried", label="Not reliable", reasons=tuple(reasons))
     if result.warnings or not fit >= GOOD_FIT:
-        return Judgement(trust="with care", label="To be used with care", reasons=tuple(reasons))
-    return Judgement(trust="carried", label="The data carry it", reasons=tuple(reasons))
+        return Judgement(trust="with care", label="Use with care", reasons=tuple(reasons))
+    return Judgement(trust="carried", label="Reliable", reasons=tuple(reasons))
 
 
 def fit_sentence(result: Identification) -> str:
-    """What the cross-validated fit says about the model."""
+    """How much of the data kept aside the model reproduces, and of which output the least."""
     fit = result.fit.mean
     if not math.isfinite(fit):
-        return "No fit on held-out data is known, so nothing here has been tested against data the model had not seen."
+        return "No data were kept aside, so nothing here has been tested on data that the model had not seen."
     if fit < LEAST_FIT:
-        poor = f"its fit on rows that it was not fitted to is {fit_text(fit)}, below {LEAST_FIT}"
-        if result.modes.system:
-            return f"The model explains the lesser part of the record, {poor}; the rest is noise or other forces."
-        return f"The model does not explain the record: {poor}."
-    names = result.channels.output_names
-    fits = result.fit.cross_validated
+        rest = "; the rest is noise or forces that were not measured." if result.modes.system else ", too little."
+        return f"The model reproduces only {reproduced(fit)} of data kept aside{rest}"
+    names, fits = result.channels.output_names, result.fit.cross_validated
     worst = int(fits.argmin())
-    word = "well" if fit >= GOOD_FIT else "in the main"
-    if result.response is not None:
-        least, mean = fit_text(fits[worst]), fit_text(fit)
-        return (
-            f"Held against responses of the other half of the averages, the model repeats them {word}: its fit, each "
-            f"line in its standard deviations, is {mean} (least for {shorten(names[worst], LONGEST_NAME)}: {least})."
-        )
-    how = "Fed with the inputs alone" if result.channels.n_inputs else "No input was measured; one step ahead"
+    how = "From the inputs alone" if result.channels.n_inputs else "One step ahead (no input was measured)"
     how = "From the start of each record alone" if result.record_kind == "decay" else how
-    least, mean = fit_text(fits[worst]), fit_text(fit)
-    sentence = f"{how}, the model explains the outputs {word}: its fit on rows that it was not fitted to is {mean}"
-    return sentence + (f" (least for {shorten(names[worst], LONGEST_NAME)}: {least})." if least != mean else ".")
+    what = "data kept aside"
+    if result.response is not None:
+        how, what = "In units of their standard deviations", "responses from the other half of the averages"
+    sentence = f"{how}, the model reproduces {reproduced(fit)} of {what}"
+    least = f" (least of {shorten(names[worst], LONGEST_NAME)}: {reproduced(fits[worst])})"
+    return sentence + (least if reproduced(fits[worst]) != reproduced(fit) else "") + "."
 
 
 def damping_sentence(result: Identification) -> str:
@@ -412,7 +417,7 @@ def caution_sentence(result: Identification) -> str:
     """What n / (p q) says about the classical indicators; "" while it is small."""
     caution = result.modes.indicator_caution
     if result.modes.indicators_missing:
-        return f"The classical indicators are not known: {result.modes.indicators_missing}"
+        return f"The classical indicators are not known: {result.modes.indicators_missing.rstrip('.')}."
     if not caution > MOST_CAUTION:
         return ""
     return (
@@ -444,7 +449,7 @@ def damping_shown(mode: Mode) -> str:
 
 
 def frequency_text(mode: Mode) -> str:
-    """Frequency in Hz, with its 95 % interval where that is known and smaller than the frequency."""
-    if not NINETY_FIVE * mode.frequency_std < mode.frequency:
+    """Frequency in Hz, with its 95 % interval where that is known."""
+    if not math.isfinite(mode.frequency_std):
         return hertz(mode.frequency)
     return with_interval(mode.frequency, NINETY_FIVE * mode.frequency_std)

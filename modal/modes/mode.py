@@ -57,6 +57,7 @@ class Mode(Displayed):
         msv: mode singular value relative to the largest of the model.
         mpd: mean phase deviation [deg].
         repeatability: mean overlap with the same mode identified again from other data and orders, in [0, 1].
+        reappears: (what was changed, overlap) of each kind of change that the mean is taken over; empty where unknown.
         gain: share of the squared free-run error without the mode that the mode removes (`modal.verdict.excitation`).
         probability: that the mode belongs to the system.
         verdict: "system", "doubtful" or "noise".
@@ -83,6 +84,7 @@ class Mode(Displayed):
     msv: float = np.nan
     mpd: float = np.nan
     repeatability: float = np.nan
+    reappears: tuple[tuple[str, float], ...] = ()
     gain: float = np.nan
     probability: float = np.nan
     verdict: Verdict = "doubtful"

@@ -23,7 +23,9 @@ def measured_against_simulated(
     fits: FloatArray | None = None,
     detail: float | None = None,
 ) -> Chart:
-    """One row an output: the whole record on the left, the strongest moment of it on the right.
+    """One row an output: the whole record with what the model leaves on the left, its strongest moment on the right.
+
+    The model is drawn at the strongest moment alone: over a whole record it would hide what was measured.
 
     Args:
         measured: record.
@@ -38,12 +40,15 @@ def measured_against_simulated(
     time = measured.time
     modelled = "model, from the inputs alone" if measured.n_inputs else "model, one step ahead"
     for row, (output, whole, part) in enumerate(zip(chosen, figure.panels[::2], figure.panels[1::2], strict=True)):
-        signals: tuple[tuple[FloatArray, Role, str, float, float], ...] = (
-            (measured.outputs[:, output], "measured", "measured", 2.4, 0.6),
-            (simulated.outputs[:, output], "model", modelled, 0.9, 1.0),
+        signals: tuple[tuple[FloatArray, Role, float, float], ...] = (
+            (measured.outputs[:, output], "measured", 2.4, 0.6),
+            (simulated.outputs[:, output], "model", 0.9, 1.0),
         )
-        for values, role, label, width, opacity in signals:
-            whole.line(*envelope(time, values), role, width=width * 0.75, opacity=opacity, label=label)
+        left = measured.outputs[:, output] - simulated.outputs[:, output]
+        whole.line(*envelope(time, measured.outputs[:, output]), "measured", label="measured")
+        whole.line(*envelope(time, left), "residual", width=STYLE.thin, label="measured less model")
+        whole.line(time[:1], [np.nan], "model", label=modelled)  # for the key
+        for values, role, width, opacity in signals:
             part.line(time[window], values[window], role, width=width, opacity=opacity)
         name = plot_label(measured.output_names[output])
         unit = plot_label(measured.output_units[output], limit=12)

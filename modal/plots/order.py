@@ -113,14 +113,14 @@ def stabilisation_diagram(
         places = [point.frequency for point in points], [point.order for point in points]
         panel.dots(*places, role, dot=STYLE.dot if number else 2.4, label=word)
     panel.across(evidence.order, "model")
-    _mark_modes(panel, modes, 0.05 * nyquist)
+    mark_modes(panel, modes, 0.05 * nyquist)
     panel.x.limits, panel.y.limits = (0.0, nyquist), (0.0, highest * 1.05)
     panel.x.label, panel.y.label = "frequency [Hz]", "model order"
     figure.key = Key(panel=panel, below=True, title=colour_measure(evidence)[2])
     return figure
 
 
-def _mark_modes(panel: Panel, modes: ModalModel, room: float) -> None:
+def mark_modes(panel: Panel, modes: ModalModel, room: float) -> None:
     """A line for each mode of the system, its frequency above where there is room."""
     for mode, level in zip(modes.system, _levels(modes.frequencies, room), strict=True):
         panel.upright(mode.frequency, "system", width=STYLE.thin, opacity=STYLE.half)

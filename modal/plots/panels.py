@@ -47,13 +47,13 @@ IN_TURN: Final[tuple[Role, ...]] = ("measured", "model", "system", "residual", "
 COLOURS: Final[dict[Role, str]] = {
     "paper": "#ffffff",
     "ink": "#1c2430",
-    "muted": "#667080",
+    "muted": "#5c6675",
     "grid": "#e1e5ea",
     "measured": "#2b6cd4",
     "model": "#e2761b",
-    "residual": "#c63c4d",
-    "system": "#12875c",
-    "doubtful": "#b67a12",
+    "residual": "#b83142",
+    "system": "#0d7a52",
+    "doubtful": "#8f5f0a",
     "noise": "#a3abb5",
 }
 """Draw in these on light paper; a page exchanges each for its own by name."""
@@ -78,6 +78,7 @@ class Style:
         thin: width of a line that another is to be seen over, or that only marks a place.
         stroke: width of a line.
         thick: width of the line that matters most.
+        under: width of a measured line that a model is drawn over, so that it is seen on both sides of it.
         dot: diameter of a dot.
         faint: opacity of an area behind everything.
         pale: opacity of a band that means something, and of a line that is not to be trusted.
@@ -100,6 +101,7 @@ class Style:
     thin: float = 0.8
     stroke: float = 1.2
     thick: float = 1.7
+    under: float = 3.2
     dot: float = 4.8
     faint: float = 0.12
     pale: float = 0.25

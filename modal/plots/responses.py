@@ -54,7 +54,7 @@ def response_chart(
             panel.line(
                 model_grid(measured), alone, "system", width=STYLE.thin, dash="dashed", label="modes of the system"
             )
-        panel.line(model_grid(measured), model[:, output, input_], "model", label="model")
+        panel.line(model_grid(measured), model[:, output, input_], "model", width=STYLE.thin, label="model")
         panel.head = _pair_name(output, input_, output_names, input_names)
         coherence = measured.multiple_coherence[1:, output]
         strip.line(
@@ -101,7 +101,7 @@ def _draw_response(panel: Panel, measured: MeasuredFrf, output: int, input_: int
         frequencies,
         np.where(trusted, values, np.nan),
         "measured",
-        width=STYLE.thick,
+        width=STYLE.under,
         opacity=STYLE.strong,
         label="measured",
     )
@@ -123,8 +123,8 @@ def output_spectra(
     _, power_simulated = power_spectra(simulated)
     for panel, output in zip(figure.panels, chosen, strict=True):
         spectra: tuple[tuple[FloatArray, Role, str, float], ...] = (
-            (power[1:, output], "measured", "measured", 1.6),
-            (power_simulated[1:, output], "model", "model", 1.0),
+            (power[1:, output], "measured", "measured", STYLE.under),
+            (power_simulated[1:, output], "model", "model", STYLE.thin),
         )
         for values, role, label, width in spectra:
             panel.line(frequency[1:], np.where(values > 0, values, np.nan), role, width=width, label=label)

@@ -11,14 +11,16 @@ import numpy as np
 from modal.geometry.scene import comparable_shapes
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
-from modal.modes.response_synthesis import MeasuredFrf, measured_frf, modal_frf, tabled_frf
+from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_sets import assurance as mac
 from modal.plots.figures import figure_of
 from modal.plots.histories import measured_against_simulated
-from modal.plots.layout import Chart
-from modal.plots.order import stabilisation_diagram
+from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.order import mark_modes, stabilisation_diagram
+from modal.plots.panels import STYLE, Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
 from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
+from modal.sections.discrepancy_stages import power_spectra
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 
@@ -40,6 +42,7 @@ __all__ = [
     "least_fitted",
     "measured_responses",
     "modes",
+    "overview",
     "shape_assurance",
     "spectra",
     "stabilisation",
@@ -48,6 +51,9 @@ __all__ = [
 
 MOST_SHOWN = 6
 """Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
+
+DEEPEST = 1e-10
+"""Draw power down to this part of the peak: what lies deeper is the rounding of an empty spectrum."""
 
 PERIODS = 10.0
 """Show so many periods of the slowest mode in the enlarged part of a time history."""
@@ -140,6 +146,45 @@ def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) 
     if not diagnosis.laws:
         raise InvalidDataError("this diagnosis found no effect, so there is no law to draw.")
     return figure_of(draw_laws(diagnosis.laws[:MOST_SHOWN]), axes=axes)
+
+
+def overview(result: Identification) -> Chart:
+    """Mean spectrum of the outputs (of a table, mean response), measured and of the model, with the modes found."""
+    if result.response is None:
+        frequency, measured = power_spectra(result.records)
+        model = power_spectra(result.simulated)[1]
+        low = frequency[1]
+    else:
+        table = tabled_frf(result.response)
+        frequency, low = table.frequencies, table.frequencies[0]
+        flat = (table.frf, frf(result.realisation, frequency))
+        measured, model = ((np.abs(one) ** 2).reshape(len(frequency), -1) for one in flat)
+    total = np.nansum(measured, axis=0)
+    total[total == 0] = 1.0
+    mean = [np.nanmean(power / total, axis=1) for power in (measured, model)]
+    peak = max(float(np.nanmax(mean[0], initial=0.0)), np.finfo(float).tiny)
+    figure = grid_of(1, 1, size=(STYLE.page, 2.6))
+    panel = figure.panels[0]
+    seen, lowest = frequency >= low, 0.0
+    lines: tuple[tuple[FloatArray, Role, float], ...] = (
+        (mean[0], "measured", STYLE.under),
+        (mean[1], "model", STYLE.thin),
+    )
+    for power, role, width in lines:
+        level = 10.0 * np.log10(np.maximum(power[seen] / peak, DEEPEST))
+        lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
+        panel.line(frequency[seen], level, role, width=width, label=role)
+    doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
+    for number, mode in enumerate(doubtful):
+        named = ("", "doubtful") if number else ("doubtful", "")
+        ends = [mode.frequency, mode.frequency], [-np.inf, np.inf]
+        panel.line(*ends, "doubtful", width=STYLE.thin, dash="dashed", label=named[0], follows=named[1])
+    band = (float(frequency[0]), float(frequency[-1]))
+    mark_modes(panel, result.modes, 0.05 * (band[1] - band[0]))
+    panel.x.limits, panel.y.limits = band, (lowest - 4.0, 4.0)
+    panel.x.label, panel.y.label = "frequency [Hz]", "power [dB]"
+    figure.key = Key(panel=panel)
+    return figure
 
 
 def fit_chart(result: Identification) -> Chart:

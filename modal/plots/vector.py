@@ -43,7 +43,7 @@ def svg_text(figure: Chart, *, name: str, description: str) -> str:
             _words(figure.width / 2, STYLE.head + STYLE.gap, figure.title, "ink", size=STYLE.head, anchor="middle")
         )
     if figure.key is not None:
-        parts += _outer_key(figure, figure.key)
+        parts += ['<g class="key">', *_outer_key(figure, figure.key), "</g>"]
     return "\n".join([*parts, "</svg>"])
 
 
@@ -84,7 +84,7 @@ def _panel(panel: Panel, name: str, number: int) -> list[str]:
     parts.append("</g>")
     parts += _said(panel)
     if panel.key is not None and panel.keyed:
-        parts += _inner_key(panel)
+        parts += ['<g class="key">', *_inner_key(panel), "</g>"]
     return parts
 
 

@@ -172,7 +172,7 @@ def prepare(
 
 
 def _gap_warnings(gaps: tuple[Choice, ...]) -> tuple[str, ...]:
-    return tuple(f"Input gaps: {gap.value}, since {gap.reason}." for gap in gaps)
+    return tuple(f"Input gaps: {gap.value}: {gap.reason}." for gap in gaps)
 
 
 def checked_parts(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -195,7 +195,7 @@ def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice,
     gaps = Choice(
         what="input gaps",
         value=f"{len(parts)} records from {len(records)}",
-        reason="where an input is missing the state is lost: what follows starts a record of its own",
+        reason="samples of an input are missing; no model can run over them, so a record ends at each gap",
     )
     return parts, (gaps,)
 
@@ -293,8 +293,8 @@ def _check_long_enough(records: Sequence[Record]) -> None:
     longest = max(record.n_samples for record in records)
     if longest < FEWEST_SAMPLES:
         raise InsufficientDataError(
-            f"the automatic choice needs at least {FEWEST_SAMPLES} samples in one record, four blocks of ten; the "
-            f"longest has {longest}; give a longer record, or call okid.fit_observer with an order of your own."
+            f"choosing the orders needs at least {FEWEST_SAMPLES} samples in one record, four blocks of ten; the "
+            f"longest has {longest}. Give a longer record, or call okid.fit_observer with an order of your own."
         )
 
 
@@ -321,6 +321,6 @@ def _refuse_constant(kind: str, array: FloatArray, names: Sequence[str], record:
         if low == high:
             where = f" of record {record.name!r}" if record.name else ""
             raise InsufficientDataError(
-                f"{kind} {name!r}{where} is {low:.6g} in all {record.n_samples} samples, so nothing can be learnt "
-                "from it; leave it out."
+                f"{kind} {name!r}{where} is {low + 0.0:.6g} in all {record.n_samples} samples, so nothing can be "
+                "learnt from it; leave it out."
             )

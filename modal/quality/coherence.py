@@ -322,7 +322,7 @@ def _leakage(record: Record, frf: MeasuredFrf, shares: Shares, leaking: Sequence
             f"{f', the least of {len(names)}' if len(names) > 1 else ''}, and a first model "
             f"{percent(float(shares.modelled[worst]))}: the answer to the input outlasts the segments of "
             f"{spoken(1.0 / float(frf.frequencies[1]))} s that the record allows, so measured frequency responses are "
-            "smeared; the identification works in time and is not.",
+            "smeared; the identification, which works on the time histories, is not affected.",
             channels=names,
             share=1.0 - before,
         )

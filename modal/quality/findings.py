@@ -102,7 +102,7 @@ class DataQuality(Displayed):
             return f"The data have {_number(counts['bad'], 'bad fault')}{rest}: mend them before a result is believed."
         if counts["doubtful"]:
             return f"The data have no bad fault, but {_number(counts['doubtful'], 'doubtful point')} to look at."
-        return "Nothing is wrong with the data as far as they show it themselves."
+        return "No fault was found in the data."
 
 
 def _number(count: int, what: str) -> str:

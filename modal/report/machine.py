@@ -1,4 +1,4 @@
-"""The result for programs: JSON with every number and its JSON Schema (draft 2020-12), CSV with one row a mode.
+"""The result for programs: JSON with the numbers and its JSON Schema (draft 2020-12), CSV with one row a mode.
 
 The schema is made from the types that the document is written from. Each number's meaning and unit stand in the
 docstring of its type, under "Attributes:", and nowhere else; they become the descriptions of the schema. A test
@@ -163,6 +163,12 @@ def _attributes(kind: Any) -> dict[str, str]:
     return {name.strip(): " ".join(words.split()) for names, words in entries for name in names.split(",")}
 
 
+LARGE = (
+    *("stabilisation", "autocorrelation", "system", "gain"),
+    *("input_coefficients", "output_coefficients", "residual_covariance"),
+)
+"""Leave to result.npz what grows with the square of the channels, with the lags or with the square of the order."""
+
 SCHEMA = "modal-report/1"
 """Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
 
@@ -197,17 +203,18 @@ def document_schema() -> dict[str, Any]:
         "fit": described(Fit, more={"mean": {"description": "cross-validated fit, mean over outputs", **NUMBER}}),
         "modes": _modes(),
         "uncertainty": {"description": "null where it is not known", **_nullable(_uncertainty())},
-        "order_evidence": described(OrderEvidence),
-        "residuals": _nullable(described(ResidualCheck)),
-        "observer": _nullable(described(ObserverFit, leave_out=("dt",), more={"order": {"type": "integer"}})),
-        "markov": described(MarkovParameters),
+        "order_evidence": described(OrderEvidence, leave_out=LARGE),
+        "residuals": _nullable(described(ResidualCheck, leave_out=LARGE)),
+        "observer": _nullable(described(ObserverFit, leave_out=("dt", *LARGE), more={"order": {"type": "integer"}})),
+        "markov": described(MarkovParameters, leave_out=LARGE, more={"n_lags": {"type": "integer"}}),
         "realisation": described(Realisation, leave_out=("factors",)),
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"urn:okid-modal:{SCHEMA.replace('/', ':')}",
         "title": "Report of a modal identification",
-        "description": "Every number of the result but its time histories. A number that is not finite is null.",
+        "description": "The numbers. Time histories, coefficients of the observer, pulse responses and the "
+        "poles of the other model orders are in result.npz alone (modal.load). A number that is not finite is null.",
         **_object(properties),
         "$defs": {"numbers": NUMBERS},
     }
@@ -269,11 +276,12 @@ _MODE_NUMBERS = tuple(
     field.name
     for field in fields(Mode)
     if field.name not in ("pole", "kind", "shape", "shape_std", "mass_std", "participation", "verdict", "reason")
+    and field.name != "reappears"
 )
 
 
 def json_text(result: Identification, provenance: Provenance, *, specification: Specification | None = None) -> str:
-    """The whole result but its time histories, as JSON; nan is null, a complex number is [real, imaginary].
+    """The result without its time histories and its `LARGE` arrays; nan is null, a complex number is [real, imaginary].
 
     Args:
         result: of `modal.identify`.
@@ -304,15 +312,16 @@ def json_text(result: Identification, provenance: Provenance, *, specification: 
             "table": _mode_table(result),
         },
         "uncertainty": _uncertainty_document(result),
-        "order_evidence": result.order_evidence,
-        "residuals": result.residuals,
+        "order_evidence": _members(result.order_evidence, leave_out=LARGE),
+        "residuals": None if result.residuals is None else _members(result.residuals, leave_out=LARGE),
         "observer": None
         if result.observer is None
-        else {"order": result.observer.order, **_members(result.observer, leave_out=("dt",))},
-        "markov": result.markov,
+        else {"order": result.observer.order, **_members(result.observer, leave_out=("dt", *LARGE))},
+        "markov": {"n_lags": result.markov.n_lags, **_members(result.markov, leave_out=LARGE)},
         "realisation": _members(result.realisation, leave_out=("factors",)),
     }
-    return json.dumps(as_json(document), allow_nan=False, indent=1) + "\n"
+    lines = (f"{json.dumps(name)}: {json.dumps(as_json(value), allow_nan=False)}" for name, value in document.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def csv_text(result: Identification) -> str:

@@ -7,7 +7,7 @@ import base64
 import hashlib
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ import numpy as np
 from modal.geometry.placement import Placement, placed
 from modal.identification.result import Identification
 from modal.identification.words import caution_sentence, damping_shown, damping_text, frequency_text, trust_of
-from modal.modes.mode import numbered
+from modal.modes.mode import Mode, numbered
 from modal.plots.results import shape_assurance
 from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting
 from modal.sections import words
@@ -35,8 +35,9 @@ from modal.sections.validation import (
     validation_sentences,
 )
 from modal.sections.words import limits_class, limits_sentence, limits_short
+from modal.verdict.judgement import LEAST_PART
 from modal.wording.names import escape_markdown, visible
-from modal.wording.numbers import fit_text, hertz, ratio_text, whole_percent
+from modal.wording.numbers import fit_text, hertz, ratio_text, reproduced, whole_percent
 from okid.arrays import ComplexArray, FloatArray
 from okid.record import InputHold
 
@@ -153,6 +154,9 @@ def environment(*, html: bool) -> "jinja2.Environment":
     made.filters["percent"] = ratio_text
     made.filters["fit"] = fit_text
     made.filters["share"] = whole_percent
+    made.filters["reproduced"] = reproduced
+    made.filters["remark"] = words.remark_of
+    made.filters["again"] = _again
     made.filters["limit_class"] = limits_class
     made.filters["level_class"] = lambda level: _LEVEL_CLASSES.get(level, "noise")
     return made
@@ -209,6 +213,9 @@ def _lines(text: str) -> object:
 
 MOST_SUMMED_UP = 10
 """Modes of the system on the page of the verdict; the table of all poles has all of them."""
+
+MOST_CHANNELS = 10
+"""Show so many channels, the worst first; the others are folded."""
 
 MOST_FINDINGS = 40
 """Findings on the data that are shown, the worst first."""
@@ -268,6 +275,7 @@ def _context(result: Identification, provenance: Provenance, setting: Setting, b
         **_verdict_values(result),
         **_limit_values(setting),
         **_data_values(result, setting),
+        "next_sentences": words.next_sentences(result, setting.quality),
         **_mode_values(result, setting),
         "validation": validation_sentences(result),
         "coherence": coherence_sentence(setting.quality),
@@ -318,7 +326,8 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
     findings = () if quality is None else quality.findings
     return {
         "about": about_lines(setting.specification),
-        "channels": channel_rows(result, setting.specification),
+        "channels": channel_rows(result, setting.specification, quality),
+        "most_channels": MOST_CHANNELS,
         "sensor_columns": sensor_columns(setting.specification),
         "quality": quality,
         "quality_of": setting.quality_of,
@@ -341,6 +350,9 @@ def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
     return {
         "groups": groups,
         "summary": believed[:MOST_SUMMED_UP],
+        "changes": _changes(mode for _, mode in believed),
+        "remarked": any(words.remark_of(mode) for _, mode in believed[:MOST_SUMMED_UP]),
+        "least_part": LEAST_PART,
         "n_more_modes": max(0, len(believed) - MOST_SUMMED_UP),
         "indicators": INDICATORS,
         "caution": caution_sentence(result),
@@ -350,6 +362,16 @@ def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
         "has_geometry": setting.geometry is not None,
         "placement_sentences": placement_of(result, setting).sentences,
     }
+
+
+def _changes(modes: Iterable[Mode]) -> tuple[str, ...]:
+    """What was changed when the modes were identified again, one a column of the table of modes."""
+    return next((tuple(what for what, _ in mode.reappears) for mode in modes if mode.reappears), ("any change",))
+
+
+def _again(mode: Mode) -> tuple[float, ...]:
+    """How well a mode came back under each change; their mean where no more is known."""
+    return tuple(overlap for _, overlap in mode.reappears) or (mode.repeatability,)
 
 
 def hold_text(hold: InputHold) -> str:

@@ -19,11 +19,13 @@ from modal.plots.results import (
     fit_chart,
     least_fitted,
     measured_responses,
+    overview,
     shape_assurance,
     synthesised_alone,
 )
 from modal.plots.vector import Notes, chart_text, svg_text
 from modal.quality import check_quality
+from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 
@@ -166,11 +168,22 @@ MOST_LAGS = 2000
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
     """All pictures that the result has the numbers for, by name."""
     return {
+        **_overview_picture(result),
         **_geometry_picture(result, setting),
         **_order_pictures(result),
         **_fit_pictures(result),
         **_mode_pictures(result, setting),
     }
+
+
+def _overview_picture(result: Identification) -> dict[str, Picture]:
+    what = "Mean power spectrum of the outputs" if result.response is None else "Mean of the squared responses"
+    found = ", ".join(f"{hertz(frequency)}" for frequency in result.modes.frequencies[:MOST_ASSURED])
+    marked = f" Green: the modes found, at {found} Hz." if found else " No mode of the system was found."
+    doubtful = any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes)
+    open_ = " Dashed: poles that the data do not settle." if doubtful else ""
+    caption = f"{what}, measured and of the model.{marked}{open_}"
+    return {"overview": readable(overview(result), "overview", caption)}
 
 
 def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:
@@ -245,8 +258,8 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
         "histories": drawn(
             fit_chart(result),
             "histories",
-            f"Measured (blue) and {modelled} (orange), by the model of all rows; the fit beside each name is that on "
-            f"held-out rows.{first}{which}",
+            f"Left, measured (blue) and what the model of all rows leaves of it (red); right, the strongest moment, "
+            f"measured and {modelled} (orange). The fit beside each name is that to data kept aside.{first}{which}",
         ),
         "spectra": readable(
             plots.output_spectra(
@@ -307,8 +320,8 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
         pictures["assurance"] = drawn(
             plots.assurance_matrix(shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED], frequencies),
             "assurance",
-            "Modal assurance of the system modes with one another: large numbers off the diagonal mean that the "
-            f"sensors can hardly tell the two shapes apart. {compared}".rstrip()
+            "MAC (modal assurance criterion) of the modes with one another: large numbers off the diagonal mean that "
+            f"the sensors can hardly tell the two shapes apart. {compared}".rstrip()
             + _first(frequencies, system),
         )
     return pictures

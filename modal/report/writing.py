@@ -84,7 +84,7 @@ class ReportFiles:
     Attributes:
         html: self-contained page.
         markdown: the same words and tables.
-        json: every number but the time histories.
+        json: the numbers, without time histories and the largest arrays.
         schema: JSON schema of that file.
         csv: one row a mode.
         uff55: modes of the system as universal file datasets 55, for other tools.
@@ -225,7 +225,7 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
 def _beside(files: ReportFiles) -> str:
     """The other files of the report, for the last words of the page."""
     return (
-        f"{files.markdown.name} (the same words), {files.json.name} (every number; {files.schema.name} says how it is "
+        f"{files.markdown.name} (the same words), {files.json.name} (the numbers; {files.schema.name} says how it is "
         f"laid out), {files.csv.name} (one row a pole), {files.uff55.name} (the modes for other tools), "
         f"{files.result.name} (the result itself, or its summary where it is above {LARGEST_KEPT >> 20} MiB, for "
         f"modal.load and modal-report diff), and {files.recording.name} (open it with: rerun {files.recording.name})"

@@ -14,6 +14,7 @@ from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, wh
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
     from modal.quality import DataQuality
+    from modal.quality.findings import ChannelQuality, ChannelStatistics
 
 __all__ = [
     "ChannelRow",
@@ -36,16 +37,17 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
     """How the fit on held-out rows was found, and how far it lies below that on all rows."""
     if result.response is not None:
         halves = (
-            "Tested on halves of the averages: responses plus and minus an error drawn as theirs is are two tables, as "
-            "two halves of the blocks would have given them; the model of each was held against the other, every line "
-            "in its standard deviations."
+            "Tested on halves of the averages: an error as large as theirs is drawn, added for one table and taken off "
+            "for the other, as two halves of the blocks would differ. The model of each was compared with the other, "
+            "every line in units of its standard deviation."
         )
         return (halves,)
     n_folds = int(np.size(result.fit.folds))
     inputs = result.channels.n_inputs
     run = "a free run from the inputs alone" if inputs else "a prediction one step ahead, because no input was measured"
     sentences = [
-        f"Tested by {run}: in {_folds(n_folds)} the model was fitted to the other rows and run over those held out."
+        f"Tested by {run}: in {_folds(n_folds)} part of the data was kept aside, the model fitted to the rest and run "
+        "over that part."
         if n_folds
         else f"Tested by {run}; no rows were held out."
     ]
@@ -54,13 +56,13 @@ def validation_sentences(result: Identification) -> tuple[str, ...]:
         drop = whole - held_out
         if drop > 0.05:
             sentences.append(
-                f"On all rows the fit is {whole:.2f}, {drop:.2f} more than on held-out rows: a sign that the model "
-                "follows the noise of the rows that it was fitted to."
+                f"On all data the fit is {whole:.2f}, {drop:.2f} more than on data kept aside: a sign that the model "
+                "follows the noise of the data that it was fitted to."
             )
         else:
             sentences.append(
-                f"On all rows the fit is {whole:.2f}, on held-out rows {held_out:.2f}: no sign that the model "
-                "follows the noise of the rows that it was fitted to."
+                f"On all data the fit is {whole:.2f}, on data kept aside {held_out:.2f}: no sign that the model "
+                "follows the noise of the data that it was fitted to."
             )
     low = [
         name
@@ -202,6 +204,9 @@ def _left_out(result: Identification) -> str:
     return f"They leave out {calibration}."
 
 
+LEVELS_FIRST = {"bad": 0, "doubtful": 1, "good": 2}
+"""Order channels by these, the worst first."""
+
 MOST_BANDS = 6
 """Bands of an input that are written out."""
 
@@ -227,6 +232,9 @@ class ChannelRow:
         unit: "" where unknown.
         notes: one an entry of `sensor_columns`.
         bands: where an input moves, in words; "" for an output.
+        fit: of an output, on data kept aside; nan for an input.
+        level: "bad", "doubtful" or "good" by its data; "" where they were not looked at.
+        statistics: of its data; None where they were not looked at.
     """
 
     name: str
@@ -234,6 +242,9 @@ class ChannelRow:
     unit: str
     notes: tuple[str, ...]
     bands: str
+    fit: float
+    level: str
+    statistics: "ChannelStatistics | None"
 
 
 def about_lines(specification: "Specification | None") -> tuple[tuple[str, str], ...]:
@@ -255,26 +266,36 @@ def sensor_columns(specification: "Specification | None") -> tuple[str, ...]:
     return tuple(heading for _, heading in _used(specification))
 
 
-def channel_rows(result: Identification, specification: "Specification | None") -> tuple[ChannelRow, ...]:
-    """Inputs, then outputs, each with what is known of its sensor."""
+def channel_rows(
+    result: Identification, specification: "Specification | None" = None, quality: "DataQuality | None" = None
+) -> tuple[ChannelRow, ...]:
+    """Every channel with what is known of its sensor, its data and its fit: the worst first, then in their order."""
     record, used = result.channels, _used(specification)
     notes = {} if specification is None else {note.channel: note for note in specification.sensors}
     excited = () if result.excitation is None else result.excitation.excited_bands
     bands = [_bands_text(bands) for bands in excited] or [""] * record.n_inputs
-    return tuple(
-        ChannelRow(
-            name=name,
-            role=role,
-            unit=unit,
-            notes=tuple(_said(notes.get(name), key) for key, _ in used),
-            bands=bands[number] if role == "input" else "",
-        )
-        for role, names, units in (
-            ("input", record.input_names, record.input_units),
-            ("output", record.output_names, record.output_units),
-        )
-        for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    )
+    channels = () if quality is None else quality.channels
+    looked_at: dict[tuple[str, str], ChannelQuality] = {(one.role, one.name): one for one in channels}
+    rows = []
+    for role, names, units in (
+        ("input", record.input_names, record.input_units),
+        ("output", record.output_names, record.output_units),
+    ):
+        for number, (name, unit) in enumerate(zip(names, units, strict=True)):
+            seen = looked_at.get((role, name))
+            rows.append(
+                ChannelRow(
+                    name=name,
+                    role=role,
+                    unit=unit,
+                    notes=tuple(_said(notes.get(name), key) for key, _ in used),
+                    bands=bands[number] if role == "input" else "",
+                    fit=float(result.fit.cross_validated[number]) if role == "output" else math.nan,
+                    level="" if seen is None else seen.level,
+                    statistics=None if seen is None else seen.statistics,
+                )
+            )
+    return tuple(sorted(rows, key=lambda row: (LEVELS_FIRST.get(row.level, 3), row.role == "input", row.fit)))
 
 
 def _used(specification: "Specification | None") -> tuple[tuple[str, str], ...]:

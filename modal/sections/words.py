@@ -8,13 +8,25 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
-from modal.wording.names import shorten
+from modal.modes.mode import Mode
+from modal.verdict.judgement import FOUND_AGAIN
+from modal.wording.names import shorten, visible
 from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
+    from modal.quality import DataQuality
 
-__all__ = ["data_sentences", "fit_word", "limits_class", "limits_sentence", "limits_short", "modes_headline"]
+__all__ = [
+    "data_sentences",
+    "fit_word",
+    "limits_class",
+    "limits_sentence",
+    "limits_short",
+    "modes_headline",
+    "next_sentences",
+    "remark_of",
+]
 
 
 def modes_headline(result: Identification) -> str:
@@ -43,9 +55,34 @@ def fit_word(fit: float) -> str:
     return "good" if fit >= GOOD_FIT else "fair" if fit >= LEAST_FIT else "poor"
 
 
+def next_sentences(result: Identification, quality: "DataQuality | None" = None) -> tuple[str, ...]:
+    """What to do with the result, by the same rules as `modal.identification.words.trust_of`; never empty."""
+    said = []
+    system = result.modes.system
+    bad = () if quality is None else [one for one in quality.findings if one.level == "bad"]
+    if bad:
+        said.append(f"Mend the data ({bad[0].what}, {visible(bad[0].where)}) and identify again.")
+    if result.warnings:
+        what = "the warning" if len(result.warnings) == 1 else f"the {counted(len(result.warnings))} warnings"
+        said.append(f"Read {what} before you quote a number.")
+    if not system:
+        said.append("Quote nothing; measure longer, drive harder or in a broader band, then identify again.")
+    if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
+        more = "A second record of this test, identified together with it," if result.records else "More averages"
+        said.append(f"{more} may settle the doubtful poles.")
+    return tuple(said) or ("Nothing speaks against quoting these modes, with their intervals.",)
+
+
+def remark_of(mode: Mode) -> str:
+    """What the reason says besides how well the mode was found again, where the shares of that are known."""
+    parts = mode.reason.split("; ")
+    return "; ".join(part for part in parts if not (mode.reappears and part.startswith(FOUND_AGAIN)))
+
+
 def data_sentences(result: Identification) -> tuple[str, ...]:
-    """What kind of record it is, and what the inputs cannot show, as far as it is not among the warnings already."""
-    kind = tuple(f"Record kind: {c.value} ({c.reason})." for c in result.choices if c.what == "record kind")
+    """What kind of record it is, unless driven, and what the inputs cannot show, as far as no warning says it."""
+    told = [one for one in result.choices if one.what == "record kind" and one.value != "driven"]
+    kind = tuple(f"Record kind: {one.value} ({one.reason})." for one in told)
     messages = () if result.excitation is None else result.excitation.messages
     return (*kind, *(message for message in messages if message not in result.warnings))
 

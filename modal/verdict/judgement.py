@@ -132,6 +132,9 @@ NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
 
+FOUND_AGAIN = "found again: "
+"""Begin the reason of a mode of the system with this, before the overlap under each change."""
+
 GROUPS: dict[str, tuple[Change, ...]] = {
     "halves of the data": ("data",),
     "other observer order and ridge": ("observer",),
@@ -279,6 +282,7 @@ def judge(
             replace(
                 mode,
                 repeatability=float(r[i]),
+                reappears=tuple(numbers.items()),
                 gain=own_gain,
                 probability=0.0 if mode.kind in ("unstable", "nyquist") else p,
                 verdict=verdict,
@@ -327,7 +331,7 @@ def _verdict(
         return "doubtful", (NOT_JUDGED,)
     shown = ", ".join(f"{group} {value:.2f}" for group, value in numbers.items())
     if p >= SYSTEM_FROM and min(numbers.values()) >= LEAST_PART:
-        return "system", (f"found again: {shown}",)
+        return "system", (f"{FOUND_AGAIN}{shown}",)
     verdict: Verdict = "noise" if p < NOISE_BELOW else "doubtful"
     if ratio < HARDLY_DRIVEN and min(numbers.values()) >= 0.5:
         return verdict, (f"found again, but what the inputs make it do may be chance (F ratio {ratio:.1g})",)

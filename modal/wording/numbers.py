@@ -24,6 +24,7 @@ __all__ = [
     "percent",
     "quantity",
     "ratio_text",
+    "reproduced",
     "times",
     "times_floor_text",
     "whole_percent",
@@ -86,26 +87,44 @@ def fit_text(fit: float) -> str:
     return f"{shown + 0.0:.2f}"  # + 0.0 makes a negative zero positive
 
 
-def with_interval(value: float, half_width: float) -> str:
-    """Value ± half width, both to the second digit of the half width.
+def reproduced(fit: float) -> str:
+    """A fit as the share of data kept aside that the model reproduces: no limit is rounded up to, below none is 0 %.
 
     Example:
-        >>> with_interval(3.66971, 0.0123)
-        '3.670 ± 0.012'
+        >>> reproduced(0.9712), reproduced(0.7989), reproduced(0.9999), reproduced(-0.3), reproduced(math.nan)
+        ('97 %', '79 %', '99 %', '0 %', '–')
+    """
+    return whole_percent(float(fit_text(fit)) if fit < 0.99 else fit) if math.isfinite(fit) else "–"
+
+
+def with_interval(value: float, half_width: float) -> str:
+    """Value ± half width, both to the second digit of the half width, which is no number where it exceeds the value.
+
+    Example:
+        >>> with_interval(3.66971, 0.0123), with_interval(512.0, 1345397.0)
+        ('3.670 ± 0.012', 'about 510')
     """
     if not half_width > 0:
         return f"{value:.4g}"
+    if half_width >= abs(value):
+        return f"about {number(value, 2)}"
     digits = max(0, 1 - math.floor(math.log10(half_width)))
     return f"{value:.{digits}f} ± {half_width:.{digits}f}"
 
 
 def ratio_text(ratio: float, std: float = math.nan) -> str:
-    """A damping ratio in percent, with its 95 % interval where that is known."""
+    """A damping ratio in percent, with its 95 % interval where that is known; from nothing on it has an end alone.
+
+    Example:
+        >>> ratio_text(0.0123), ratio_text(0.0123, 0.0004), ratio_text(0.002, 0.003), ratio_text(0.002, 40.0)
+        ('1.23 %', '1.230 ± 0.078 %', 'under 0.79 %', 'not known')
+    """
     if not math.isfinite(ratio):
         return "–"
-    return (
-        f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 100 * NINETY_FIVE * std)} %"
-    )
+    half = NINETY_FIVE * std
+    if half >= abs(ratio):
+        return f"under {percent(ratio + half)}" if 0 <= ratio + half < 1 else "not known"
+    return f"{100 * ratio:.2f} %" if not math.isfinite(std) else f"{with_interval(100 * ratio, 100 * half)} %"
 
 
 def percent(share: float) -> str:

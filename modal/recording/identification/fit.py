@@ -71,12 +71,12 @@ def _log_output(
     colour, width = (PREDICTED, 1.0) if driven else (ORANGE, 1.3)
     models = [Line(channels=predicted, name="one step ahead", colour=colour, width=width)]
     residuals = [
-        Line(channels=_less(measured, predicted), name="less one step ahead", colour=ONE_STEP, width=1.0),
+        Line(channels=_less(measured, predicted), name="measured - one step ahead", colour=ONE_STEP, width=1.0),
     ]
     if driven:  # without inputs nothing runs freely: what is called simulated is one step
         models.append(Line(channels=simulated, name="simulated", colour=ORANGE, width=1.3))
         left = _less(measured, simulated)
-        residuals.insert(0, Line(channels=left, name="less simulated", colour=RED, width=1.0))
+        residuals.insert(0, Line(channels=left, name="measured - simulated", colour=RED, width=1.0))
     log_lines(recording, f"{path}/model", times, models, plan=plan.data)
     log_lines(recording, f"{path}/residual", times, residuals, plan=plan.data)
 
@@ -172,12 +172,13 @@ def inputs_view(plan: DataPlan) -> list[Any]:
 
 
 def run_view(identification: Identification, plan: Plan, output: int, *, legend: bool = True) -> Any:
-    """One output over the whole time: measured under predicted and simulated."""
+    """One output over the whole time, and what the model leaves of it: simulated over measured would hide it."""
     fit = identification.fit.cross_validated[output]
     first = identification.channels
     name = name_with_unit(first.output_names[output], first.output_units[output])
     title = f"{name}: fit {fit_text(fit)}" if np.isfinite(fit) else name
-    return series_view(plan.fit_paths[output], title, _lines(plan, output), legend=legend)
+    lines = [plan.data.output_paths[output], "$origin/residual/**"]
+    return series_view(plan.fit_paths[output], title, lines, legend=legend)
 
 
 def _everything(identification: Identification, plan: Plan) -> Any:
@@ -208,9 +209,8 @@ def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
         *inputs_view(plan.data),
         run_view(identification, plan, output),
         _window(identification, plan, output),
-        series_view(plan.fit_paths[output], "Residual", ["$origin/residual/**"]),
     ]
-    shares = [0.7, 1.2, 1.5, 0.8][-len(rows) :]
+    shares = [0.7, 1.2, 1.8][-len(rows) :]
     return rrb.Vertical(*rows, row_shares=shares, name=label(_name(identification, output), 18))
 
 
@@ -220,14 +220,11 @@ def _window(identification: Identification, plan: Plan, output: int) -> Any:
 
     at = rrb.TimeRangeBoundary
     ends = (at.cursor_relative(seconds=-0.15 * plan.window), at.cursor_relative(seconds=0.85 * plan.window))
-    title = f"{label(_name(identification, output))}: at the cursor"
-    view = series_view(plan.fit_paths[output], title, _lines(plan, output), legend=False)
+    title = f"{label(_name(identification, output))} at the cursor, measured and simulated"
+    lines = [plan.data.output_paths[output], "$origin/model/**"]
+    view = series_view(plan.fit_paths[output], title, lines)
     view.properties["TimeAxis"] = rrb.TimeAxis(link="Independent", view_range=rrb.TimeRange(start=ends[0], end=ends[1]))
     return view
-
-
-def _lines(plan: Plan, output: int) -> list[str]:
-    return [plan.data.output_paths[output], "$origin/model/**"]
 
 
 def _name(identification: Identification, output: int) -> str:

@@ -32,6 +32,7 @@ from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, 
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
+from modal.sections.words import remark_of
 from modal.wording.numbers import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
 from okid.frequency_response import FrequencyResponse
@@ -196,16 +197,16 @@ def modes_text(identification: Identification, plan: Plan, placement: Placement 
     """
     rows = [_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
     parts = [table(*_with_content(HEAD, rows)) if rows else "The model has no mode."]
+    parts.append(_key(identification, plan))
     parts += bullets(
         [
-            f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {mode.reason}"
+            f"{number}, {mode.frequency:.5g} Hz, {mode.verdict}: {remark_of(mode)}"
             for number, mode in enumerate(plan.modes, start=1)
-            if _start(mode.reason) != mode.reason
+            if _start(remark_of(mode)) != remark_of(mode)
         ]
     )
     if identification.modes.indicators_missing:
         parts.append(f"Indicators are missing: {cell(identification.modes.indicators_missing)}")
-    parts.append(_key(identification, plan))
     if placement is not None and plan.shapes:
         parts += ["**The shapes**", *bullets([*placement.sentences, *_assurance_words(identification, plan)])]
     return "\n\n".join(parts)
@@ -215,10 +216,11 @@ def _key(identification: Identification, plan: Plan) -> str:
     caution = identification.modes.indicator_caution
     spread = "±: 95 % interval. " if np.isfinite([mode.frequency_std for mode in plan.modes]).any() else ""
     return (
-        f"{spread}repeats: mean overlap with the same mode found again from other data and orders; it decides the "
-        "verdict. P: probability that the mode belongs to the system. gain: share of the squared error without the "
-        "mode that it removes. γ: amplitude coherence. EMAC: extended modal amplitude coherence. MPC: phase "
-        "collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode singular value over the largest. "
+        f"{spread}f: frequency. ζ: damping ratio. repeats: mean overlap with the same mode found again from other "
+        "data and orders, 1 is the same; it decides the verdict. P: probability that the mode belongs to the system. "
+        "gain: share of the squared error without the mode that it removes. γ: amplitude coherence. EMAC: extended "
+        "modal amplitude coherence. MPC: phase collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode "
+        "singular value over the largest. "
         f"n/(pq) = {_number(caution, 2)}"
         + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
     )
@@ -248,7 +250,7 @@ def _row(number: int, mode: Mode) -> list[str]:
         _number(mode.cmi, 2),
         _number(mode.msv, 2),
         mode.kind,
-        cell(_start(mode.reason)) if mode.reason else UNKNOWN,
+        cell(_start(remark_of(mode))) if remark_of(mode) else UNKNOWN,
     ]
 
 
@@ -552,7 +554,7 @@ def _assurance(n_modes: int) -> Any:
     margin = 0.16 * n_modes
     return rrb.Spatial2DView(
         origin=ASSURANCE,
-        name="Assurance of the shapes",
+        name="MAC of the shapes, mode against mode",
         background=rrb.Background(BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(
             x_range=(-margin, n_modes + 0.5 * margin), y_range=(-0.5 * margin, n_modes + margin)

@@ -249,8 +249,8 @@ def _draw_response(
     magnitude, phase, coherence = chart.panels
     _fill_magnitude(magnitude, identification, evidence, output=output, source=source)
     seen, made = measured.frf[:, output, source], evidence.fine[:, output, source]
-    phase.line(measured.frequencies, _phase(seen), "measured", width=STYLE.thick, label="measured")
-    phase.line(evidence.fine_frequencies, _phase(made), "model", label="synthesised")
+    phase.line(measured.frequencies, _phase(seen), "measured", width=STYLE.under, label="measured")
+    phase.line(evidence.fine_frequencies, _phase(made), "model", width=STYLE.thin, label="synthesised")
     phase.y.label, phase.y.limits = "phase [°]", (-190.0, 190.0)
     phase.y.ticks = [(float(angle), f"{angle}".replace("-", "−")) for angle in (-180, -90, 0, 90, 180)]
     several = measured.ordinary_coherence.shape[2] > 1
@@ -320,8 +320,8 @@ def _fill_pair(
     """Two lines, each of its frequencies and values."""
     panel.y.log = True
     panel.y.limits = panel.y.fitted(np.array(two_line_limits(seen[1], made[1], decades=decades)))
-    panel.line(*seen, "measured", width=STYLE.thick, label="measured")
-    panel.line(*made, "model", label=made_by)
+    panel.line(*seen, "measured", width=STYLE.under, label="measured")
+    panel.line(*made, "model", width=STYLE.thin, label=made_by)
     panel.x.limits, panel.x.label, panel.key = (0.0, float(seen[0][-1])), "frequency [Hz]", "best"
 
 

@@ -215,7 +215,7 @@ def test_exit_status_says_whether_the_data_carry_it(data, quick, identification,
     result = invoke(data / "good.csv", "--inputs", "force", "-o", data / "out")
     assert result.exit_code == status
     assert (data / "out" / "report.html").is_file()
-    assert ("do not carry" in result.stdout) == (status == 1)
+    assert ("Not reliable" in result.stdout) == (status == 1)
 
 
 def test_an_existing_report_is_never_overwritten_unasked(data, quick):

@@ -1,5 +1,6 @@
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,22 @@ def test_table_gives_verdict_and_reason_of_every_mode(identification):
     for words in ("Three modes of the system", "3.67", "1.20 %", "system", "doubtful", "noise", "grows in time"):
         assert words in text
     assert text.index("the two halves of the data disagree") < text.index("not found again")
+
+
+def test_six_modes_with_their_files_take_at_most_25_lines_of_80_letters(identification):
+    reason, shares = "found again: halves of the data 0.96", (("halves of the data", 0.96),)
+    first = replace(identification.modes.modes[0], frequency_std=3e-5, damping_ratio_std=1e-5)
+    first = replace(first, reappears=shares, reason=reason)
+    modes = tuple(replace(first, frequency=first.frequency + i) for i in range(6))
+    result = replace(identification, modes=replace(identification.modes, modes=modes))
+    file = io.StringIO()
+    console = Console(file=file, width=80, force_terminal=False, color_system=None)
+    show_result(console, result)
+    show_files(console, ReportFiles.in_folder(Path("result")))
+    lines = file.getvalue().splitlines()
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 80
+    assert sum(line.split()[-1:] == ["system"] for line in lines) == 6
 
 
 def test_many_noise_poles_are_counted_not_shown(make_result, identification):

@@ -303,9 +303,21 @@ def test_settings_channels_units_and_sampling_are_compared(result):
     assert differing["setting", "model order"] == ("6", "8")
     assert differing["fit", "trust"] == ("carried", "not carried")
     cautions = " ".join(words.caution_sentences(found))
-    assert "do not carry" in cautions
+    assert "is not reliable" in cautions
     assert "another unit" in cautions
     assert "same measured data" in cautions  # its samples are the same
+
+
+def test_results_without_a_common_channel_or_mode_say_so(result):
+    record = replace(result.records[0], output_names=["a", "b", "c"])
+    elsewhere = replace(result, records=(record,))
+    cautions = " ".join(words.caution_sentences(compare_results(result, elsewhere)))
+    assert "no output channel in common (floor_1, floor_2, floor_3; a, b, c)" in cautions
+    assert "in common" not in " ".join(words.caution_sentences(compare_results(result, result)))
+    far = tuple(replace(mode, frequency=50 * mode.frequency, pole=50 * mode.pole) for mode in result.modes)
+    other = compare_results(result, replace(result, modes=replace(result.modes, modes=far)))
+    assert words.comparison_headline(other).startswith("No mode is in both results")
+    assert words.how_sentence(other) == "No shift was tested, because no mode is in both results."
 
 
 def test_independent_data_are_no_caution(result):

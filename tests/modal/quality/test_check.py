@@ -30,7 +30,7 @@ def test_a_clean_record_of_any_kind_has_nothing_wrong(kind):
     quality = check_quality(Record(inputs, outputs, dt))
     assert serious(quality) == []
     assert quality.level == "good"
-    assert quality.verdict.startswith("Nothing is wrong")
+    assert quality.verdict.startswith("No fault was found")
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,7 @@ def test_without_inputs_nothing_is_said_to_run_freely(build, tmp_path, read):
     assert "inputs alone" not in text
     assert "one step ahead" in text
     assert stored.static("/fit/output/floor_1/model", "SeriesLines:names") == ["one step ahead"]
-    assert stored.static("/fit/output/floor_1/residual", "SeriesLines:names") == ["less one step ahead"]
+    assert stored.static("/fit/output/floor_1/residual", "SeriesLines:names") == ["measured - one step ahead"]
     assert "free run" not in stored.static("/validation/text", "TextDocument:text")[0]
 
 

@@ -7,6 +7,7 @@ import pytest
 from large_result import N_MODES, N_OUTPUTS, make_large
 
 from modal.geometry.sensors import Geometry, Sensor
+from modal.report.machine import json_text
 from modal.report.pages import html_text, markdown_text, moving_shapes
 from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, Setting, draw_pictures
 from modal.sections.provenance import Provenance
@@ -31,6 +32,11 @@ def test_the_page_stays_within_its_budget(large):
     assert f"The 6 strongest of {4 * N_OUTPUTS} are shown" in pictures["responses"].caption
     assert page.count("other orders 1.00") == 2 * N_MODES  # the reason of every mode, once
     assert len(markdown_text(large, Provenance())) < 200_000
+
+
+def test_the_numbers_of_sixty_channels_stay_below_a_megabyte(large):
+    common = replace(large, records=large.records[:3], modes=replace(large.modes, modes=large.modes.modes[:60]))
+    assert len(json_text(common, Provenance())) < 1_000_000
 
 
 def test_a_mesh_of_many_nodes_moves_fewer_modes_than_a_small_structure(large):

@@ -34,7 +34,8 @@ def test_json_holds_the_model(document):
     result, parsed = document
     for name in "ABCDK":
         np.testing.assert_array_equal(parsed["realisation"][name], getattr(result.realisation, name))
-    np.testing.assert_array_equal(parsed["markov"]["system"], result.markov.system)
+    assert parsed["markov"]["n_lags"] == result.markov.n_lags
+    assert "system" not in parsed["markov"]  # what grows with the square of the channels is in result.npz
     assert parsed["order_evidence"]["candidate_fits"][9] is None
 
 

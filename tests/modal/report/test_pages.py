@@ -13,9 +13,11 @@ from modal.acceptance.check import LimitOutcome
 from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
+from modal.report import pages
 from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures
 from modal.sections.provenance import Provenance, SourceFile
+from modal.verdict.judgement import FOUND_AGAIN
 from okid.record import Record
 
 NASTY = "</style></script><script>alert(1)</script> {{ 7*7 }} {% raw %} |"
@@ -133,6 +135,69 @@ def test_page_says_what_was_found(page):
         assert words in text
 
 
+def test_page_one_holds_the_response_what_to_do_and_the_shapes(plain_files):
+    text = plain_files.html.read_text(encoding="utf-8")
+    places = [
+        text.index(mark) for mark in ("<h1>", "<b>Next:</b>", 'data-chart="overview"', 'id="modes"', 'id="shapes"')
+    ]
+    assert places == sorted(places)
+    assert places[-1] < text.index('id="setup"')
+    assert "the modes found, at 3.67, 11.1, 16.6 Hz" in text  # for those who cannot see the picture, and below it
+
+
+def test_every_picture_has_words_and_one_legend(plain_files):
+    text = plain_files.html.read_text(encoding="utf-8")
+    pictures = re.findall(r"<svg [^>]*viewBox[^>]*>", text)
+    assert pictures
+    assert all(re.search(r'aria-label="[^"]{20,}"', one) for one in pictures)
+    assert ".toggles + .plot .key { display: none; }" in text  # the buttons of a picture are its legend
+
+
+def luminance(colour):
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [x / 12.92 if x <= 0.03928 else ((x + 0.055) / 1.055) ** 2.4 for x in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("scheme", [0, 1])
+@pytest.mark.parametrize(
+    ("words", "ground"),
+    [
+        *(("ink", "paper"), ("muted", "paper"), ("muted", "ground"), ("muted", "noise-wash"), ("measured", "paper")),
+        *((role, f"{role}-wash") for role in ("system", "doubtful", "residual")),
+    ],
+)
+def test_words_stand_out_from_their_ground(plain_files, scheme, words, ground):
+    text = plain_files.html.read_text(encoding="utf-8")  # light, then dark; WCAG 2.1, 1.4.3: 4.5 to 1 for text
+    first, second = (luminance(re.findall(rf"--{role}: (#\w{{6}});", text)[scheme]) for role in (words, ground))
+    assert (max(first, second) + 0.05) / (min(first, second) + 0.05) >= 4.5
+
+
+def test_how_well_a_mode_reappears_is_a_bar_and_no_sentence_in_every_row(identification):
+    shares = (("halves of the data", 0.91), ("other model orders", 0.83))
+    modes = tuple(
+        replace(mode, reappears=shares, reason=f"{FOUND_AGAIN}halves of the data 0.91, other model orders 0.83")
+        for mode in identification.modes.modes[:3]
+    )
+    result = replace(identification, modes=replace(identification.modes, modes=modes))
+    text = html_text(result, Provenance(), {})
+    assert text.count("width:91%") == text.count("width:83%") == 3
+    assert "found again: halves" not in text
+    odd = replace(modes[0], reason=f"{modes[0].reason}; damping not resolved: a doubt")
+    result = replace(result, modes=replace(result.modes, modes=(odd, *modes[1:])))
+    assert html_text(result, Provenance(), {}).count("damping not resolved: a doubt") == 1
+
+
+@pytest.mark.parametrize(("most", "said"), [(4, ""), (3, "1 more channel"), (2, "2 more channels")])
+def test_channels_beyond_a_number_are_folded_and_none_is_lost(identification, monkeypatch, most, said):
+    monkeypatch.setattr(pages, "MOST_CHANNELS", most)
+    text = html_text(identification, Provenance(), {})
+    assert (f"<summary>{said}</summary>" in text) is bool(said)
+    assert ("<summary>" in text) is bool(said)
+    rows = re.findall(r"<tr><td><bdi>(\w+)</bdi></td><td>(?:in|out)put", text)
+    assert sorted(rows) == ["floor_1", "floor_2", "floor_3", "ground"]
+
+
 def test_noise_modes_stand_apart_from_the_others(page):
     groups = [dict(attrs) for attrs in [[(n, v)] for t, n, v in page.attributes if t == "tr" and n == "class"]]
     order = [group["class"] for group in groups]
@@ -200,7 +265,7 @@ def test_what_stands_among_the_warnings_is_not_said_again(make_once):
     result = replace(result, excitation=replace(result.excitation, messages=(sentence,)))
     for text in (html_text(result, Provenance(), {}), markdown_text(result, Provenance())):
         assert text.count("of the band") == 1
-        assert "among the" in text
+        assert re.search(r"The (<a href=.#warnings.>)?warnings(</a>)? say what the inputs cannot show", text)
         assert "The inputs move enough" not in text
 
 
@@ -256,7 +321,7 @@ def test_the_test_file_is_shown_and_harmless(identification):
     assert NASTY in page.text
     for shown in (page.text, text):
         assert "\N{RIGHT-TO-LEFT OVERRIDE}" not in shown
-    assert "<script" not in text.split("## Data quality")[0]
+    assert "<script" not in text.split("## Channels and quality of the data")[0]
 
 
 def quality(*levels):
@@ -290,12 +355,14 @@ def test_the_quality_of_the_data_is_shown(identification, levels, word):
     page, text = with_setting(identification, Setting(quality=found, quality_of="as read"))
     words = page.text
     n_serious = sum(level != "note" for level in levels)
-    assert f"data {word} {n_serious or 'nothing'} to look at" in re.sub(r"\s+", " ", words)
+    assert f"quality of the data {word} {n_serious or 'no'} finding{'s' * (n_serious != 1)}" in re.sub(
+        r"\s+", " ", words
+    )
     for shown in (words, text):
         assert found.verdict in shown
         assert "the records as read" in shown
         assert ("Number 0." in shown) is bool(levels)
-    assert "<script" not in text.split("## Data quality")[1].split("## Choices")[0]
+    assert "<script" not in text.split("## Channels and quality of the data")[1].split("## Choices")[0]
 
 
 @pytest.mark.parametrize(("count", "more"), [(MOST_FINDINGS, False), (MOST_FINDINGS + 2, True)])
@@ -308,17 +375,19 @@ def test_a_flood_of_findings_is_bounded(identification, count, more):
 
 def test_data_that_were_not_looked_at_are_not_judged(identification):
     page, text = with_setting(identification, Setting())
-    assert "Looked at" not in page.text + text
+    assert "the records as" not in page.text + text
 
 
-@pytest.mark.parametrize(("count", "said"), [(MOST_SUMMED_UP, ""), (MOST_SUMMED_UP + 3, "the other 3 stand under")])
+@pytest.mark.parametrize(
+    ("count", "said"), [(MOST_SUMMED_UP, ""), (MOST_SUMMED_UP + 3, "the other 3 are listed under")]
+)
 def test_the_first_page_has_room_for_ten_modes(identification, count, said):
     modes = tuple(
         replace(identification.modes.modes[0], frequency=float(i + 1), reason=f"reason {i}.") for i in range(count)
     )
     result = replace(identification, modes=replace(identification.modes, modes=modes))
     words = Skeleton(html_text(result, Provenance(), {})).text
-    assert ("stand under" in words) is bool(said)
+    assert ("are listed under" in words) is bool(said)
     assert said in words
     assert all(words.count(f"reason {i}.") == 1 for i in range(count))
 

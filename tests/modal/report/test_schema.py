@@ -91,7 +91,7 @@ WRONG = [
     lambda one: _another(one, 0, "modes", "table", 0, "number"),
     lambda one: _another(one, 1, "modes", "table", 0, "colour"),
     lambda one: _another(one, 1, "more"),
-    lambda one: _another(one, "x", "markov", "system", 0, 0, 0),
+    lambda one: _another(one, "x", "realisation", "A", 0, 0),
     lambda one: _another(one, {}, "records", 0, "outputs", 0),
 ]
 

@@ -74,23 +74,27 @@ def test_fit_words(fit, word):
 
 def test_a_fit_below_one_half_is_said_and_is_no_error_where_modes_are_certain(identification):
     below, above = with_fit(identification, 0.49), with_fit(identification, 0.51)
-    assert "the lesser part of the record" in fit_sentence(below)
-    assert "0.49" in fit_sentence(below)
+    assert "reproduces only 49 % of data kept aside; the rest is noise or forces" in fit_sentence(below)
     nothing = replace(below, modes=replace(below.modes, modes=()))
-    assert fit_sentence(nothing).startswith("The model does not explain the record")
-    assert "lesser part" not in fit_sentence(above)
-    assert "explains the outputs in the main" in fit_sentence(above)
-    assert "explains the outputs well" in fit_sentence(with_fit(identification, 0.9))
+    assert fit_sentence(nothing) == "The model reproduces only 49 % of data kept aside, too little."
+    assert fit_sentence(above).startswith("From the inputs alone, the model reproduces 51 % of data kept aside")
 
 
 @pytest.mark.parametrize(
-    ("fit", "text"),
-    [(0.4987, "0.49"), (0.5, "0.50"), (0.7647, "0.76"), (0.9999, "1.00"), (-0.0012, "0.00"), (-0.4, "-0.40")],
+    ("fit", "text", "share"),
+    [
+        (0.4987, "0.49", "49 %"),
+        (0.5, "0.50", "50 %"),
+        (0.7647, "0.76", "76 %"),
+        (0.9999, "1.00", "99 %"),
+        (-0.0012, "0.00", "0 %"),
+        (-0.4, "-0.40", "0 %"),
+    ],
 )
-def test_a_fit_is_rounded_but_never_over_the_limit(identification, fit, text):
+def test_a_fit_is_rounded_but_never_over_the_limit(identification, fit, text, share):
     assert fit_text(fit) == text
     even = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, fit)))
-    assert f" is {text}" in fit_sentence(even)
+    assert f" {share} of data kept aside" in fit_sentence(even)
 
 
 def test_a_long_name_does_not_drown_the_sentence(make_result, identification):
@@ -109,14 +113,14 @@ def test_what_is_a_warning_is_not_said_again(make_result, identification):
 
 def test_fit_sentence_names_the_worst_output(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.array([0.9, 0.6, 0.8])))
-    assert "least for floor_2: 0.60" in fit_sentence(result)
+    assert "least of floor_2: 60 %" in fit_sentence(result)
     even = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, 0.9)))
-    assert "least for" not in fit_sentence(even)
+    assert "least of" not in fit_sentence(even)
 
 
 def test_an_unknown_fit_is_said_to_be_unknown(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, np.nan)))
-    assert "No fit on held-out data is known" in fit_sentence(result)
+    assert "No data were kept aside" in fit_sentence(result)
     assert trust_of(result).trust == "with care"
 
 
@@ -124,7 +128,7 @@ def test_without_inputs_nothing_is_said_about_inputs(identification):
     record = identification.records[0].select(inputs=[])
     sentence = fit_sentence(replace(identification, records=(record,)))
     assert "inputs alone" not in sentence
-    assert "one step ahead" in sentence
+    assert "One step ahead" in sentence
 
 
 @pytest.mark.parametrize(
@@ -143,8 +147,10 @@ def test_trust(identification, fit, n_system, warnings, trust):
 
 
 def test_no_system_mode_is_said(identification):
-    assert not any("nothing to quote" in reason for reason in trust_of(identification).reasons)
-    assert any("nothing to quote" in reason for reason in trust_of(with_system(identification, 0)).reasons)
+    assert not any("No pole" in reason for reason in trust_of(identification).reasons)
+    assert any(
+        "No pole of the model is accepted" in reason for reason in trust_of(with_system(identification, 0)).reasons
+    )
 
 
 def test_unresolved_damping_is_said_and_not_quoted(identification):
@@ -182,7 +188,13 @@ def test_caution_about_the_classical_indicators(identification):
 
 @pytest.mark.parametrize(
     ("value", "half_width", "text"),
-    [(3.66971, 0.0123, "3.670 ± 0.012"), (123.456, 12.3, "123 ± 12"), (0.5, 0.0, "0.5"), (2.0, np.nan, "2")],
+    [
+        (512.0, 1345397.0, "about 510"),
+        (3.66971, 0.0123, "3.670 ± 0.012"),
+        (123.456, 12.3, "123 ± 12"),
+        (0.5, 0.0, "0.5"),
+        (2.0, np.nan, "2"),
+    ],
 )
 def test_interval_is_written_to_its_second_digit(value, half_width, text):
     assert with_interval(value, half_width) == text
