@@ -7,7 +7,9 @@ for each of n_u inputs, the likelihood ratio
 
     (N - numbers - (n_u + n_y m + 1) / 2) ln(det R_0 / det R_1)
 
-is chi-square with n_u n_y m degrees of freedom (Bartlett's approximation) where there is no feedback.
+is chi-square with n_u n_y m degrees of freedom (Bartlett's approximation) where there is no feedback, and noncentral
+by N times the share of an input that the outputs' past explains where there is some. Long records show any share,
+however little it can do to the modes, so what is refused is that the share is negligible.
 An input that its own past foretells, a sweep or a tone, is foretold as well by whatever has filtered it, and not asked.
 
 References:
@@ -38,6 +40,9 @@ OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
 ROWS_A_NUMBER = 10
 """Shorten both pasts where there are fewer rows for each number."""
+NEGLIGIBLE = 0.002
+"""Mind no feedback that explains less than this share of what an input's own past leaves; loops that move a mode's
+frequency or damping noticeably explain ten times as much (`tests/reference/noise_families.py`, "loop")."""
 FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
@@ -45,7 +50,7 @@ BIASED = "the outputs are fed back into the inputs, which may bias it"
 
 
 def feedback_p_value(records: Sequence[Record]) -> float:
-    """How often records without feedback look as much like it; nan where the inputs cannot be asked.
+    """How often records with at most negligible feedback look as much like it; nan where the inputs cannot be asked.
 
     Args:
         records: as measured: a filter that looks ahead makes the past of the outputs know the inputs.
@@ -76,7 +81,7 @@ def feedback_p_value(records: Sequence[Record]) -> float:
         return float("nan")
     ratio = np.linalg.slogdet(without)[1] - np.linalg.slogdet(beside)[1]
     statistic = (gram.n_rows - rank - (m + outputs.size + 1) / 2) * ratio
-    return float(scipy.special.gammaincc(0.5 * m * outputs.size, 0.5 * max(statistic, 0.0)))
+    return float(1.0 - scipy.special.chndtr(max(statistic, 0.0), m * outputs.size, NEGLIGIBLE * gram.n_rows))
 
 
 def with_feedback(result: Identification, *, unbiased: bool) -> Identification:

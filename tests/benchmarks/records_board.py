@@ -54,7 +54,7 @@ def measured_problems(folder):
         files = [
             file
             for file, entry in about["files"].items()
-            if isinstance(entry, dict) and isinstance(entry.get("columns"), list)
+            if isinstance(entry, dict) and _holds(entry.get("columns"), channels)
         ]
         if not channels.get("inputs") or not files:
             left_out[name] = "no input is stated, or no file with named columns, so there is no free run"
@@ -69,6 +69,12 @@ def groups(name, files):
     if name in GROUPS:
         return GROUPS[name]
     return {file.removesuffix(".csv"): [file] for file in files} if name in SEPARATE else {name: files}
+
+
+def _holds(columns, channels):
+    """Whether a file has the channels that are stated, and not only the same under names of its own."""
+    names = {column.split(" [")[0] for column in columns} if isinstance(columns, list) else set()
+    return {*channels.get("inputs", ()), *channels.get("outputs", ())} <= names
 
 
 def _read(path, entry, channels):
