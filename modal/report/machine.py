@@ -169,7 +169,7 @@ LARGE = (
 )
 """Leave to result.npz what grows with the square of the channels, with the lags or with the square of the order."""
 
-SCHEMA = "modal-report/1"
+SCHEMA = "modal-report/2"
 """Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
 
 

@@ -166,7 +166,7 @@ def test_outputs_that_follow_nothing_have_no_system_mode():
     result = identify(Record(rng.standard_normal((1000, 1)), rng.standard_normal((1000, 2)), 0.01))
     assert result.modes.system == ()
     assert result.fit.mean < 0.1
-    assert "explains 0 % of" in result.warnings[0]
+    assert "reproduces 0 % of data kept aside" in result.warnings[0]
     assert "no mode is certain" in result.warnings[0]
     assert spectral_radius(result) < 1.0
 
