@@ -418,7 +418,7 @@ def test_the_root_help_names_every_command():
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        ("modal-report ", {"run", "demo", "check", "gap", "diff", "view", "batch", "track"}),
+        ("modal-report ", {"run", "demo", "check", "gap", "diff", "view", "batch", "track", "live"}),
         ("modal-report run --h", {"--hold", "--help"}),
         ("modal-report run --hold z", {"zero_order"}),
         ("modal-report gap --catalogue gap_spring,coul", {"gap_spring,coulomb_friction"}),
