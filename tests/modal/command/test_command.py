@@ -393,7 +393,7 @@ def test_help_is_quick_and_loads_nothing_heavy(tmp_path):
     subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, cwd=tmp_path, check=True, capture_output=True)
 
 
-COMMANDS = ["run", "demo", "check", "gap", "diff", "view", "batch", "track"]
+COMMANDS = ["run", "demo", "check", "gap", "diff", "view", "batch", "track", "live"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
