@@ -237,7 +237,7 @@ def estimate_gain(realisation: Realisation, records: Record | Sequence[Record]) 
         made = [left_over(model, record) for record in several]
     except IdentificationError as error:
         raw = np.vstack([record.outputs for record in several])
-        return _none(model, raw, f"the free run cannot be made: {error}")
+        return _none(model, raw, f"the free run cannot be made: {error}".rstrip("."))
     rest = np.vstack([left for _, left in made])
     active = _moves(rest, several)
     n_rows = int((~np.isnan(rest[:, active]).any(axis=1)).sum())

@@ -8,6 +8,7 @@ The states x answer to the inputs u and to the innovations e, what the outputs y
 Passage to and from python-control.
 """
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -182,9 +183,14 @@ class Realisation(Displayed):
             factors=self.factors.truncated(order),
         )
 
-    def to_control(self) -> "StateSpace":
-        """As a discrete-time `control.StateSpace` with the same matrices and dt; the gain K is not part of it."""
-        return to_control(self)
+    def to_control(self, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> "StateSpace":
+        """As a discrete-time `control.StateSpace` with the same matrices and dt; the gain K is not part of it.
+
+        Args:
+            inputs: names that its inputs get, such as `record.input_names`.
+            outputs: names that its outputs get.
+        """
+        return to_control(self, inputs=inputs, outputs=outputs)
 
     @classmethod
     def from_control(cls, system: object) -> "Realisation":
@@ -196,17 +202,21 @@ class Realisation(Displayed):
         return from_control(system)
 
 
-def to_control(realisation: Realisation) -> Any:
-    """`control.StateSpace` with the same matrices and time step.
+def to_control(
+    realisation: Realisation, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+) -> Any:
+    """`control.StateSpace` with the same matrices and time step, its channels named if names are given.
 
     Example:
-        >>> to_control(Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01)).dt
-        0.01
+        >>> system = to_control(Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01), inputs=["force"])
+        >>> system.dt, system.input_labels
+        (0.01, ['force'])
     """
     import control
 
     model = realisation
-    return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False)
+    named = {"inputs": inputs and list(inputs), "outputs": outputs and list(outputs)}
+    return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
 
 
 def from_control(system: object) -> Realisation:

@@ -165,7 +165,7 @@ class PoleRecursion:
         states = np.empty((n_poles, n_samples), dtype=np.complex128)
         n_blocks = 0 if self.starts is None else n_samples // POLE_BLOCK
         whole = n_blocks * POLE_BLOCK
-        if self.starts is not None:
+        if self.starts is not None and n_blocks:
             stacked = np.empty((n_poles, n_blocks, POLE_BLOCK + 1), dtype=np.complex128)
             stacked[:, :, :POLE_BLOCK] = drive[:, :whole].reshape(-1, n_blocks, POLE_BLOCK)
             added = np.matmul(stacked[:, :, :POLE_BLOCK], self.reach)[:, :, 0]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modal.acceptance.test_file import read_specification
     from modal.batch import Batch, identify_batch
     from modal.comparison.changes import compare_results
-    from modal.comparison.source import read_result
+    from modal.comparison.shifts import read_result
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
     from modal.identification.by_hand import with_modes
@@ -145,7 +145,7 @@ _PLACES = {
     "plots": "modal.plots",
     "read_geometry": "modal.geometry.file",
     "read_model": "modal.structure.model_file",
-    "read_result": "modal.comparison.source",
+    "read_result": "modal.comparison.shifts",
     "read_shapes": "modal.modes.shape_sets",
     "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",

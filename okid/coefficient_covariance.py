@@ -22,6 +22,7 @@ References:
     10.1093/biomet/73.1.13.
 """
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -177,9 +178,9 @@ def block_deviations(parts: Sequence[LagGram], ridge: float) -> FloatArray:
         >>> bool(np.abs(block_deviations(parts, 1e-3).sum(axis=0)).max() < 1e-12)
         True
     """
-    whole = replace(
-        parts[0], matrix=np.sum([part.matrix for part in parts], axis=0), n_rows=sum(part.n_rows for part in parts)
-    )
+    # one after the other: of many channels twenty Gram matrices side by side are gigabytes
+    matrix = functools.reduce(np.add, (part.matrix for part in parts))
+    whole = replace(parts[0], matrix=matrix, n_rows=sum(part.n_rows for part in parts))
     equations = normal_equations(whole, ridge)
     covariance = coefficient_covariance(whole, ridge)
     solution = covariance.solve(equations.right)

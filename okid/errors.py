@@ -29,6 +29,7 @@ __all__ = [
     "visible",
 ]
 
+_TOO_LONG = re.compile(r"(?<![^\s(\[])'[^']{240,}'|\S{240,}")
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Unicode categories that show nothing themselves but change what is around them (and lone surrogates)."""
 
@@ -46,6 +47,12 @@ def visible(text: str) -> str:
     )
 
 
+def _sentence(text: str) -> str:
+    """The text as a terminal may have it; the middle of a word or quotation that is too long to be read is left out."""
+    shown = _TOO_LONG.sub(lambda found: f"{found[0][:80]}…{found[0][-80:]}", visible(text))
+    return shown if not shown or shown.endswith((".", "!", "?", ".)")) else f"{shown}."
+
+
 class IdentificationError(Exception):
     """Root of the tree; never raised itself.
 
@@ -53,7 +60,7 @@ class IdentificationError(Exception):
     """
 
     def __str__(self) -> str:
-        return visible(super().__str__())
+        return _sentence(super().__str__())
 
 
 class InvalidDataError(IdentificationError, ValueError):
@@ -76,7 +83,7 @@ class IdentificationWarning(UserWarning):
     """The result stands, but the caller should act on what the text says."""
 
     def __str__(self) -> str:
-        return visible(super().__str__())
+        return _sentence(super().__str__())
 
 
 class _Quiet:

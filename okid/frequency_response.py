@@ -465,7 +465,9 @@ def estimate_response(
     if window not in get_args(ResponseWindow) or window == "unknown":
         raise InvalidDataError(f"window must be one of {', '.join(get_args(ResponseWindow)[:-1])}, but is {window!r}.")
     if not first.n_inputs:
-        raise InvalidDataError("a frequency response needs records with at least one input; these have none.")
+        raise InvalidDataError(
+            "a frequency response needs records with at least one input; name it among the channels."
+        )
     if estimator == "H2" and first.n_inputs > 1:
         raise InvalidDataError(f"H2 is defined for one input, but there are {first.n_inputs}; use H1 or Hv.")
     length = _block_samples(several, window, n_samples)

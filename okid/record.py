@@ -162,7 +162,7 @@ def check_names(names: tuple[str, ...]) -> None:
     double = sorted(name for name, count in Counter(names).items() if count > 1)
     if double:
         raise InvalidDataError(
-            f"channel names must be unique, but {', '.join(map(repr, double))} stand more than once."
+            f"channel names must be unique, but {', '.join(map(repr, double))} stand more than once; rename them."
         )
 
 
@@ -355,7 +355,8 @@ class Record(Displayed):
         first, last, _ = slice(start, stop).indices(self.n_samples)
         if last <= first:
             raise InsufficientDataError(
-                f"samples {start} to {stop} of a record of {self.n_samples} samples are none; choose a range inside it."
+                f"samples {start} to {'the end' if stop is None else stop} of a record of {self.n_samples} samples are "
+                "none; choose a range inside it."
             )
         n_channels = max(self.n_inputs, self.n_outputs)
         if last - first < n_channels:

@@ -31,6 +31,8 @@ __all__ = [
     "regressor_chunks",
     "runs_of",
     "scaled_block",
+    "spread_stretches",
+    "stretch_of",
     "usable_rows",
     "whole_record_folds",
 ]
@@ -148,6 +150,36 @@ def _check_connected(records: Sequence[Record]) -> None:
             f"{alone} shares no channel with the other set-ups, so its motion cannot be scaled to theirs; keep a "
             "reference sensor or the hammer in its place."
         )
+
+
+def stretch_of(record: Record, first: int, length: int) -> Record:
+    """So many rows of a record from one on, under a name that says which."""
+    name = f"{record.name or 'record'}, rows {first} to {first + length - 1}"
+    return replace(record.samples(first, first + length), name=name)
+
+
+def spread_stretches(records: Sequence[Record], n_rows: int, *, count: int = 10) -> tuple[Record, ...]:
+    """About `n_rows` rows in about `count` stretches, spread evenly over the records; all of them if they are no more.
+
+    A stretch in which an output never moves (a sensor off, a structure at rest) is left out.
+
+    Example:
+        >>> record = Record([], np.sin(np.arange(1000.0)), 0.1)
+        >>> [(part.name, part.n_samples) for part in spread_stretches([record], 200, count=2)]
+        [('record, rows 0 to 99', 100), ('record, rows 900 to 999', 100)]
+    """
+    total = sum(record.n_samples for record in records)
+    if total <= n_rows:
+        return tuple(records)
+    parts, moving = [], []
+    for record in records:
+        n_parts = max(1, round(count * record.n_samples / total))
+        length = max(record.n_inputs, record.n_outputs, record.n_samples * n_rows // (total * n_parts))
+        for first in np.linspace(0, record.n_samples - length, n_parts).round().astype(int).tolist():
+            parts.append(stretch_of(record, first, length))
+            outputs = parts[-1].outputs
+            moving.append(bool((outputs[1:] != outputs[:-1]).any(axis=0).all()))
+    return tuple(itertools.compress(parts, moving)) or tuple(parts)
 
 
 def usable_rows(complete: BoolArray, order: int) -> BoolArray:

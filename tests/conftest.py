@@ -65,7 +65,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterat
         )
 
 
-# in CI the same examples every time, so that a red run means a change; elsewhere new ones every time
-hypothesis.settings.register_profile("ci", derandomize=True)
+# in CI the same examples every time, so that a red run means a change, and fewer; elsewhere new ones every time
+hypothesis.settings.register_profile("ci", derandomize=True, max_examples=40)
 if os.environ.get("CI"):
     hypothesis.settings.load_profile("ci")

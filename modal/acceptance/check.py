@@ -23,8 +23,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.acceptance.limits import AcceptanceLimit, Range
-from modal.acceptance.test_file import Specification
+from modal.acceptance.test_file import AcceptanceLimit, Range, Specification
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode

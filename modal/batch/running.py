@@ -13,9 +13,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 from modal.batch.page import write_page
-from modal.batch.sources import Settings, Sources, Unit, units_of
 from modal.batch.tables import PLACES, Batch, with_oddities, write_tables
-from modal.batch.task import Outcome, folder_of, kept_outcome, run_unit, write_failure
+from modal.batch.task import (
+    Outcome,
+    Settings,
+    Sources,
+    Unit,
+    folder_of,
+    kept_outcome,
+    run_unit,
+    units_of,
+    write_failure,
+)
 from modal.batch.workers import ExecutorError, WorkerDiedError, Workers
 from modal.recording.records import save_batch_recording
 from modal.report.folder import refuse_names, sweep

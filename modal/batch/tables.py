@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from modal.batch.task import RESULT, Outcome
-from modal.comparison.source import ResultSummary, read_result
+from modal.comparison.shifts import ResultSummary, read_result
 from modal.identification.result import Identification, load
 from modal.modes.mode import numbered
 from modal.wording.names import shorten, visible
@@ -61,7 +61,7 @@ class Batch:
     @property
     def records(self) -> Any:
         """pyarrow.Table, one row a record: record, path, hash, status, message, seconds."""
-        return read_table(self.folder / RECORD_TABLE)
+        return read_written(self.folder / RECORD_TABLE)
 
     @property
     def modes(self) -> Any:
@@ -71,7 +71,7 @@ class Batch:
         probability, verdict, shape (a list of real and imaginary parts over the channels of all records, which the
         column's metadata names; nan where a record lacks the channel).
         """
-        return read_table(self.folder / MODE_TABLE)
+        return read_written(self.folder / MODE_TABLE)
 
     def results(self) -> Iterator[Identification]:
         """Every result that is done, by name of the record, read one by one.
@@ -85,7 +85,7 @@ class Batch:
                 yield load(self.folder / PLACES / one["folder"] / RESULT)
 
 
-def read_table(path: Path) -> Any:
+def read_written(path: Path) -> Any:
     """A Parquet file as a pyarrow.Table.
 
     Raises:

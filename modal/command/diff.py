@@ -12,8 +12,7 @@ from modal.command.options import Overwrite, Traceback, examples, faults, folder
 from modal.command.terminal import listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
-from modal.comparison.shifts import Shift
-from modal.comparison.source import read_result
+from modal.comparison.shifts import Shift, read_result
 from modal.report.comparison import refuse_existing_comparison, write_comparison
 from modal.wording.numbers import hertz
 

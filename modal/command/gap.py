@@ -24,10 +24,11 @@ from modal.command.run import (
 )
 from modal.command.terminal import listing, plain, show_paths
 from modal.discrepancy.diagnosis import diagnose
-from modal.discrepancy.results import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
+from modal.report.folder import standing
 from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
@@ -50,6 +51,7 @@ READ, DIAGNOSED, WRITTEN = 0.03, 0.92, 0.97
 
 def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[str] = ()) -> None:
     """Verdict, findings, where, before and after, runner-up, what could still hide, what to do next, warnings."""
+    diagnosis = in_words(diagnosis)
     judgement = words.judge_diagnosis(diagnosis)
     console.print()
     console.print(plain(words.diagnosis_headline(diagnosis), "bold"))
@@ -195,7 +197,7 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
     )
     catalogue = chosen_effects(job.catalogue)
     _check_apart(job)
-    with progress_bar() as tell, own_warnings() as heard:
+    with standing(job.folder), progress_bar() as tell, own_warnings() as heard:
         tell("reading the model", 0.0)
         model = read_model(job.model)
         tell("reading the records", READ / 2)

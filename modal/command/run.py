@@ -44,7 +44,7 @@ from modal.preparation.kind import GivenKind
 from modal.quality.check import check_quality
 from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
-from modal.report.folder import refuse_names
+from modal.report.folder import refuse_names, standing
 from modal.report.pdf import NoBrowserError, find_browser, write_pdf
 from modal.report.writing import refuse_existing
 from modal.sections.provenance import Provenance, fingerprints
@@ -319,6 +319,7 @@ def carry_out(
     )
     unseen: list[str] = []
     with (
+        standing(job.folder),
         progress_bar() as tell,
         own_warnings() as heard,
         live_view(wanted=job.live, tell=unseen.append) as viewer,

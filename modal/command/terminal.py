@@ -55,7 +55,7 @@ LONGEST_NAME = 80
 """Shorten the name of a limit, which is a stranger's text, to so many letters."""
 
 MOST_NOISE = 5
-"""Show so many noise poles; the report has all."""
+"""Name so many noise poles; the report has all."""
 
 _COLOURS = {"system": "green", "doubtful": "yellow", "noise": "bright_black"}
 _STATES = {"met": "green", "not met": "bold red", "cannot be told": "yellow"}
@@ -118,10 +118,14 @@ def show_result(
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
     console.print(plain("Next: ", "bold") + plain(" ".join(next_sentences(result, quality))))
     console.print()
-    console.print(_mode_table(result.modes.modes))
-    hidden = sum(mode.verdict == "noise" for mode in result.modes) - MOST_NOISE
-    if hidden > 0:
-        console.print(plain(f"and {hidden} more noise pole{'s' * (hidden > 1)}, all in the report", "bright_black"))
+    believed = [(number, mode) for number, mode in numbered(result.modes.modes) if mode.verdict != "noise"]
+    if believed:
+        console.print(_mode_table(believed))
+    noise = [f"{hertz(mode.frequency)} Hz" for mode in result.modes if mode.verdict == "noise"]
+    if noise:
+        named = noise[:MOST_NOISE] + [f"{len(noise) - MOST_NOISE} more"] * (len(noise) > MOST_NOISE)
+        poles = "one pole" if len(noise) == 1 else f"{len(noise)} poles"
+        console.print(plain(f"Taken for noise: {poles} ({', '.join(named)}); the report says why.", "bright_black"))
     show_limits(console, limits)
     listing(console, "Warnings", result.warnings, "yellow")
     listing(console, "Data", (*data_sentences(result), *remarks), "")
@@ -187,15 +191,13 @@ def show_paths(console: Console, *meanings: tuple[Path | None, str]) -> None:
             console.print(plain(str(path)) + plain(f"  {meaning}", "bright_black"), soft_wrap=True)
 
 
-def _mode_table(modes: Sequence[Mode]) -> Table:
+def _mode_table(shown: Sequence[tuple[int, Mode]]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("Hz", justify="right", no_wrap=True)
     table.add_column("damping", justify="right", no_wrap=True)
     table.add_column("reappears", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    n_believed = sum(mode.verdict != "noise" for mode in modes)
-    shown = numbered(modes)[: n_believed + MOST_NOISE]
     remarks = [_first_part(remark_of(mode)) for _, mode in shown]
     if any(remarks):
         table.add_column("why", ratio=1)

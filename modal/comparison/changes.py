@@ -25,15 +25,17 @@ from typing import Literal
 
 from modal.comparison.shifts import (
     LEVEL,
+    ChannelName,
+    ResultSummary,
     Shift,
     damping_shift,
     frequency_shift,
     match_modes,
     shape_shift,
     shared_shapes,
+    summary_of,
     with_verdicts,
 )
-from modal.comparison.source import ChannelName, ResultSummary, summary_of
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.wording.numbers import fit_text
@@ -196,7 +198,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     """Match the modes of two results and test what shifted.
 
     Args:
-        before: a result in memory, or read by `modal.comparison.source.read_result`.
+        before: a result in memory, or read by `modal.comparison.shifts.read_result`.
         after: the other one; shifts are those from `before` to `after`.
 
     Raises:
@@ -258,7 +260,7 @@ def _summary(result: Identification | ResultSummary) -> ResultSummary:
         return summary_of(result)
     raise InvalidDataError(
         f"compare_results takes two results of modal.identify, but was given {type(result).__name__}; read a folder or "
-        "file with modal.comparison.source.read_result."
+        "file with modal.comparison.shifts.read_result."
     )
 
 

@@ -18,6 +18,7 @@ from modal.discrepancy.setup import (
     locate_gap,
     prepare_setup,
     roots,
+    searched_parts,
     with_coloured_floor,
     with_uncovered_floor,
 )
@@ -124,11 +125,15 @@ def _diagnosed(
             "{key: CATALOGUE[key] for key in keys}"
         )
     fits, helds, notes = check_records(fit, held_out)
-    if callable(model) and not hasattr(model, "A"):
+    black_box = callable(model) and not hasattr(model, "A")
+    given = None if black_box else given_model(model, fits, sensor_kind=sensor_kind)
+    # nobody knows how many states a callable has: as three degrees of freedom
+    fits, helds, more = searched_parts(fits, helds, 6 if given is None else given.plant.n_states)
+    notes += more
+    if given is None:
         return diagnose_callable(
             model, fits, helds, catalogue=catalogue, sensor_kind=sensor_kind, progress=report, notes=notes
         )
-    given = given_model(model, fits, sensor_kind=sensor_kind)
     whole = prepare_setup(given, fits, helds, catalogue, report, whole=True)
     try:
         return _searched(whole, notes, modes)

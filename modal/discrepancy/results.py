@@ -4,13 +4,16 @@ A model that lacks nothing may still explain nothing: where an output is noise o
 inputs, no effect can be missing that the data could show. "Nothing missing" must not read like praise then.
 """
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from modal.effects.catalogue import effects_at
 from modal.simulation.tolerances import NEAR_FLOOR
+from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_plant import places_in_words
 from modal.wording.numbers import listed, percent, times_floor_text
 from okid.arrays import FloatArray
 from okid.display import Displayed
@@ -32,6 +35,7 @@ __all__ = [
     "Step",
     "explained_shares",
     "explained_words",
+    "in_words",
     "unexplained_outputs",
 ]
 
@@ -351,16 +355,18 @@ class Diagnosis(Displayed):
 
     def display_rows(self) -> list[tuple[str, str]]:
         """The verdict, each effect with its parameters, and what the reader must know."""
-        found = [(f"{one.effect} at {one.where}", "; ".join(map(str, one.parameters))) for one in self.findings]
+        told = in_words(self)
+        found = [(f"{one.effect} at {one.where}", "; ".join(map(str, one.parameters))) for one in told.findings]
         rows = [("verdict", self.verdict), *found, ("closed", f"{percent(self.closed)} of the gap above the floor")]
         rows += [("records", f"{len(self.fit)} to fit, {len(self.held_out)} held out")]
         rows += [("hypotheses", f"{len(self.hypotheses)} fitted to the end")]
-        return rows + [("warning", text) for text in self.warnings]
+        return rows + [("warning", text) for text in told.warnings]
 
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        names = effects_at([(finding.effect, finding.where) for finding in self.findings])
+        told = in_words(self)
+        names = effects_at([(finding.effect, finding.where) for finding in told.findings])
         left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
         blind = unexplained_outputs(self)
         if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
@@ -373,5 +379,30 @@ class Diagnosis(Displayed):
         if not self.findings:
             return f"Something is missing, but no effect of the catalogue explains it: {left}."
         if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
-            return f"Unresolved: the best guess is {names}; {left}, but {self.warnings[-1]}."
+            return f"Unresolved: the best guess is {names}; {left}, but {told.warnings[-1]}."
         return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."
+
+
+def in_words(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis as it is told: what nobody named is called by what it joins (`places_in_words`).
+
+    Only the words change. `with_effect` and the updated model know the places by the names of the diagnosis itself.
+    """
+    words = places_in_words(diagnosis.model) if isinstance(diagnosis.model, StructuralModel) else {}
+    if not words:
+        return diagnosis
+    names = "|".join(sorted(map(re.escape, words), key=len, reverse=True))
+    pattern = re.compile(rf"(?<![\w-])({names})(?![\w-])")
+
+    def told(value: Any) -> Any:
+        if isinstance(value, str):
+            return pattern.sub(lambda found: words[found.group()], value)
+        if isinstance(value, tuple):
+            return tuple(map(told, value))
+        if is_dataclass(value) and not isinstance(value, type):
+            return replace(value, **{one.name: told(getattr(value, one.name)) for one in fields(value)})
+        return value
+
+    kept = {"model", "fit", "held_out", "location", "noise_floor"}
+    said = {one.name: told(getattr(diagnosis, one.name)) for one in fields(diagnosis) if one.name not in kept}
+    return replace(diagnosis, **said)

@@ -25,7 +25,9 @@ from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
+from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
+from okid.rows import stretch_of
 
 __all__ = [
     "Progress",
@@ -38,6 +40,7 @@ __all__ = [
     "locate_gap",
     "prepare_setup",
     "roots",
+    "searched_parts",
     "simulated_outputs",
     "simulated_records",
     "with_coloured_floor",
@@ -51,6 +54,10 @@ FEWEST_PER_UNKNOWN = 5
 """Refuse records with fewer measured values for each unknown than this."""
 FEWEST_SAMPLES, FEWEST_PER_STATE = 64, 10
 """Refuse a record of fewer samples, in all or for each state: its initial state alone fits it."""
+MOST_STATES = 40_000
+"""Look at so many states in all rows to fit, and as many held out: each of a thousand candidates is simulated there."""
+BYTES_A_STATE = 24_000
+"""Expect a peak of so many: 13 to 24 kB were seen with three degrees of freedom."""
 
 
 def check_records(
@@ -94,6 +101,43 @@ def check_records(
                 "nothing; hold out another one."
             )
     return fits, helds, _level_notes(fits, helds)
+
+
+def searched_parts(
+    fits: Sequence[Record], helds: Sequence[Record], n_states: int
+) -> tuple[tuple[Record, ...], tuple[Record, ...], tuple[str, ...]]:
+    """The records, or a stretch of each where they are too long to be searched; the notes name the stretches.
+
+    Raises:
+        InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed.
+    """
+    most = MOST_STATES // min(max(n_states, 1), 6)  # more parameters need no fewer rows
+    kept = [tuple(_strong_part(record, side, most) for record in side) for side in (fits, helds)]
+    pairs = zip((*kept[0], *kept[1]), (*fits, *helds), strict=True)
+    named = ", ".join(part.name for part, record in pairs if part is not record)
+    n_rows, (budget, whose) = sum(part.n_samples for part in (*kept[0], *kept[1])), memory_budget()
+    need = BYTES_A_STATE * n_rows * n_states
+    if need > MEMORY_SHARE * budget:
+        raise InvalidDataError(
+            f"a search along {n_rows} rows with {n_states} states needs about {need / 2**30:.1f} GiB, more than "
+            f"{MEMORY_SHARE:.0%} of the {budget / 2**30:.1f} GiB that {whose}; give shorter records."
+        )
+    note = (
+        f"of records this long a stretch each is looked at ({named}): a search along more than {most} rows to fit, and "
+        "as many held out, would take hours and gigabytes; give the stretch that matters"
+    )
+    return kept[0], kept[1], (note,) if named else ()
+
+
+def _strong_part(record: Record, side: Sequence[Record], most: int) -> Record:
+    """The record, or its share of so many rows: the first stretch with half the power of the strongest."""
+    total = sum(one.n_samples for one in side)
+    if total <= most:
+        return record
+    length = max(record.n_inputs, record.n_outputs, record.n_samples * most // total)
+    starts = range(0, record.n_samples - length + 1, length)
+    powers = [_level(record.samples(first, first + length)) ** 2 for first in starts]
+    return stretch_of(record, starts[int(np.argmax(np.array(powers) >= 0.5 * max(powers)))], length)
 
 
 def _same(one: Record, other: Record) -> bool:

@@ -174,7 +174,8 @@ class BoucWenHysteresis(ForceEffect):
     The state z follows the displacement while it turns back, and gives way as it nears +-yield_displacement, which it
     never passes: the smoother the smaller n; n to infinity is a spring a in series with a slider of force
     a yield_displacement. The law is independent of pace, so z moves with the displacement and the peaks between
-    samples are found (see `turning_point`). It starts at z = 0 unless told otherwise.
+    samples are found (see `turning_point`). A record begins at a z no larger than the
+    motion there (`Assembly.largest_own`).
 
     In the data: a loop of force over displacement whose area is damping; the resonance falls with the level (the
     spring a is lost) and the damping first rises, then falls; odd lines.

@@ -27,7 +27,8 @@ class SlackInHysteresis(ForceEffect):
     So on reversal the force falls to zero within yield_displacement and stays there for 2 slack: the dead zone acts on
     the stop's output. The stop of a play's output is another law: that play holds its end where it was left, as if by
     friction, and the force would stay at its top through the slack. Both steps are exact for a displacement that
-    moves in a straight line; the peaks between samples are found (see `turning_point`). It starts at s = 0. Contact
+    moves in a straight line; the peaks between samples are found (see `turning_point`). A record begins
+    at an s no larger than the motion there (`Assembly.largest_own`). Contact
     and slip are smoothed over smoothing x displacement scale (`positive_part`, `stop_operator`).
 
     In the data: a loop with a flat at zero force, of the same width at every level; where the motion stays within the

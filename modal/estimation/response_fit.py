@@ -23,7 +23,7 @@ from okid.frequency_response import ResponseWindow, window_samples
 __all__ = [
     "Noise",
     "ResponseFit",
-    "Table",
+    "ResponseLines",
     "drawn_noise",
     "fit_at",
     "noise_of",
@@ -51,7 +51,7 @@ FARTHEST = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Table:
+class ResponseLines:
     """Responses in channels of comparable size, on the grid of the blocks they came from.
 
     Attributes:
@@ -173,7 +173,7 @@ def _unit(inputs: ComplexArray, is_pair: BoolArray) -> ComplexArray:
 
 
 def fit_at(
-    table: Table, poles: ComplexArray, is_pair: BoolArray, inputs: ComplexArray, weight: FloatArray
+    table: ResponseLines, poles: ComplexArray, is_pair: BoolArray, inputs: ComplexArray, weight: FloatArray
 ) -> ResponseFit:
     """The best shapes and feedthrough for given poles and participations.
 
@@ -258,7 +258,7 @@ def _orthonormal(columns: ComplexArray, wanted: ComplexArray) -> tuple[FloatArra
     return basis, found
 
 
-def refined(table: Table, start: ResponseFit, weight: FloatArray, *, n_steps: int = MOST_STEPS) -> ResponseFit:
+def refined(table: ResponseLines, start: ResponseFit, weight: FloatArray, *, n_steps: int = MOST_STEPS) -> ResponseFit:
     """Poles and participations after damped Gauss-Newton steps, as long as the squared error falls.
 
     Args:
@@ -310,7 +310,7 @@ def _moved(fit: ResponseFit, step: FloatArray) -> tuple[ComplexArray, BoolArray,
     return poles, fit.is_pair, _unit(inputs, fit.is_pair)
 
 
-def realised(fit: ResponseFit, table: Table) -> Realisation:
+def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
     """The model in the units of the responses, with one state for a real pole and two for a pair."""
     order = int(np.where(fit.is_pair, 2, 1).sum())
     A, B = np.zeros((order, order)), np.zeros((order, fit.inputs.shape[1]))
@@ -329,7 +329,7 @@ def realised(fit: ResponseFit, table: Table) -> Realisation:
 # --- the noise of a table --------------------------------------------------------------------------------------------
 
 
-def _leakage(table: Table, fit: ResponseFit, inputs: list[int], offset: int = 0) -> ComplexArray:
+def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0) -> ComplexArray:
     """(n_lines - offset, n_outputs, n_outputs) covariance of what finite blocks leave at lines l + offset and l.
 
     For independent white inputs of unit power: N(k) = Y(k) - G(k) U(k) with everything a sum over the block's window,
@@ -355,7 +355,7 @@ def _leakage(table: Table, fit: ResponseFit, inputs: list[int], offset: int = 0)
     return np.asarray(both, dtype=np.complex128)
 
 
-def _crossing(table: Table, fit: ResponseFit, offset: int) -> tuple[ComplexArray, ComplexArray]:
+def _crossing(table: ResponseLines, fit: ResponseFit, offset: int) -> tuple[ComplexArray, ComplexArray]:
     """(n_lines - offset, n_outputs, n_inputs) what is left at one line times the inputs at the other, each way round.
 
     It makes errors of neighbouring lines turn together, so that their real and imaginary parts are not alike.
@@ -374,7 +374,7 @@ def _mirrored(matrices: ComplexArray) -> ComplexArray:
     return matrices.conj().transpose(0, 2, 1)
 
 
-def _own_leakage(table: Table, fit: ResponseFit) -> FloatArray:
+def _own_leakage(table: ResponseLines, fit: ResponseFit) -> FloatArray:
     """(n_lines, n_outputs, n_inputs) power of the leakage in each response."""
     if not table.leaks:
         return np.zeros(table.values.shape)
@@ -400,7 +400,7 @@ class Noise:
     share: FloatArray
 
 
-def noise_of(table: Table, fit: ResponseFit) -> Noise:
+def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     """Variance of each value of a table.
 
     What coherence says (else the scatter about the model) is split into leakage and a floor, so that their sum has the
@@ -452,7 +452,7 @@ def _smoothed(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
     return np.asarray(total / np.maximum(1, count), dtype=np.float64)
 
 
-def _reach(table: Table) -> list[int]:
+def _reach(table: ResponseLines) -> list[int]:
     """Offsets of lines whose errors belong together."""
     if table.lags is None or table.window in {"uniform", "periodic"}:
         return [0]
@@ -460,7 +460,7 @@ def _reach(table: Table) -> list[int]:
     return [m for m in range(most + 1) if abs(table.ambiguity(m)[0][0]) > np.sqrt(np.finfo(float).eps)]
 
 
-def _covariances(table: Table, fit: ResponseFit, noise: Noise, offset: int) -> ComplexArray:
+def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int) -> ComplexArray:
     """(n_inputs, n_lines - offset, n_outputs, n_outputs) of the responses to each input at lines l + offset and l.
 
     The errors of an input's responses are what the outputs hold beside the model, times the input, so their correlation
@@ -485,7 +485,7 @@ def _covariances(table: Table, fit: ResponseFit, noise: Noise, offset: int) -> C
     return np.asarray(scaled, dtype=np.complex128)
 
 
-def drawn_noise(table: Table, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
+def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
     """(n_lines, n_outputs, n_inputs) errors as the table has them, correlated over outputs and lines.
 
     A table plus and minus such errors is what its averages would have given by halves: two tables of twice the
@@ -509,7 +509,7 @@ def drawn_noise(table: Table, fit: ResponseFit, noise: Noise, rng: np.random.Gen
     return np.where(table.known, drawn[..., 0].transpose(1, 2, 0), 0.0)
 
 
-def pole_deviations(table: Table, fit: ResponseFit, noise: Noise) -> tuple[FloatArray, FloatArray]:
+def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[FloatArray, FloatArray]:
     """(n_poles,) standard deviations of frequency [Hz] and damping ratio, for the weights 1 / variance.
 
     M^-1 S M^-1 with M the curvature and S the covariance of the slope under errors that are correlated over outputs and

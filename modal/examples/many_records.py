@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from modal.comparison.changes import Comparison, compare_results
-from modal.comparison.source import summary_of
+from modal.comparison.shifts import summary_of
 from modal.comparison.words import comparison_headline, pair_sentence
 from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.examples.story import print_written

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modal.discrepancy.results import Diagnosis
+from modal.discrepancy.results import Diagnosis, in_words
 from modal.report.writing import write_report
 from modal.sections.discrepancy_values import step_text
 from modal.wording.numbers import times_floor_text
@@ -75,7 +75,7 @@ def parameter(diagnosis: Diagnosis, effect: str, name: str) -> tuple[float, floa
 
 def shrinking(diagnosis: Diagnosis) -> str:
     """How the held-out gap shrinks from step to step, a line each, in times the noise floor."""
-    names = [step_text(step.name) for step in diagnosis.steps]
+    names = [step_text(step.name) for step in in_words(diagnosis).steps]
     sizes = [times_floor_text(step.held_out_level) for step in diagnosis.steps]
     width = max(map(len, names))
     lines = (f"  {name:<{width}}  {size:>8}" for name, size in zip(names, sizes, strict=True))

@@ -5,7 +5,7 @@ at every tick, with noise. From those samples alone, without m, c and k, we want
 mass does, and with it the frequency and the damping. Five steps lead there:
 
 1. **Samples are a product.** For a push of one tick the samples are h(k) = C A^(k-1) B with the sampled matrices A, B,
-   C of the mass, whatever coordinates its state is written in (`StruckMass.model`, `pulse_response`).
+   C of the mass, whatever coordinates its state is written in (`StruckMass.model`, `sampled_pulse`).
 2. **The full-order model.** Write the samples into a Hankel matrix H(k), entry (i, j) = h(k + i + j). Moving on by one
    tick multiplies it by one matrix, so A = H(2) H(1)^-1, B = first column of H(1), C = first row of the identity is a
    model (`full_order_model`). With N rows and columns it has 2N unknowns and repeats 2N samples *exactly, noise
@@ -47,8 +47,8 @@ from modal.examples.struck_mass_models import (
     SingularValueShares,
     frequency_and_damping,
     full_order_model,
-    pulse_response,
     reduced_model,
+    sampled_pulse,
     singular_value_shares,
     step_response,
     truncated_model,
@@ -92,8 +92,8 @@ def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
     figure = grid_of(1, 2, size=WIDE)
     inside, beyond = figure.panels
     tick = short.truth.dt * np.arange(n_fitted + n_beyond)
-    clean = pulse_response(short.truth.model(), len(tick))
-    full, reduced = pulse_response(short.full, len(tick)), pulse_response(short.reduced, len(tick))
+    clean = sampled_pulse(short.truth.model(), len(tick))
+    full, reduced = sampled_pulse(short.full, len(tick)), sampled_pulse(short.reduced, len(tick))
     for panel, shown in ((inside, n_fitted), (beyond, len(tick))):
         panel.line(tick[:shown], clean[:shown], "noise", label="truth, no noise")
         panel.dots(tick[:n_fitted], short.samples, "measured", dot=5.0, label="measured")
@@ -148,7 +148,7 @@ def draw_reduction(result: "Study") -> Chart:
         result: any study.
     """
     order, n_samples = result.reduced.order, len(result.samples)
-    reduced = pulse_response(result.reduced, n_samples)
+    reduced = sampled_pulse(result.reduced, n_samples)
     models: tuple[tuple[str, LinearModel, Role], ...] = (
         ("A = U U' H(2) Hr^+  (with the projector)", result.truncated, "system"),
         ("A = H(2) Hr^+  (without)", truncated_model(result.samples, order, projector="none"), "residual"),
@@ -157,7 +157,7 @@ def draw_reduction(result: "Study") -> Chart:
     panel = figure.panels[0]
     tick = result.truth.dt * np.arange(n_samples)
     for label, model, role in models:
-        difference = np.abs(pulse_response(model, n_samples) - reduced) / np.abs(reduced).max()
+        difference = np.abs(sampled_pulse(model, n_samples) - reduced) / np.abs(reduced).max()
         panel.line(tick, np.maximum(difference, 1e-18), role, label=label)
     panel.y.log, panel.x.label, panel.y.label = True, "time [s]", "difference, relative to the peak"
     panel.head = "N states less n states: nothing changed"
@@ -176,7 +176,7 @@ def draw_responses(result: "Study") -> Chart:
     figure = grid_of(1, 2, size=WIDE)
     pulse, step = figure.panels
     for panel, answer, measured in (
-        (pulse, pulse_response, result.samples),
+        (pulse, sampled_pulse, result.samples),
         (step, step_response, np.cumsum(result.samples)),
     ):
         panel.dots(tick, measured, "measured", dot=2.5, label="measured")
@@ -276,7 +276,7 @@ def measured_samples(truth: StruckMass, n_samples: int, *, noise: float, rng: np
         noise: its standard deviation as a share of the largest position.
         rng: where the noise comes from.
     """
-    clean = pulse_response(truth.model(), n_samples)
+    clean = sampled_pulse(truth.model(), n_samples)
     size = noise * float(np.abs(clean).max())
     return clean + size * rng.standard_normal(n_samples)
 
@@ -340,7 +340,7 @@ def study(truth: StruckMass, samples: FloatArray, *, order: int = 2) -> Study:
     clean = truth.model()
     frequency, damping_ratio = frequency_and_damping(reduced, truth.dt)
     errors = []
-    for response in (pulse_response, step_response):
+    for response in (sampled_pulse, step_response):
         wanted = response(clean, len(samples))
         errors.append(float(np.linalg.norm(response(reduced, len(samples)) - wanted) / np.linalg.norm(wanted)))
     return Study(

@@ -14,8 +14,8 @@ __all__ = [
     "frequency_and_damping",
     "full_order_model",
     "hankel",
-    "pulse_response",
     "reduced_model",
+    "sampled_pulse",
     "singular_value_shares",
     "step_response",
     "truncated_model",
@@ -48,7 +48,7 @@ class LinearModel:
         return len(self.A)
 
 
-def pulse_response(model: LinearModel, n_samples: int) -> FloatArray:
+def sampled_pulse(model: LinearModel, n_samples: int) -> FloatArray:
     """(n_samples,) answer to a push of one unit for one tick: D, C B, C A B, ...
 
     Args:
@@ -70,7 +70,7 @@ def step_response(model: LinearModel, n_samples: int) -> FloatArray:
         model: any linear model.
         n_samples: how many, the one at the tick of the first push included.
     """
-    return np.asarray(np.cumsum(pulse_response(model, n_samples)))
+    return np.asarray(np.cumsum(sampled_pulse(model, n_samples)))
 
 
 def hankel(samples: FloatArray, first: int) -> FloatArray:

@@ -6,13 +6,15 @@ well. Rotations turn rigid bodies and are never drawn as translation. What is no
 
 A picture where no geometry is known: the sensors in a row.
 
-Names such as `12X+` still say which channels share a node and which way they look. Then the nodes stand in a row in the
-order of the record, along an axis in which nothing was measured if there is one: upright like a tower for motion in X
-and Y, lying like a beam for motion in Z. Otherwise every output has a place of its own in the order of the record and
-moves up and down; outputs of different units cannot share one scale, so each unit has a line of its own, one behind the
-other. Between two sensors a line is straight: nothing was measured there.
+Names that count rows and columns (p11, p12, ... p34; x1y2; r1c2) and fill a whole grid are drawn as one, and it is said
+that this is a guess. Names such as `12X+` still say which channels share a node and which way they look. Then the nodes
+stand in a row in the order of the record, along an axis in which nothing was measured if there is one: upright like a
+tower for motion in X and Y, lying like a beam for motion in Z. Otherwise every output has a place of its own in the
+order of the record and moves up and down; outputs of different units cannot share one scale, so each unit has a line of
+its own, one behind the other. Between two sensors a line is straight: nothing was measured there.
 """
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,6 +35,7 @@ __all__ = [
     "at_rest",
     "best_phase",
     "derivatives_of",
+    "guessed_grid",
     "placed",
     "rows_by_unit",
     "stated_dofs",
@@ -62,6 +65,52 @@ def stick_geometry(output_names: Sequence[str], output_units: Sequence[str] = ()
     if dofs := stated_dofs(output_names):
         return _named(output_names, dofs)
     return _unnamed(output_names, output_units or [""] * len(output_names))
+
+
+_PAIR: Final = re.compile(
+    r"(?P<what>\D*)(?:(?P<a>\d)(?P<b>\d)|(?P<first>\d{1,3})(?P<between>\D+)(?P<second>\d{1,3}))\D*"
+)
+FULL_COUNT: Final = 10
+"""Names that use all ten last digits count channels, not columns."""
+
+
+def guessed_grid(output_names: Sequence[str], output_units: Sequence[str] = ()) -> Geometry | None:
+    """A plane of sensors that look up, where the names count its rows and columns; None where they do not.
+
+    Every place of the grid must have one name, both counts begin alike, and the outputs have one unit.
+
+    Example:
+        >>> grid = guessed_grid(["p11", "p12", "p21", "p22"])
+        >>> grid.positions[:, :2].tolist(), len(grid.lines)
+        ([[-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], 4)
+        >>> guessed_grid(["ch01", "ch02", "ch03"]) is None, guessed_grid(["p11", "p12", "p21"]) is None
+        (True, True)
+    """
+    found = [_PAIR.fullmatch(name.strip()[: 2 * FULL_COUNT]) for name in output_names]
+    known = [one for one in found if one is not None]
+    if not known or len(known) < len(found) or len(set(output_units)) > 1 or stated_dofs(output_names):
+        return None
+    if len({(one["what"], one["between"]) for one in known}) > 1:
+        return None
+    places = np.array([[int(one["a"] or one["first"]), int(one["b"] or one["second"])] for one in known])
+    start, size = int(places.min()), np.ptp(places, axis=0) + 1
+    whole = {(start + i, start + j) for i in range(size[0]) for j in range(size[1])}
+    if start > 1 or min(size) < 2 or max(size) >= FULL_COUNT or sorted(map(tuple, places.tolist())) != sorted(whole):
+        return None
+    count = places - start
+    across, up = (0, 1) if known[0]["what"][-1:].lower() == "x" else (1, 0)
+    scale = 2.0 / (max(size) - 1)
+    plane = scale * (count[:, (across, up)] - 0.5 * (size[[across, up]] - 1))
+    plane[:, 1] *= 1.0 if across == 0 else -1.0  # rows are counted from the top
+    number = {(i, j): k for k, (i, j) in enumerate(count.tolist())}
+    lines = [tuple(number[i, j] for j in range(size[1])) for i in range(size[0])]
+    lines += [tuple(number[i, j] for i in range(size[0])) for j in range(size[1])]
+    return Geometry(
+        node_names=tuple(output_names),
+        positions=np.column_stack([plane, np.zeros(len(plane))]),
+        lines=tuple(lines),
+        sensors=tuple(Sensor(name=name, node=k, direction=np.array(_UP)) for k, name in enumerate(output_names)),
+    )
 
 
 def stated_dofs(output_names: Sequence[str]) -> tuple[Dof, ...]:
@@ -263,13 +312,16 @@ def at_rest(geometry: Geometry) -> Placement:
 
 
 def _row(names: Sequence[str], units: Sequence[str]) -> Placement:
-    geometry = stick_geometry(names, units)
+    grid = guessed_grid(names, units)
+    geometry = stick_geometry(names, units) if grid is None else grid
     if stated_dofs(names):
         found = _on(geometry, geometry.sensors_of(names), names, units, is_given=False)
         words = "No geometry is given: the nodes that the names of the outputs state stand in a row, in their order."
         return replace(found, sentences=(words, *found.sentences))
     rows = rows_by_unit(units)
     words = "No geometry is given: the sensors stand in a row, in the order of the record."
+    if grid is not None:
+        words = "No geometry is given: the grid is guessed from the names of the outputs, evenly spaced."
     if len(rows) > 1:
         words += " The outputs have different units: each unit has a line of its own, scaled to its own largest."
     sensors = geometry.sensors_of(names)

@@ -17,8 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modal.estimation.modal_parameters import errors_of
+from modal.estimation.modal_states import signal_grams
 from modal.estimation.output_error import NONE, LinearPart, PolesAndParticipations, gram_of_training, step_equations
 from modal.estimation.propagation import propagated
+from modal.identification.feedback import inputs_made_by
 from modal.identification.final_model import FinalModel
 from modal.identification.information import innovation_uncertainty
 from modal.identification.refined_search import RefinedModel
@@ -28,7 +31,7 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
 from okid.record import Record
 
-__all__ = ["output_error_uncertainty", "with_deviations"]
+__all__ = ["feedback_bias", "output_error_uncertainty", "with_deviations"]
 
 LEAST_CURVATURE = 1e-12
 """Relative curvature below which a direction of the parameters is not in the data."""
@@ -69,7 +72,27 @@ def output_error_uncertainty(model: RefinedModel, modes: Sequence[Mode], *, n_la
         Ljung, System Identification: Theory for the User, 2nd edition, 1999, section 9.4 (asymptotic covariance);
         White, Econometrica 50(1), 1982, 1-25, doi 10.2307/1912526 (scores of what is left).
     """
-    loadings = _white(model) if model.leaves_white_noise else _of_blocks(model)
+    return _deviations(_white(model) if model.leaves_white_noise else _of_blocks(model), model, modes, n_lags)
+
+
+def feedback_bias(model: RefinedModel, modes: Sequence[Mode], *, n_lags: int) -> Uncertainty:
+    """How far feedback moves the modes and Markov parameters of a refined model, by first order: sizes, not deviations.
+
+    At the optimum J'W e is zero, but the part of J that the noise made by way of the inputs, J_e, belongs to what the
+    noise alone would leave, so the estimate is off by (J'WJ)^-1 J_e'W e.
+
+    Args:
+        model: from `refined_model`.
+        modes: of its realisation.
+        n_lags: Markov parameters asked for.
+
+    References:
+        Forssell, Ljung, Automatica 35(7), 1999, 1215-1241, doi 10.1016/S0005-1098(99)00022-9.
+    """
+    return _deviations(_of_feedback(model), model, modes, n_lags)
+
+
+def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode], n_lags: int) -> Uncertainty:
     parameters = model.step.parameters
     poles, _ = discrete_poles(tuple(modes), model.realisation.dt)
     owner = np.abs(poles[:, np.newaxis] - parameters.poles).argmin(axis=1) if poles.size else np.empty(0, dtype=np.intp)
@@ -111,24 +134,40 @@ def _white(model: RefinedModel) -> _Loadings:
 
 
 def _of_blocks(model: RefinedModel) -> _Loadings:
-    step, data, weights = model.step, model.data, model.weights
-    layout, linear = step.layout, step.linear
-    normal = step_equations(step, data, held_out=NONE, weights=weights)
-    inverse = linear.inverse_factor.T @ linear.inverse_factor
+    n_blocks = model.step.grams.shape[0]
+    products = np.array([model.step.block_products(block) for block in range(n_blocks)])
+    return _pulled(model, np.sqrt(n_blocks / max(1, n_blocks - 1)) * products, max(1.0, model.n_parts - 1.0))
+
+
+def _of_feedback(model: RefinedModel) -> _Loadings:
+    """One disturbance: how far the part of the inputs that the errors made pulls the model."""
+    step, data = model.step, model.data
+    errors = errors_of(step, data)
+    made = inputs_made_by(errors, data.records)
+    records = [
+        replace(record, inputs=own, outputs=np.nan_to_num(error))
+        for record, own, error in zip(data.records, made, errors, strict=True)
+    ]
+    parameters = replace(step.parameters, states=np.zeros_like(step.parameters.states))
+    layout, grams = signal_grams(parameters, records, data.rows, data.blocks, n_direct=step.layout.n_direct)
+    products = gram_of_training(layout, grams, data.blocks, NONE)[:, layout.outputs]
+    return _pulled(model, products[np.newaxis], float("inf"))
+
+
+def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float) -> _Loadings:
+    """Changes of the model for each of some (size, n_outputs) products of all signals with errors."""
+    step, layout = model.step, model.step.layout
+    normal = step_equations(step, model.data, held_out=NONE, weights=model.weights)
     slopes = _slopes(model)
-    scores = _scores(model)
-    n_blocks = step.grams.shape[0]
-    left = np.array([step.block_products(block)[layout.regressors] for block in range(n_blocks)])
-    inflate = np.sqrt(n_blocks / max(1, n_blocks - 1))
-    theta = inflate * scores @ _inverse(normal.matrix)
-    coefficients = inflate * (inverse @ left) - np.einsum("st,tno->sno", theta, slopes)
+    theta = _scores(model, slopes, products @ model.weights) @ _inverse(normal.matrix)
+    inverse = step.linear.inverse_factor.T @ step.linear.inverse_factor
     return _loadings(
         model,
         theta,
-        coefficients,
+        inverse @ products[:, layout.regressors] - np.einsum("st,tno->sno", theta, slopes),
         own=np.zeros((0, layout.n_regressors)),
         noise=np.zeros(layout.n_outputs),
-        degrees_of_freedom=max(1.0, n_blocks - 1.0),
+        degrees_of_freedom=degrees_of_freedom,
     )
 
 
@@ -174,17 +213,12 @@ def _slopes(model: RefinedModel) -> FloatArray:
     return np.einsum("nk,tko->tno", factor.T @ factor, products)
 
 
-def _scores(model: RefinedModel) -> FloatArray:
-    """(n_blocks, n_free) weighted gradient of each block, the linear part projected out."""
-    step, layout = model.step, model.step.layout
-    slopes = _slopes(model)
-    scores = np.empty((step.grams.shape[0], slopes.shape[0]))
-    for block in range(scores.shape[0]):
-        products = step.block_products(block) @ model.weights
-        left = products[layout.regressors]
-        direct = _outputs_of(model, products[layout.real], products[layout.imaginary])
-        scores[block] = (direct - np.einsum("tno,no->to", slopes, left)).sum(axis=1)
-    return scores
+def _scores(model: RefinedModel, slopes: FloatArray, products: FloatArray) -> FloatArray:
+    """(n, n_free) gradient of each of n weighted products, the linear part projected out."""
+    layout = model.step.layout
+    direct = [_outputs_of(model, one[layout.real], one[layout.imaginary]) for one in products]
+    left = np.einsum("tno,sno->sto", slopes, products[:, layout.regressors])
+    return (np.array(direct) - left).sum(axis=2)
 
 
 def _loadings(
@@ -298,23 +332,25 @@ NO_INTERVAL = 3.0
 
 
 def with_deviations(
-    model: ModalModel, final: FinalModel, records: Sequence[Record]
-) -> tuple[ModalModel, Uncertainty, FloatArray]:
+    model: ModalModel, final: FinalModel, records: Sequence[Record], *, fed_back: bool
+) -> tuple[ModalModel, Uncertainty, FloatArray, FloatArray]:
     """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
 
     Args:
         model: modes of the final model's realisation.
         final: the final model.
         records: that it was fitted to.
+        fed_back: the outputs are fed back into the inputs.
 
     Returns:
-        The modes, their deviations, and (n_modes,) how many times larger those of a mode are than under white noise.
+        The modes, their deviations, (n_modes,) how many times larger those of a mode are than under white noise, and
+        (n_modes,) how many of the stated ones feedback moves it by: none where the model is that of a predictor.
     """
-    inflation = np.ones(len(model))
+    inflation, moved = np.ones(len(model)), np.zeros(len(model))
     if final.noise is not None:
         known = innovation_uncertainty(final.noise, model.modes, n_lags=final.markov.n_lags)
     elif final.refined is not None:
-        known, inflation = _judged(final.refined, model.modes, n_lags=final.markov.n_lags)
+        known, inflation, moved = _judged(final.refined, model.modes, n_lags=final.markov.n_lags, fed_back=fed_back)
     else:
         known = _propagated(model, final, records)
     modes = tuple(
@@ -327,28 +363,47 @@ def with_deviations(
         )
         for i, mode in enumerate(model.modes)
     )
-    return replace(model, modes=modes), known, inflation
+    return replace(model, modes=modes), known, inflation, moved
 
 
-def _judged(model: RefinedModel, modes: Sequence[Mode], *, n_lags: int) -> tuple[Uncertainty, FloatArray]:
-    """What the colour that is left does to the deviations: the larger ones, nan where it does too much."""
-    plain = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
-    if model.leaves_white_noise:
-        return plain, np.ones(len(modes))
-    blocks = output_error_uncertainty(model, modes, n_lags=n_lags)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        by_frequency = blocks.frequency_std / plain.frequency_std
-        by_damping = blocks.damping_ratio_std / plain.damping_ratio_std
-    inflation = np.fmax(np.fmax(by_frequency, by_damping), 1.0)
+def _judged(
+    model: RefinedModel, modes: Sequence[Mode], *, n_lags: int, fed_back: bool
+) -> tuple[Uncertainty, FloatArray, FloatArray]:
+    """What the colour that is left does to the deviations: the larger ones, nan where it does too much.
+
+    The bias of a feedback stands beside them in quadrature.
+    """
+    known = plain = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
+    inflation, moved = np.ones(len(modes)), np.zeros(len(modes))
+    if not model.leaves_white_noise:
+        known = _together(np.fmax, output_error_uncertainty(model, modes, n_lags=n_lags), plain)
+        inflation = _times(known, plain)
+    if fed_back:
+        pull = feedback_bias(model, modes, n_lags=n_lags)
+        moved = _times(pull, known)
+        known = _together(np.hypot, known, pull)
     lost = np.where(inflation > NO_INTERVAL, np.nan, 1.0)
-    known = replace(
-        blocks,
-        frequency_std=np.fmax(plain.frequency_std, blocks.frequency_std) * lost,
-        damping_ratio_std=np.fmax(plain.damping_ratio_std, blocks.damping_ratio_std) * lost,
-        shape_std=np.fmax(plain.shape_std, blocks.shape_std),
-        markov_std=np.fmax(plain.markov_std, blocks.markov_std),
+    known = replace(known, frequency_std=known.frequency_std * lost, damping_ratio_std=known.damping_ratio_std * lost)
+    return known, np.fmax(inflation, 1.0), moved
+
+
+def _together(both: np.ufunc, one: Uncertainty, other: Uncertainty) -> Uncertainty:
+    return replace(
+        one,
+        frequency_std=both(one.frequency_std, other.frequency_std),
+        damping_ratio_std=both(one.damping_ratio_std, other.damping_ratio_std),
+        shape_std=both(one.shape_std, other.shape_std),
+        markov_std=both(one.markov_std, other.markov_std),
     )
-    return known, inflation
+
+
+def _times(one: Uncertainty, other: Uncertainty) -> FloatArray:
+    """(n_modes,) how many times the other's deviation of frequency or damping, whichever is more."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        times: FloatArray = np.fmax(
+            one.frequency_std / other.frequency_std, one.damping_ratio_std / other.damping_ratio_std
+        )
+    return times
 
 
 def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:

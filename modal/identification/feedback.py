@@ -1,36 +1,37 @@
 """Does something feed the outputs back into the inputs? Then a model of the noise is not a matter of choice.
 
 Output error is consistent whatever the colour of the noise as long as the inputs know nothing of it. Under feedback
-they do: the past of the outputs then tells more about an input than its own past. Both regressions come from one Gram
-matrix of lags; with R_0 and R_1 the covariances of what is left without and with the outputs' past, n_y m more numbers
-for each of n_u inputs, the likelihood ratio
+they do: the past of an output then tells more about an input than its own past. With a share R of what that past leaves
+of the input explained by the output's m last samples,
 
-    (N - numbers - (n_u + n_y m + 1) / 2) ln(det R_0 / det R_1)
+    (N - numbers - (m + 2) / 2) ln(1 / (1 - R))
 
-is chi-square with n_u n_y m degrees of freedom (Bartlett's approximation) where there is no feedback, and noncentral
-by N times the share of an input that the outputs' past explains where there is some. Long records show any share,
-however little it can do to the modes, so what is refused is that the share is negligible.
+is chi-square with m degrees of freedom (Bartlett's approximation) where there is no feedback. A controller has few
+roads, so each pair of an input and an output is asked apart, and the least of so many p-values multiplied (Bonferroni).
 An input that its own past foretells, a sweep or a tone, is foretold as well by whatever has filtered it, and not asked.
+
+What feedback does to a model matters, not that it is there: the same regression with what a free run leaves in the
+place of the outputs gives the part of the inputs that the noise has made, and that part gives the bias.
 
 References:
     Granger, Econometrica 37(3), 1969, 424-438, doi 10.2307/1912791 (the past of one series in the other); Bartlett,
-    Proceedings of the Cambridge Philosophical Society 34(1), 1938, 33-40, doi 10.1017/S0305004100019880.
+    Proceedings of the Cambridge Philosophical Society 34(1), 1938, 33-40, doi 10.1017/S0305004100019880; Forssell,
+    Ljung, Automatica 35(7), 1999, 1215-1241, doi 10.1016/S0005-1098(99)00022-9 (bias of direct methods).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from modal.identification.result import Identification
-from modal.verdict.judgement import DOUBTED
 from okid.arrays import FloatArray
 from okid.gram import lag_gram
+from okid.markov import solve_recursion
 from okid.record import Record
-from okid.scaling import channel_scaling
+from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["FALSE_ALARMS", "feedback_p_value", "with_feedback"]
+__all__ = ["FALSE_ALARMS", "feedback_p_value", "inputs_made_by"]
 
 FALSE_ALARMS = 0.01
 """Speak of feedback where so few records without it would look as much like it."""
@@ -40,17 +41,12 @@ OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
 ROWS_A_NUMBER = 10
 """Shorten both pasts where there are fewer rows for each number."""
-NEGLIGIBLE = 0.002
-"""Mind no feedback that explains less than this share of what an input's own past leaves; loops that move a mode's
-frequency or damping noticeably explain ten times as much (`tests/reference/noise_families.py`, "loop")."""
 FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
-BIASED = "the outputs are fed back into the inputs, which may bias it"
-
 
 def feedback_p_value(records: Sequence[Record]) -> float:
-    """How often records with at most negligible feedback look as much like it; nan where the inputs cannot be asked.
+    """How often records without feedback look as much like it; nan where the inputs cannot be asked.
 
     Args:
         records: as measured: a filter that looks ahead makes the past of the outputs know the inputs.
@@ -64,50 +60,100 @@ def feedback_p_value(records: Sequence[Record]) -> float:
         >>> feedback_p_value([Record(u, y, 0.1)]) < 1e-3, feedback_p_value([Record(r, y, 0.1)]) > 1e-3
         (True, True)
     """
-    m, q = records[0].n_inputs, records[0].n_outputs
-    n_rows = sum(record.n_samples for record in records)
-    own = min(OWN_PAST, n_rows // (ROWS_A_NUMBER * (m + q)))
-    if not m or own < OTHER_PAST:
+    told = _Told.of(records)
+    if told is None:
         return float("nan")
-    gram = lag_gram(records, own, scaling=channel_scaling(records))
-    lags = 1 + (m + q) * np.arange(own + 1)
-    inputs = (lags[:, np.newaxis] + np.arange(m)).ravel()
-    outputs = (lags[1 : OTHER_PAST + 1, np.newaxis] + m + np.arange(q)).ravel()
-    target, past = inputs[:m], np.concatenate([[0], inputs[m:]])
-    without, rank = _left(gram.matrix, target, past)
-    beside, more = _left(gram.matrix, target, np.concatenate([past, outputs]))
-    foretold = np.diag(without) <= FORETOLD * np.diag(gram.matrix)[target]
-    if more - rank < outputs.size or foretold.any():
+    left, m, q = told.left, told.n_inputs, told.n_outputs
+    power, n_rows = np.diag(left)[:m], told.n_rows - told.own * m - 1
+    if (power <= FORETOLD * told.power).any():
         return float("nan")
-    ratio = np.linalg.slogdet(without)[1] - np.linalg.slogdet(beside)[1]
-    statistic = (gram.n_rows - rank - (m + outputs.size + 1) / 2) * ratio
-    return float(1.0 - scipy.special.chndtr(max(statistic, 0.0), m * outputs.size, NEGLIGIBLE * gram.n_rows))
+    least = 1.0
+    for j in range(q):
+        own = m + j + q * np.arange(OTHER_PAST)
+        weights, _, rank, _ = np.linalg.lstsq(left[np.ix_(own, own)], left[own, :m], rcond=1e-12)
+        if rank == OTHER_PAST:
+            explained = ((left[own, :m] * weights).sum(axis=0) / power).max()
+            ratio = -np.log(max(1.0 - explained, np.finfo(float).tiny))
+            least = min(least, float(scipy.special.chdtrc(OTHER_PAST, (n_rows - (OTHER_PAST + 2) / 2) * ratio)))
+    return min(1.0, m * q * least)
 
 
-def with_feedback(result: Identification, *, unbiased: bool) -> Identification:
-    """The result with the warning that there is feedback; where it may bias the modes none of them is certain.
+def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> list[FloatArray]:
+    """(n_samples, n_inputs) a record: the part of its inputs that the errors of the outputs made.
+
+        u(k) = sum of a_i u(k - i) + sum of f_i e(k - i) + what comes from outside,
+
+    by least squares, with the same lags as the test; run from rest on the errors alone.
 
     Args:
-        result: of records with feedback.
-        unbiased: whether the noise has a model of its own, which leaves white errors.
+        errors: (n_samples, n_outputs) a record, NaN where there is none.
+        records: with the inputs.
     """
-    words = "The past of the outputs tells more about the inputs than their own does: something feeds them back"
-    if unbiased:
-        warning = f"{words}; the model was fitted with its noise, which allows for that."
-        return replace(result, warnings=(*result.warnings, warning))
-    warning = f"{words}, and no model of the noise leaves white errors: modes and damping may be biased."
-    modes = tuple(
-        replace(mode, verdict="doubtful", probability=min(mode.probability, DOUBTED), reason=f"{BIASED}; {mode.reason}")
-        if mode.verdict == "system"
-        else mode
-        for mode in result.modes
-    )
-    return replace(result, modes=replace(result.modes, modes=modes), warnings=(*result.warnings, warning))
+    told = _Told.of([replace(record, outputs=error) for record, error in zip(records, errors, strict=True)])
+    if told is None:
+        return [np.full_like(record.inputs, np.nan) for record in records]
+    m, q = told.n_inputs, told.n_outputs
+    later = np.linalg.lstsq(told.left[m:, m:], told.left[m:, :m], rcond=1e-12)[0]
+    own = (told.weights[1:, :m] - told.weights[1:, m:] @ later).reshape(told.own, m, m).transpose(0, 2, 1)
+    made = []
+    size, level = told.scaling.output_scale, told.scaling.output_mean
+    for error in errors:
+        scaled = np.nan_to_num((error - level) / size)
+        forcing = np.zeros((len(error), m))
+        for i in range(OTHER_PAST):
+            forcing[i + 1 :] += scaled[: -i - 1] @ later[i * q : (i + 1) * q]
+        made.append(solve_recursion(own, forcing[..., np.newaxis])[..., 0] * told.scaling.input_scale)
+    return made
 
 
-def _left(gram: FloatArray, target: np.ndarray, past: np.ndarray) -> tuple[FloatArray, int]:
-    """(n_inputs, n_inputs) products of what the past leaves of the inputs, and the rank of the past."""
-    cross = gram[np.ix_(past, target)]
-    weights, _, rank, _ = np.linalg.lstsq(gram[np.ix_(past, past)], cross, rcond=1e-12)
-    left: FloatArray = gram[np.ix_(target, target)] - cross.T @ weights
-    return 0.5 * (left + left.T), int(rank)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Told:
+    """What the inputs' own past leaves of the inputs and of the past of the outputs.
+
+    Attributes:
+        left: (n_inputs + n_outputs OTHER_PAST, same) products of what is left.
+        weights: (1 + n_inputs own, same) of the level and the inputs' own past.
+        power: (n_inputs,) squares of the inputs themselves.
+        n_rows: summed over.
+        own: lags of the inputs' own past.
+        n_inputs: of the records.
+        n_outputs: of the records.
+        scaling: of the channels.
+    """
+
+    left: FloatArray
+    weights: FloatArray
+    power: FloatArray
+    n_rows: int
+    own: int
+    n_inputs: int
+    n_outputs: int
+    scaling: ChannelScaling
+
+    @classmethod
+    def of(cls, records: Sequence[Record]) -> "_Told | None":
+        """None where there are no inputs, or too few rows."""
+        m, q = records[0].n_inputs, records[0].n_outputs
+        n_rows = sum(record.n_samples for record in records)
+        own = min(OWN_PAST, n_rows // (ROWS_A_NUMBER * (m + q)))
+        if not m or own < OTHER_PAST:
+            return None
+        scaling = channel_scaling(records)
+        gram = lag_gram(records, own, scaling=scaling)
+        lags = 1 + (m + q) * np.arange(own + 1)[:, np.newaxis]
+        inputs = (lags + np.arange(m)).ravel()
+        past = np.concatenate([[0], inputs[m:]])
+        asked = np.concatenate([inputs[:m], (lags[1 : OTHER_PAST + 1] + m + np.arange(q)).ravel()])
+        cross = gram.matrix[np.ix_(past, asked)]
+        weights = np.linalg.lstsq(gram.matrix[np.ix_(past, past)], cross, rcond=1e-12)[0]
+        left = gram.matrix[np.ix_(asked, asked)] - cross.T @ weights
+        return cls(
+            left=0.5 * (left + left.T),
+            weights=weights,
+            power=np.diag(gram.matrix)[inputs[:m]],
+            n_rows=gram.n_rows,
+            own=own,
+            n_inputs=m,
+            n_outputs=q,
+            scaling=scaling,
+        )

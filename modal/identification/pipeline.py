@@ -16,7 +16,7 @@ from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.modal_states import one_blas_thread
 from modal.identification.covariance import with_deviations
-from modal.identification.feedback import FALSE_ALARMS, feedback_p_value, with_feedback
+from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, fit_all_rows
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
@@ -31,6 +31,7 @@ from modal.identification.words import (
     noise_words,
     order_evidence,
     warnings_in_words,
+    with_feedback,
 )
 from modal.modes.extraction import extract_modes
 from modal.preparation.band import missed_share
@@ -51,12 +52,14 @@ from okid.frequency_response import FrequencyResponse
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
-from okid.rows import as_records
+from okid.rows import as_records, spread_stretches
 
 __all__ = ["identify"]
 
 COPIES = 14
 """Expect a peak of so many copies of the records: a whole run took 14.4 on 1e7 samples of 8 channels."""
+MOST_MEMORY = 1.5e9
+"""Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
 
 
 def identify(
@@ -155,8 +158,7 @@ def identify(
         return identify_setups(
             several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
         )
-    _check_room(several)
-    kind_found = find_kind(several, given_kind(kind))
+    several, kind_found = _within_memory(several, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
         several = released(several, kind_found.starts)
         integrators, input_delay = 0, 0
@@ -189,7 +191,9 @@ def identify(
         taken, final = fit_all_rows(
             preparation.records, found, n_rest=sum(preparation.n_rest), refinement=refinement, feedback=fed_back
         )
-        result = _identified(several, kind_found, preparation, taken, final=final, wanted=found.chosen, tell=tell)
+        result = _identified(
+            several, kind_found, preparation, taken, final=final, wanted=found.chosen, fed_back=fed_back, tell=tell
+        )
         if isinstance(input_delay, str) and several[0].n_inputs:
             factor = round(preparation.records[0].dt / several[0].dt)
             result = _with_real_modes(
@@ -208,7 +212,7 @@ def identify(
                     kind=kind,
                 ),
             )
-        return with_feedback(result, unbiased=final.noise is not None) if fed_back else result
+        return result
 
 
 def _identified(
@@ -219,6 +223,7 @@ def _identified(
     *,
     final: FinalModel,
     wanted: Trial,
+    fed_back: bool,
     tell: Callable[[str, float], None],
 ) -> Identification:
     """The modes of the final model judged, and all of it said in words."""
@@ -239,7 +244,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
     )
-    unjudged, uncertainty, inflation = with_deviations(extract_modes(model), final, prepared)
+    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared, fed_back=fed_back)
     left = runs.left
     lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
@@ -318,7 +323,7 @@ def _identified(
         input_delay=preparation.input_delay,
     )
     tell("done", 1.0)
-    return result
+    return with_feedback(result, moved if final.noise is None else None) if fed_back else result
 
 
 def _with_real_modes(result: Identification, again: Callable[[list[int]], Identification]) -> Identification:
@@ -368,14 +373,36 @@ def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck
         return None
 
 
-def _check_room(records: Sequence[Record]) -> None:
-    """Raise before the work if it would end in a process that the system kills.
+def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[Record, ...], KindFound]:
+    """The records and their kind; stretches of them where they are too long and move throughout.
+
+    What is struck or rings down holds what there is to learn in a few rows, which stretches might miss.
 
     Raises:
-        InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed.
+        InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed; or as `find_kind` says.
     """
     n_samples, n_channels = sum(one.n_samples for one in records), records[0].n_inputs + records[0].n_outputs
-    need = COPIES * n_samples * n_channels * np.dtype(float).itemsize
+    a_copy = n_channels * n_samples * np.dtype(float).itemsize
+    need = COPIES * a_copy
+    # the first look, at all rows, takes three copies
+    _refuse_beyond(min(need, max(MOST_MEMORY, 3 * a_copy)), n_samples, n_channels)
+    kind = find_kind(records, given)
+    if kind.kind not in ("driven", "ambient"):
+        _refuse_beyond(need, n_samples, n_channels)
+        return tuple(records), kind
+    several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
+    if several == tuple(records):
+        return several, kind
+    text = (
+        f"Of {n_samples} samples {sum(one.n_samples for one in several)} are used, {len(several)} stretches spread "
+        f"evenly over the records, because all would need {need / 2**30:.1f} GiB. Deviations are those of the "
+        "stretches; every second sample behind an anti-alias filter, or fewer channels, would let more of it in."
+    )
+    return several, replace(kind, warnings=(*kind.warnings, text))
+
+
+def _refuse_beyond(need: float, n_samples: int, n_channels: int) -> None:
+    """Raise before the work if it would end in a process that the system kills."""
     budget, whose = memory_budget()
     if need > MEMORY_SHARE * budget:
         raise InvalidDataError(

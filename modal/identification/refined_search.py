@@ -16,6 +16,7 @@ that it has: then it is the maximum-likelihood estimate for noise on the outputs
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,8 +35,8 @@ from modal.estimation.cross_validation import (
 )
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
-from modal.estimation.modal_states import blocks_by_turns, blocks_of
-from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine
+from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
+from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine, step_at
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -262,6 +263,9 @@ UNTIL_STILL = 30
 """Steps of a refinement that may run until it stands still."""
 N_BLOCKS = 40
 """Blocks of rows whose sums are kept apart, for a covariance that holds for noise of any colour."""
+PARTS_A_POLE = 4
+"""Cut each record of what is struck so that what it tells of a pole lies in about so many blocks: longer ones see noise
+that remembers as long as the mode does, more of them say better how large it is."""
 WHITE = 1.3
 """Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
 WEIGHTINGS = 4
@@ -284,7 +288,7 @@ class RefinedModel:
         weights: (n_outputs, n_outputs) of the squared errors.
         whiteness_ratio: of what the free run leaves; nan where it leaves nothing.
         n_rows: whole rows that were measured.
-        by: whether blocks of rows can tell the colour of what is left; "rows" cannot.
+        n_parts: blocks of the data among which lies what they tell of a pole.
     """
 
     realisation: Realisation
@@ -294,12 +298,12 @@ class RefinedModel:
     weights: FloatArray
     whiteness_ratio: float
     n_rows: int
-    by: Folds
+    n_parts: int
 
     @property
     def leaves_white_noise(self) -> bool:
-        """Whether what the free run leaves is white, or has to be taken for it."""
-        return self.whiteness_ratio <= WHITE or self.by == "rows"
+        """Whether what the free run leaves is white."""
+        return self.whiteness_ratio <= WHITE
 
 
 def refined_model(
@@ -324,8 +328,7 @@ def refined_model(
             given.
         least_gain: relative decrease of the error by a step below which it is the last.
         n_rest: rows of rest among those of the records, which hold no noise.
-        by: "rows" where a few blows drive the records: a block of rows holds too little of their answer for a
-            covariance of its own, so what is left counts as white.
+        by: "rows" where a few blows drive the records: even blocks hold all of an answer or nothing.
     """
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -350,6 +353,11 @@ def refined_model(
         if own_ratio <= WHITE or by == "rows":
             last, weights, ratio = likeliest, own, own_ratio
     realisation = in_units(last, start if evidence is None else evidence, scaling)
+    n_parts = len(data.blocks)
+    if by == "rows" and not ratio <= WHITE:
+        n_parts = PARTS_A_POLE * len(records)
+        data = replace(data, blocks=_blocks_of_answers(last, data))
+        last = step_at(last.parameters, data, weights=weights)
     return RefinedModel(
         realisation=realisation,
         step=last,
@@ -358,7 +366,7 @@ def refined_model(
         weights=weights,
         whiteness_ratio=ratio,
         n_rows=sum(int(there.sum()) for there in rows) - n_rest,
-        by=by,
+        n_parts=n_parts,
     )
 
 
@@ -371,6 +379,29 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
         edges = np.linspace(0, record.n_samples, count + 1).round().astype(int).tolist()
         fold.append(list(zip(edges[1:-1:2], edges[2::2], strict=False)))
     return [fold]
+
+
+def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, ...]:
+    """Blocks that hold equal parts of what the rows tell of the poles, `PARTS_A_POLE` a pole and record.
+
+    What a blow tells of a mode lies within the mode's memory, a short one for a mode that is soon over: even blocks
+    would hold it all. The squares of a state's sensitivity to its pole say where it lies; poles count alike.
+    """
+    n, regressors = step.layout.n_poles, step.layout.alone.n_regressors
+    size = step.layout.alone.n_sensitivities
+    told = []
+    for index, record in enumerate(data.records):
+        parts = signals_of(step.parameters, index, record, n_direct=step.layout.n_direct)
+        real, imaginary = slice(regressors, regressors + n), slice(regressors + size, regressors + size + n)
+        told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
+    total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)
+    blocks: list[Block] = []
+    for index, one in enumerate(told):
+        share = np.cumsum((one / total).sum(axis=1))
+        number = np.floor(PARTS_A_POLE * len(told) * share).astype(int)
+        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
+        blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
+    return tuple(blocks)
 
 
 def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tuple[RefinementStep, FloatArray]:

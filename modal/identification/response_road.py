@@ -18,7 +18,7 @@ from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
     Noise,
     ResponseFit,
-    Table,
+    ResponseLines,
     drawn_noise,
     fit_at,
     noise_of,
@@ -84,7 +84,7 @@ class _Found:
     """The chosen model of a table with what it was chosen on."""
 
     response: FrequencyResponse
-    table: Table
+    table: ResponseLines
     grid: FloatArray
     markov: MarkovParameters
     decomposition: HankelDecomposition
@@ -184,7 +184,7 @@ def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Li
     )
 
 
-def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[Table, FloatArray]:
+def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[ResponseLines, FloatArray]:
     """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
     noise, trust, together = _noise(response)
     known = np.isfinite(response.response) & (trust > 0)
@@ -202,7 +202,7 @@ def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[Table, 
         lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
     except InvalidDataError:  # no uniform grid: the start comes from resampled lines, and the window cannot be known
         grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
-    table = Table(
+    table = ResponseLines(
         values=np.asarray(values * into / out[:, np.newaxis], dtype=np.complex128),
         known=known,
         z=np.exp(2j * np.pi * f * dt),
@@ -220,7 +220,7 @@ def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[Table, 
 
 
 def _realisations(
-    table: Table, f: FloatArray, grid: FloatArray, response: FrequencyResponse, *, share: float = 1.0
+    table: ResponseLines, f: FloatArray, grid: FloatArray, response: FrequencyResponse, *, share: float = 1.0
 ) -> tuple[MarkovParameters, HankelDecomposition]:
     """The pulse response of a table in its own channels, and its realisations of all orders."""
     on_grid = FrequencyResponse(
@@ -266,11 +266,11 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
-def _weight(table: Table, noise: Noise) -> FloatArray:
+def _weight(table: ResponseLines, noise: Noise) -> FloatArray:
     return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
 
 
-def _first_weight(table: Table) -> FloatArray:
+def _first_weight(table: ResponseLines) -> FloatArray:
     """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
     if table.noise is None:
         return np.where(table.known, 1.0, 0.0)
@@ -280,7 +280,7 @@ def _first_weight(table: Table) -> FloatArray:
 
 
 def _fitted(
-    table: Table, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
+    table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
 ) -> ResponseFit:
     """The model of an order, from its realisation or from a fit of it, after a few steps."""
     if start is None:
@@ -288,7 +288,7 @@ def _fitted(
     return refined(table, start, weight, n_steps=QUICK)
 
 
-def _evidence(table: Table, fit: ResponseFit) -> float:
+def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
     """Schwarz's criterion: twice the squared error in standard deviations, and log N a parameter.
 
     Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
@@ -298,7 +298,7 @@ def _evidence(table: Table, fit: ResponseFit) -> float:
     return 2 * fit.error / joined + fit.n_parameters * float(np.log(n_values))
 
 
-def _lines_joined(table: Table) -> float:
+def _lines_joined(table: ResponseLines) -> float:
     """Sum over lines of the correlation of their errors with those of one."""
     if table.lags is None or not table.leaks:
         return 1.0
@@ -306,7 +306,7 @@ def _lines_joined(table: Table) -> float:
     return float(powers[0] + 2 * sum(powers[1:]))
 
 
-def _fit_of(left: ComplexArray, table: Table, weight: FloatArray) -> FloatArray:
+def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
     """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
     size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
     error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
@@ -364,7 +364,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
 
 
 def _with_deviations(
-    model: ModalModel, fit: ResponseFit, table: Table, frequency_std: FloatArray, damping_std: FloatArray
+    model: ModalModel, fit: ResponseFit, table: ResponseLines, frequency_std: FloatArray, damping_std: FloatArray
 ) -> ModalModel:
     """Deviations of the pole of the fit that each mode is."""
     poles = np.log(fit.poles) / table.dt
@@ -394,7 +394,7 @@ def _in_these_words(modes: ModalModel) -> ModalModel:
     return replace(modes, modes=tuple(said))
 
 
-def _seen(modes: ModalModel, table: Table) -> ComplexArray:
+def _seen(modes: ModalModel, table: ResponseLines) -> ComplexArray:
     """(n_modes, n_lines, n_outputs, n_inputs) response of each mode through the window, in the table's channels."""
     poles = np.exp(np.array([mode.pole for mode in modes]) * table.dt)
     plus, _ = table.basis(poles)
@@ -407,7 +407,7 @@ def _seen(modes: ModalModel, table: Table) -> ComplexArray:
     return np.array(parts)
 
 
-def _gains(modes: ModalModel, left: ComplexArray, weight: FloatArray, table: Table) -> FloatArray:
+def _gains(modes: ModalModel, left: ComplexArray, weight: FloatArray, table: ResponseLines) -> FloatArray:
     """(n_modes,) share of the weighted squared error without a mode that the mode removes."""
     if not modes.modes:
         return np.zeros(0)

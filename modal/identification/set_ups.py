@@ -102,6 +102,8 @@ def identify_setups(
             do not connect them or which share no mode.
     """
     setups = _setups(records)
+    if records[0].n_inputs:
+        _refuse_what_nobody_measured(records, setups)
     if decimation is None:
         centred = [_own_channels(records, one) for one in setups]
         decimation = min(coherent_band([record.detrended() for record in own]).factor for own in centred)
@@ -113,9 +115,8 @@ def identify_setups(
     aligned, results, said, warnings = _aligned(records, setups, results, again)
     filled = list(aligned)
     for one in setups:
-        absent = [o for o in range(records[0].n_outputs) if o not in one.outputs]
         for member in one.members:
-            filled[member] = _completed(aligned[member], one, absent, setups, results)
+            filled[member] = _completed(aligned[member], one, setups, results)
     joint = again(filled, [0] * records[0].n_inputs)
     return _with_joint_deviations(joint, records, setups, results, said=said, warnings=warnings)
 
@@ -223,6 +224,17 @@ def _setups(records: Sequence[Record]) -> list[_SetUp]:
     return [_SetUp(members=tuple(own), inputs=key[0], outputs=key[1]) for key, own in groups.items()]
 
 
+def _refuse_what_nobody_measured(records: Sequence[Record], setups: Sequence[_SetUp]) -> None:
+    for one in setups:
+        known = {o for other in setups if set(one.inputs) <= set(other.inputs) for o in other.outputs}
+        left = [repr(name) for o, name in enumerate(records[0].output_names) if o not in known]
+        if left:
+            raise InvalidDataError(
+                f"no set-up measured {', '.join(left)} with the inputs of {_named(records, one)} at work; rove sensors "
+                "or hammer, not both at once, or keep one input through all set-ups."
+            )
+
+
 def _named(records: Sequence[Record], one: _SetUp) -> str:
     return ", ".join(records[i].name or f"record {i}" for i in one.members)
 
@@ -241,16 +253,10 @@ def _own_channels(records: Sequence[Record], one: _SetUp) -> list[Record]:
     return [records[i].select(inputs=one.inputs, outputs=one.outputs) for i in one.members]
 
 
-def _completed(
-    record: Record,
-    own: _SetUp,
-    absent: Sequence[int],
-    setups: Sequence[_SetUp],
-    results: Sequence[Identification],
-) -> Record:
+def _completed(record: Record, own: _SetUp, setups: Sequence[_SetUp], results: Sequence[Identification]) -> Record:
     """The record with every absent output simulated by a model that has it, the one with most outputs in common."""
     outputs = np.array(record.outputs)
-    left = set(absent)
+    left = set(range(record.n_outputs)) - set(own.outputs)
     alike = sorted(range(len(setups)), key=lambda k: -len(set(setups[k].outputs) & set(own.outputs)))
     for k in alike:
         other = setups[k]
@@ -265,12 +271,6 @@ def _completed(
         for o in wanted:
             outputs[:, o] = run[:, other.outputs.index(o)]
         left -= wanted
-    if left:
-        names = ", ".join(repr(record.output_names[o]) for o in sorted(left))
-        raise InvalidDataError(
-            f"no set-up measured {names} with the inputs of {record.name or 'each record'} at work; rove sensors or "
-            "hammer, not both at once, or keep one input through all set-ups."
-        )
     return replace(record, outputs=outputs)
 
 

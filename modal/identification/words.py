@@ -10,7 +10,7 @@ they cannot disagree.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,7 +26,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.choice import Choice, Fit
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
-from modal.verdict.judgement import Reruns
+from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.names import shorten
@@ -63,6 +63,7 @@ __all__ = [
     "order_evidence",
     "trust_of",
     "warnings_in_words",
+    "with_feedback",
 ]
 
 EXPLAINS = 0.5
@@ -71,6 +72,7 @@ FOLLOWS_INPUT = 3.0
 """Ratio of the input-correlation statistic to its degrees of freedom above which the observer misses something."""
 LEAST_EXCITED = 0.5
 """Share of the band in which an input must move for its response not to be called narrow."""
+MOVED = "the outputs are fed back into the inputs, which may move it by several of its deviations"
 FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
 
@@ -249,8 +251,7 @@ def warnings_in_words(
         ]
         if poor:
             words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
-    spread = float(fit.folds.max() - fit.folds.min())
-    if spread > FOLDS_APART:
+    if min(float(np.ptp(fit.folds)), float(np.ptp(_fits_to_all(found)))) > FOLDS_APART:
         words.append(
             f"Parts of the data fit very differently ({fit.folds.min():.2f} to {fit.folds.max():.2f} over the folds): "
             "the system is not linear, changes in time, or something that was not measured drives it."
@@ -281,6 +282,13 @@ def warnings_in_words(
     return (*words, *(_excitation_words(excitation) if driven else ()))
 
 
+def _fits_to_all(found: Search) -> FloatArray:
+    """(n_folds,) fit of each fold by the motion of all: one fold at rest fits badly by its own, with the same noise."""
+    shares = found.chosen.squared_errors / found.power.mean(axis=0)
+    fits: FloatArray = (1.0 - np.sqrt(shares)).mean(axis=1)
+    return fits
+
+
 def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
     """What the colour that no model of the noise explains does to the intervals of the system's modes.
 
@@ -303,6 +311,37 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
             f"{NO_INTERVAL:.0f} times those under white noise, so no interval is given there."
         )
     return tuple(words)
+
+
+def with_feedback(result: Identification, moved: FloatArray | None) -> Identification:
+    """The result with what feedback does to it: a mode that it may move far is not certain, harmless feedback a remark.
+
+    Args:
+        result: of records with feedback.
+        moved: (n_modes,) how many of its deviations feedback moves each mode by; None for a model with its noise.
+    """
+    found = "the past of the outputs tells more about the inputs than their own does"
+    if moved is None:
+        said = f"{found.capitalize()}: something feeds them back; the model has its noise, which allows for that."
+        return replace(result, warnings=(*result.warnings, said))
+    wider = np.hypot(1.0, moved)
+    own = [(mode, by) for mode, by in zip(result.modes, wider.tolist(), strict=True) if mode.verdict == "system"]
+    far = ", ".join(hertz(mode.frequency) for mode, by in own if by > NO_INTERVAL)
+    most = max((by for mode, by in own if by <= NO_INTERVAL and not np.isnan(mode.frequency_std)), default=1.0)
+    if not far and most <= NOT_UNDERSTOOD:
+        why = f"{found}, but that makes no interval of a mode of the system more than {most:.2g} times wider"
+        return replace(result, choices=(*result.choices, Choice(what="feedback", value="harmless", reason=why)))
+    said = f"{found.capitalize()}: something feeds them back, and no model of the noise leaves white errors."
+    if most > NOT_UNDERSTOOD:
+        said += f" The intervals have the bias by that in them, which makes them up to {most:.1f} times wider."
+    said += f" It may move what is found at {far} Hz by several deviations, so that is doubtful." if far else ""
+    modes = tuple(
+        replace(mode, verdict="doubtful", probability=min(mode.probability, DOUBTED), reason=f"{MOVED}; {mode.reason}")
+        if mode.verdict == "system" and by > NO_INTERVAL
+        else mode
+        for mode, by in zip(result.modes, wider.tolist(), strict=True)
+    )
+    return replace(result, modes=replace(result.modes, modes=modes), warnings=(*result.warnings, said))
 
 
 def _wants_a_longer_observer(found: Search) -> bool:

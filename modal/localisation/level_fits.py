@@ -48,7 +48,7 @@ __all__ = [
     "driven_start",
     "follow_levels",
     "partners",
-    "refined",
+    "refined_level",
     "unexplained",
 ]
 
@@ -120,7 +120,7 @@ def decay_start(windows: Sequence[Record]) -> Start:
     compared after refinement.
     """
     candidates = _candidates(decay_markov(windows), DECAY_ORDERS)
-    better = [refined(windows[:1], model) for model in candidates]
+    better = [refined_level(windows[:1], model) for model in candidates]
     models = [model if one is None else one.realisation for one, model in zip(better, candidates, strict=True)]
     return _smallest([(_error(model, windows[:1]), model) for model in models], DECAY_WITHIN)
 
@@ -143,7 +143,9 @@ def _error(model: Realisation, records: Sequence[Record]) -> float:
     return float(np.sqrt(unexplained(model, records).mean()))
 
 
-def refined(records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN) -> RefinedModel | None:
+def refined_level(
+    records: Sequence[Record], start: Realisation, *, least_gain: float = SMALLEST_GAIN
+) -> RefinedModel | None:
     """The model refined until it stands still; None where it is noise-free, unstable or does not see its modes."""
     # a part of a record may not show a mode at all: then its parameters have no curvature, and their step no end
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -222,7 +224,7 @@ def follow_levels(
 
 def _fitted(records: Sequence[Record], start: Realisation) -> LevelFit | None:
     """The model refined on one level, with the deviations of its modes; None where it cannot be refined."""
-    better = refined(records, start)
+    better = refined_level(records, start)
     left = unexplained(start if better is None else better.realisation, records)
     if better is None:
         # noise-free data leave nothing to refine; anything else does not belong to this level
@@ -252,7 +254,7 @@ def _scatter(records: Sequence[Record], model: Realisation, modes: Sequence[Mode
     """
     found = []
     for part in _parts(records):
-        better = refined(part, model, least_gain=STANDS_STILL)
+        better = refined_level(part, model, least_gain=STANDS_STILL)
         if better is not None:
             others = _own_modes(better.realisation)
             partner = partners(modes, others)

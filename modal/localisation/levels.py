@@ -134,7 +134,7 @@ def level_modes(records: Record | Sequence[Record]) -> LevelModes:
             prepared = [_prepared(group) for group in groups]
             found = follow_levels(prepared, driven_start if driven else decay_start)
         except IdentificationError as error:
-            return nothing(f"a level could not be identified: {error}")
+            return nothing(f"a level could not be identified: {error}".rstrip("."))
     if found is None:
         return nothing("at no level do the outputs follow the inputs as those of a stable linear model")
     best, fits = found

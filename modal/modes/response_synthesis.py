@@ -156,7 +156,9 @@ def measured_frf(records: Record | Sequence[Record], *, n_per_segment: int | Non
     several = as_records(records)
     n_inputs = several[0].n_inputs
     if n_inputs == 0:
-        raise InvalidDataError("a measured frequency response needs records with at least one input; these have none.")
+        raise InvalidDataError(
+            "a measured frequency response needs records with at least one input; name it among the channels."
+        )
     runs = [run for record in several for run in runs_of(record.complete_rows())]
     length = (
         segment_length(several) if n_per_segment is None else whole_number(n_per_segment, name="n_per_segment", least=2)

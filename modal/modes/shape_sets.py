@@ -245,7 +245,7 @@ def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> Sc
     if not model.input_names:
         raise InvalidDataError(
             "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
-            "this model has no inputs."
+            "this model has no inputs; identify it with the force among them."
         )
     for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
         if name not in names:

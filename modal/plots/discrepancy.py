@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.discrepancy.results import Hypothesis, LawCurve, Step
+from modal.discrepancy.results import Diagnosis, Hypothesis, LawCurve, Step, in_words
 from modal.localisation.gap import Gap
 from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, row_of
@@ -28,12 +28,14 @@ from okid.record import Record
 
 __all__ = [
     "STAGE_ROLES",
+    "answer_charts",
     "before_and_after",
     "draw_gap_spectrum",
     "draw_laws",
     "gap_histories",
     "gap_spectra",
     "hypothesis_bars",
+    "laws_found",
     "modes_against_level",
     "shrinking_gap",
 ]
@@ -77,6 +79,39 @@ def gap_histories(stages: Sequence[Stage], *, record: int = 0, outputs: Sequence
     figure.panels[-1].x.label = "time [s], the worst moment"
     figure.key = Key(panel=figure.panels[0])
     return figure
+
+
+def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple[Chart, ...]:
+    """One output as measured and as simulated, by the model as given and as found, where that as given is worst.
+
+    The measured line is the wide one, so that no simulated one hides it.
+
+    Args:
+        stages: states of the model, the earliest first.
+        record: number of the held-out record.
+        output: which.
+    """
+    measured = stages[0].gap.measured[record]
+    window = _worst_moment(stages[0].gap, record)
+    time, seen = measured.time[window], measured.outputs[window, output]
+    name, unit = plot_label(measured.output_names[output]), plot_label(measured.output_units[output], limit=12)
+    shown = stages[:: max(1, len(stages) - 1)]
+    simulated = [seen - stage.gap.residuals[record][window, output] for stage in shown]
+    low, high = (float(end(np.stack([seen, *simulated]))) for end in (np.nanmin, np.nanmax))
+    charts = []
+    for stage, values in zip(shown, simulated, strict=True):
+        figure = grid_of(1, 1, size=(0.5 * STYLE.page, 2.6))
+        panel = figure.panels[0]
+        panel.line(time, seen, "measured", width=STYLE.under, opacity=STYLE.half, label="measured")
+        panel.line(time, values, STAGE_ROLES[stage.kind], label="simulated")
+        size = times_text(float(np.sqrt(stage.gap.in_floors.mean())))
+        panel.head = f"{stage.name.capitalize()}: {size} times the noise"
+        panel.x.limits, panel.x.label = (float(time[0]), float(time[-1])), "time [s]"
+        panel.y.limits = (low - 0.05 * (high - low), high + 0.05 * (high - low) or 1.0)
+        panel.y.label = f"{name} [{unit}]" if unit else name
+        figure.key = Key(panel=panel)
+        charts.append(figure)
+    return tuple(charts)
 
 
 def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None) -> Chart:
@@ -236,6 +271,11 @@ def draw_laws(laws: Sequence[LawCurve]) -> Chart:
     for panel, law in zip(figure.panels, laws, strict=True):
         _law(panel, law)
     return figure
+
+
+def laws_found(diagnosis: Diagnosis, most: int) -> Chart:
+    """`draw_laws` of the first laws of a diagnosis, their places as they are told."""
+    return draw_laws(in_words(diagnosis).laws[:most])
 
 
 def _law(panel: Panel, law: LawCurve) -> None:

@@ -141,11 +141,11 @@ def gap(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) 
 
 def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
     """The laws that were found, over what the data ask for; raises as `gap`, and where no effect was found."""
-    from modal.plots.discrepancy import draw_laws
+    from modal.plots.discrepancy import laws_found
 
     if not diagnosis.laws:
         raise InvalidDataError("this diagnosis found no effect, so there is no law to draw.")
-    return figure_of(draw_laws(diagnosis.laws[:MOST_SHOWN]), axes=axes)
+    return figure_of(laws_found(diagnosis, MOST_SHOWN), axes=axes)
 
 
 def overview(result: Identification) -> Chart:

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from modal.geometry.placement import at_rest, placed, stated_dofs
+from modal.geometry.placement import at_rest, guessed_grid, placed, stated_dofs
 from modal.geometry.scene import Scene, scene_of
 from modal.geometry.sensors import Geometry
 from modal.modes.mode import Mode
@@ -166,7 +166,7 @@ def mode_shapes(
     Raises:
         InvalidDataError: no output has a place in the geometry.
     """
-    if geometry is None and not stated_dofs(output_names):
+    if geometry is None and not stated_dofs(output_names) and not guessed_grid(output_names, output_units):
         return _in_a_row(modes, output_names=output_names, title=title)
     scene = scene_of(placed(geometry, output_names, output_units))
     motions = [scene.motion(mode).real for mode in modes]

@@ -108,7 +108,7 @@ def given_integrators(number: int) -> Integrators:
     number = whole_number(number, name="the number of integrators", least=0)
     if number > MOST:
         raise InvalidDataError(
-            f"at most {MOST} integrators (force to position) can be fitted, but {number} were given."
+            f"at most {MOST} integrators (force to position) can be fitted, but {number} were given; give 0, 1 or 2."
         )
     return _explained(number, "given as an argument")
 

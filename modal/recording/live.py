@@ -102,11 +102,14 @@ class Relay:
         self._other = (host, port)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._sockets = [self._listening]
+        self._is_cut, self._lock = False, threading.Lock()
         self.port: int = self._listening.getsockname()[1]
         threading.Thread(target=self._answer, daemon=True).start()
 
     def cut(self) -> None:
         """Close both sides of every connection, whatever is on its way."""
+        with self._lock:
+            self._is_cut = True
         for one in self._sockets:
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
@@ -115,12 +118,19 @@ class Relay:
     def _answer(self) -> None:
         with contextlib.suppress(OSError):  # cut, or the other side is gone
             while True:
-                here, _ = self._listening.accept()
-                self._sockets.append(here)
-                there = socket.create_connection(self._other)
-                self._sockets.append(there)
+                here = self._kept(self._listening.accept()[0])
+                there = self._kept(socket.create_connection(self._other))
                 for pair in ((here, there), (there, here)):
                     threading.Thread(target=_pass_on, args=pair, daemon=True).start()
+
+    def _kept(self, one: socket.socket) -> socket.socket:
+        """The socket, which `cut` will close; at once where it has cut already."""
+        with self._lock:
+            if not self._is_cut:
+                self._sockets.append(one)
+                return one
+        one.close()
+        raise OSError
 
 
 def _pass_on(giver: socket.socket, taker: socket.socket) -> None:
@@ -381,8 +391,8 @@ def log_estimate(
     seen = [mode for mode in modes if mode.kind == "oscillatory"]
     stream.set_time("time", duration=time_in_middle)
     for path, values in (
-        ("modes/frequency [Hz]", [mode.frequency for mode in seen]),
-        ("modes/damping ratio [%]", [100.0 * mode.damping_ratio for mode in seen]),
+        (["modes", "frequency [Hz]"], [mode.frequency for mode in seen]),
+        (["modes", "damping ratio [%]"], [100.0 * mode.damping_ratio for mode in seen]),
     ):
         stream.log(path, rr.SeriesPoints(marker_sizes=3.0), static=True)
         if values:

@@ -39,7 +39,7 @@ __all__ = [
     "Line",
     "Span",
     "StoredStretch",
-    "Tracks",
+    "TrackPlan",
     "bucket_length",
     "laid_out",
     "log_lines",
@@ -204,7 +204,7 @@ LATEST: Final = 9.2e9
 """Reject times beyond this [s]: Rerun counts nanoseconds, with 63 bits."""
 
 
-class Tracks(Protocol):
+class TrackPlan(Protocol):
     """Where each record stands on the timeline, and how finely it is stored; see `modal.recording.plan`."""
 
     @property
@@ -298,7 +298,7 @@ class Line:
     width: float = 1.2
 
 
-def time_axis(records: Sequence[Record], plan: Tracks) -> FloatArray:
+def time_axis(records: Sequence[Record], plan: TrackPlan) -> FloatArray:
     """(n_stored,) times of the stored samples of all records on the timeline [s], one between records for the gap."""
     parts = []
     for record, start, kept in zip(records, plan.starts, plan.levels, strict=True):
@@ -313,7 +313,7 @@ def log_series(
     times: FloatArray,
     channels: Sequence[FloatArray],
     *,
-    plan: Tracks,
+    plan: TrackPlan,
     name: str,
     colour: Colour,
     width: float = 1.2,
@@ -342,7 +342,7 @@ def log_lines(
     times: FloatArray,
     lines: Sequence[Line],
     *,
-    plan: Tracks,
+    plan: TrackPlan,
     interpolation: Interpolation = "Linear",
 ) -> None:
     """Several channels of all records as one entity, painted in their order: two in one take a third less than apart.
@@ -383,7 +383,7 @@ def log_lines(
     recording.log(path, style, static=True, strict=True)
 
 
-def _stored(channels: Sequence[FloatArray], plan: Tracks) -> FloatArray:
+def _stored(channels: Sequence[FloatArray], plan: TrackPlan) -> FloatArray:
     """What is kept of a channel, the records one after the other with a nan between them."""
     gap = np.array([np.nan])
     parts = [part for values, kept in zip(channels, plan.levels, strict=True) for part in (thinned(values, kept), gap)]

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from modal.discrepancy.results import Diagnosis
+from modal.discrepancy.results import Diagnosis, in_words
 from modal.identification.result import Identification
 from modal.recording.discrepancy.page import (
     GAP_TEXT,
@@ -33,11 +33,10 @@ from modal.recording.discrepancy.page import (
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
 from modal.recording.figure import document_view, plot_view, series_view
-from modal.recording.identification.fit import fit_page, log_fit_page
+from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
-from modal.recording.identification.response import log_response_page, response_page
 from modal.recording.identification.shapes import PERIODS
 from modal.recording.identification.validation import log_validation_page, validation_page
 from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
@@ -356,6 +355,7 @@ def log_diagnosis(
     if layout not in {"send", "leave"}:
         raise InvalidDataError(f"layout must be 'send' or 'leave', but is {layout!r}.")
     with strict_errors():
+        diagnosis = in_words(diagnosis)
         plan = planned_diagnosis(diagnosis)
         log_discrepancy_page(diagnosis, recording, plan)
         log_steps_page(diagnosis, recording, plan)

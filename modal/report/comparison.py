@@ -8,8 +8,7 @@ from pathlib import Path
 
 from modal.comparison import words
 from modal.comparison.changes import Comparison, ModePair, Unmatched
-from modal.comparison.shifts import Shift
-from modal.comparison.source import ResultSummary
+from modal.comparison.shifts import ResultSummary, Shift
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
 from modal.report.folder import Existing, refuse_names, write_folder

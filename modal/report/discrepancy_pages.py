@@ -73,6 +73,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "diagnosis": diagnosis,
         "warnings": words.read_first(diagnosis),
         "findings": [_finding(number, one) for number, one in enumerate(diagnosis.findings, start=1)],
+        "found_sentences": [words.finding_sentence(one) for one in diagnosis.findings[: words.MOST_NAMED]],
         "next_sentences": words.next_sentences(diagnosis),
         "where_sentences": words.where_sentences(diagnosis),
         "limits_sentence": words.hidden_sentence(diagnosis),
@@ -262,6 +263,7 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
     record = f" Held-out record {name!r}." if len(first.measured) > 1 else ""
     states = _states(stages)
     return {
+        **_answer_pictures(stages, worst, record),
         "histories": drawn(
             plots.gap_histories(stages, record=worst, outputs=shown),
             "gap histories",
@@ -280,6 +282,19 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
             "noise and no more.",
         ),
     }
+
+
+def _answer_pictures(stages: Sequence[Stage], record: int, which: str) -> dict[str, Picture]:
+    """The pictures "before" and "after", or "before" alone where one state of the model ran through."""
+    first = stages[0].gap
+    largest = int(np.argmax(np.nan_to_num(first.in_floors[record])))
+    name = shorten(visible(first.output_names[largest]), 60)
+    by = f"Before: {name} measured (wide, blue) and simulated by the model {stages[0].name} (red)"
+    after = f"After: the same moment, simulated by the model {stages[-1].name} (green)."
+    captions = (f"{by}, where the two are furthest apart.{which}", after)
+    charts = plots.answer_charts(stages, record=record, output=largest)
+    drawings = zip(("before", "after"), charts, captions, strict=False)
+    return {name: drawn(chart, name, caption) for name, chart, caption in drawings}
 
 
 def _level_picture(diagnosis: Diagnosis) -> dict[str, Picture]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from modal import recording
-from modal.discrepancy.results import Diagnosis, Finding
+from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, draw_diagnosis
 from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json, number_cell, record_document
@@ -42,7 +42,8 @@ HEADER = (
 
 def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
     """The whole diagnosis but its time histories, as JSON; a number that is not known is null."""
-    judgement = judge_diagnosis(diagnosis)
+    told = in_words(diagnosis)
+    judgement = judge_diagnosis(told)
     stages = stages_of(diagnosis)
     document = {
         "schema": DIAGNOSIS_SCHEMA,
@@ -51,12 +52,12 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
         "sources": provenance.sources,
         "remarks": provenance.remarks,
         "status": diagnosis.status,
-        "verdict": diagnosis_headline(diagnosis),
+        "verdict": diagnosis_headline(told),
         "trust": judgement.trust,
         "words": judgement.reasons,
-        "next": next_sentences(diagnosis),
+        "next": next_sentences(told),
         "where": where_sentences(diagnosis),
-        "warnings": diagnosis.warnings,
+        "warnings": told.warnings,
         "findings": diagnosis.findings,
         "gap_before": diagnosis.gap_before,
         "gap_after": diagnosis.gap_after,
@@ -198,9 +199,10 @@ def model_name(diagnosis: Diagnosis) -> str | None:
 
 def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenance) -> None:
     model = files.model.name if files.model else ""
+    told = in_words(diagnosis)
     pages = {
-        files.html: diagnosis_html(diagnosis, provenance, draw_diagnosis(diagnosis), model_file=model),
-        files.markdown: diagnosis_markdown(diagnosis, provenance),
+        files.html: diagnosis_html(told, provenance, draw_diagnosis(told), model_file=model),
+        files.markdown: diagnosis_markdown(told, provenance),
         files.json: diagnosis_json(diagnosis, provenance),
         files.csv: diagnosis_csv(diagnosis),
     }

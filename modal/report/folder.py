@@ -5,6 +5,7 @@ No request to stop is answered in the middle of that step.
 
 import contextlib
 import ctypes
+import errno
 import os
 import shutil
 import signal
@@ -19,7 +20,6 @@ from typing import Literal
 if sys.platform != "win32":  # there, a rename onto what is there fails by itself
     import fcntl
 
-from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "clear_away",
     "refuse_names",
     "scratch_folder",
+    "standing",
     "uninterrupted",
     "write_folder",
 ]
@@ -65,9 +66,6 @@ def uninterrupted() -> Iterator[None]:
             signal.raise_signal(asked[0][0])
 
 
-LONGEST_PATH = 200
-"""Letters of a path in a sentence."""
-
 Existing = Literal["refuse", "replace"]
 """What to do with files of a report that are already there."""
 
@@ -101,7 +99,9 @@ def write_folder(
     try:
         with scratch_folder(target.absolute().parent) as temporary:
             write(temporary)
+            written = [path.name for path in temporary.iterdir()]
             _commit(temporary, target, names, existing, gone)
+            _check_whole(target, written)
     except BaseException as error:
         _remove(made)
         if isinstance(error, OSError):
@@ -114,6 +114,29 @@ def write_folder(
 PREFIX = ".modal-report-"
 _OPEN: set[Path] = set()
 _MADE: list[Path] = []
+_STANDING: list[Path] = []
+
+
+@contextlib.contextmanager
+def standing(folder: Path) -> Iterator[None]:
+    """Within the block, write nothing below a folder that was there at its start and has gone since.
+
+    Somebody removed it, or a disk is not mounted any more: what is made anew there would be on another disk.
+    """
+    nearest = _nearest(folder)
+    _STANDING.append(nearest)
+    try:
+        yield
+    finally:
+        _STANDING.remove(nearest)
+
+
+def _nearest(folder: Path) -> Path:
+    """The innermost folder, or file, above a path that is there."""
+    try:
+        return next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    except OSError as error:  # a name that is too long, a folder that may not be looked into
+        raise _cannot_write(folder, error) from error
 
 
 @contextlib.contextmanager
@@ -192,10 +215,10 @@ def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None
     Raises:
         InvalidDataError: as in `write_folder`.
     """
+    nearest = _nearest(folder)
     try:
-        nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         there = [name for name in names if (folder / name).exists()]
-    except OSError as error:  # a name that is too long, a folder that may not be looked into
+    except OSError as error:
         raise _cannot_write(folder, error) from error
     if not nearest.is_dir():
         raise InvalidDataError(
@@ -215,13 +238,16 @@ def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None
 
 
 def _named(folder: Path) -> str:
-    return repr(shorten(str(folder), LONGEST_PATH))
+    return repr(str(folder))
 
 
 def _make_parents(target: Path) -> list[Path]:
     """Make the folders above the target; return those made, the innermost first."""
-    missing = [parent for parent in target.absolute().parents if not parent.exists()]
     try:
+        above = (target.absolute(), *target.absolute().parents)
+        missing = [parent for parent in above[1:] if not parent.exists()]
+        if any(folder in above and not folder.exists() for folder in _STANDING):
+            raise FileNotFoundError(errno.ENOENT, "the folder was removed while the program ran")
         target.absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _cannot_write(target, error) from error
@@ -252,6 +278,11 @@ def _commit(temporary: Path, target: Path, names: list[str], existing: Existing,
                 _replace_each(temporary, target, replaced)
     finally:
         _unlocked(lock)
+
+
+def _check_whole(target: Path, written: Iterable[str]) -> None:
+    if not all((target / name).exists() for name in written):
+        raise FileNotFoundError(errno.ENOENT, "files of it were removed while it was written")
 
 
 def _to_disk(path: Path) -> None:

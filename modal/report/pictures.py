@@ -9,6 +9,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal import plots
 from modal.acceptance.check import check_limits
+from modal.geometry.placement import guessed_grid
 from modal.geometry.scene import comparison_words
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
@@ -300,13 +301,14 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
     mixed = ""
     if len(set(record.output_units)) > 1:
         mixed = " The outputs have different units: compare only components of the same unit."
+    guessed = guessed_grid(record.output_names, record.output_units) is not None
     pictures = {
         "shapes": drawn(
             plots.mode_shapes(
                 drawn_on, output_names=record.output_names, output_units=record.output_units, geometry=setting.geometry
             ),
             "shapes",
-            f"{_shape_words(setting, mixed)}{_first(drawn_on, system)}",
+            f"{_shape_words(setting, mixed, guessed=guessed)}{_first(drawn_on, system)}",
         ),
         "complexity": drawn(
             plots.shape_complexity(shown),
@@ -339,10 +341,11 @@ def _first(shown: Sequence[object], system: Sequence[object]) -> str:
     return "" if len(shown) == len(system) else f" The first {len(shown)} of {len(system)} modes."
 
 
-def _shape_words(setting: Setting, mixed: str) -> str:
-    if setting.geometry is not None:
+def _shape_words(setting: Setting, mixed: str, *, guessed: bool) -> str:
+    if setting.geometry is not None or guessed:
+        where = "a grid guessed from the names of the outputs" if setting.geometry is None else "the geometry"
         return (
-            "Shapes of the modes of the system on the geometry, greatest motion 1; thin, the structure at rest and at "
+            f"Shapes of the modes of the system on {where}, greatest motion 1; thin, the structure at rest and at "
             "the other end of its motion."
         )
     return (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from modal import recording
-from modal.comparison.source import PART, summary_of
+from modal.comparison.shifts import PART, summary_of
 from modal.discrepancy.results import Diagnosis
 from modal.identification.result import Identification, write_parts
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis

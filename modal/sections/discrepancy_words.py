@@ -27,6 +27,7 @@ from modal.wording.numbers import exact_percent, listed, number, percent
 
 __all__ = [
     "COULD_HIDE",
+    "MOST_NAMED",
     "ambiguity_sentence",
     "as_sentence",
     "bounds_sentence",

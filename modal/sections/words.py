@@ -56,17 +56,20 @@ def fit_word(fit: float) -> str:
 
 
 def next_sentences(result: Identification, quality: "DataQuality | None" = None) -> tuple[str, ...]:
-    """What to do with the result, by the same rules as `modal.identification.words.trust_of`; never empty."""
-    said = []
-    system = result.modes.system
+    """What to do first, by the rules of `modal.identification.words.trust_of`: a later step waits for the earlier one.
+
+    Data that are bad are mended before anything is measured again or quoted; without a mode there is nothing to quote.
+    """
     bad = () if quality is None else [one for one in quality.findings if one.level == "bad"]
     if bad:
-        said.append(f"Mend the data ({bad[0].what}, {visible(bad[0].where)}) and identify again.")
+        what = f"{bad[0].what}, {visible(bad[0].where)}"
+        return (f"Mend or replace the data ({what}) and identify again; until then all modes are provisional.",)
+    if not result.modes.system:
+        return ("Quote nothing; measure longer, drive harder or in a broader band, then identify again.",)
+    said = []
     if result.warnings:
         what = "the warning" if len(result.warnings) == 1 else f"the {counted(len(result.warnings))} warnings"
         said.append(f"Read {what} before you quote a number.")
-    if not system:
-        said.append("Quote nothing; measure longer, drive harder or in a broader band, then identify again.")
     if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
         more = "A second record of this test, identified together with it," if result.records else "More averages"
         said.append(f"{more} may settle the doubtful poles.")

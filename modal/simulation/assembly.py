@@ -201,19 +201,43 @@ class Assembly:
         return centre, deviation
 
     def local_deviation(self) -> FloatArray:
-        """Standard deviation (n_local,) of the weak priors about zero: an effect's initial memory has the motion's.
-
-        A hysteretic link starts unloaded. Were its slip free in each record, a link that never gives way would be a
-        free constant force in each, the held-out ones too, and would explain a sensor whose zero moves.
-        """
+        """Standard deviation (n_local,) of the weak priors about zero: an effect's initial memory has the motion's."""
         deviation = np.full(self.n_local, np.inf)
         for i, item in enumerate(self.placements):
             first = self.own_of(i).start
             scales = (item.displacement_scale, *[item.velocity_scale] * max(item.n_memory - 1, 0))
-            if item.effect.rate_independent:
-                scales = tuple(UNLOADED * scale for scale in scales)
             deviation[first : first + item.n_memory] = scales[: item.n_memory]
         return deviation
+
+    def largest_own(self, local: FloatArray, drive: Drive) -> FloatArray:
+        """(n_records, n_local) hard bounds on the size of each record's own unknowns, at their values now.
+
+        A hysteretic link is loaded by motion: where a record begins, by no more than the motion there. Were its load
+        free in each record, a link that never gives way would be a free constant force in each, the held-out ones
+        too, and would explain a sensor whose zero moves.
+        """
+        most = np.full(local.shape, np.inf)
+        for i in self.links:
+            item = self.placements[i]
+            displacement, velocity = self.begun(i, local, drive)
+            most[:, self.own_of(i).start] = np.hypot(
+                displacement, velocity * item.displacement_scale / item.velocity_scale
+            )
+        return most
+
+    @property
+    def links(self) -> tuple[int, ...]:
+        """Indices of the placements whose memory is a load, whatever the pace at which it came."""
+        return tuple(i for i in self.forces if self.placements[i].effect.rate_independent)
+
+    def begun(self, placement: int, local: FloatArray, drive: Drive) -> tuple[FloatArray, FloatArray]:
+        """(n_records,) displacement and velocity at a force's place where each record begins."""
+        _, port = self.placements[placement].force_and_port
+        at = np.hstack([local[:, : self.plant.n_states], drive.sample[list(drive.firsts[:-1])]])
+        displacement, velocity = (
+            np.zeros(len(at)) if row is None else at @ row for row in (port.displacement, port.velocity)
+        )
+        return displacement, velocity
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -299,8 +323,6 @@ def initial_unknowns(assembly: Assembly, n_records: int) -> Unknowns:
     return Unknowns(common=common, local=np.zeros((n_records, assembly.n_local)))
 
 
-UNLOADED = 1e-4
-"""Let the slip of a hysteretic link at the start of a record deviate from none by this share of the motion."""
 STILL = 0.01
 """Take a drive that starts below this share of its root mean square for none before."""
 MOST = 10

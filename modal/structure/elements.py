@@ -16,7 +16,15 @@ from okid.arrays import FloatArray, real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = ["Element", "chain_elements", "coupled_elements", "is_network", "named_elements", "relative_vector"]
+__all__ = [
+    "Element",
+    "chain_elements",
+    "coupled_elements",
+    "is_network",
+    "is_numbered",
+    "named_elements",
+    "relative_vector",
+]
 
 MOST_ELEMENTS = 64
 """Derive no more elements than so many from matrices: each is a place that every effect is tried at."""
@@ -50,6 +58,11 @@ class Element(Displayed):
     def ends(self) -> tuple[int, ...]:
         """The degrees of freedom that the element touches."""
         return (self.start,) if self.end is None else (self.start, self.end)
+
+
+def is_numbered(element: Element) -> bool:
+    """Whether nobody gave the element a name: it is called by its place in the matrices."""
+    return element.name == _chain_name(element.ends)
 
 
 def relative_vector(ends: Sequence[int], n_dofs: int) -> FloatArray:

@@ -13,6 +13,7 @@ DOF one on M alone is one on C and K.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -22,13 +23,13 @@ import scipy
 
 from modal.simulation.plant import MASS, LinearParameter, Mass, Plant, Port
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
-from modal.structure.elements import relative_vector
+from modal.structure.elements import is_numbered, relative_vector
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["place_name", "structural_plant", "updated_structure"]
+__all__ = ["place_name", "places_in_words", "structural_plant", "updated_structure"]
 
 _MOST_MODES = 32
 """Make parameters of the stiffness and damping of so many modes at most, from the lowest."""
@@ -336,6 +337,30 @@ def place_name(model: "StructuralModel", where: str) -> str:
         'element_0'
     """
     return {f"dof_{one.start}": one.name for one in model.elements if one.end is None}.get(where, where)
+
+
+def places_in_words(model: "StructuralModel") -> dict[str, str]:
+    """What a reader calls the places that nobody named: the sensors of the DOFs that an element joins say which it is.
+
+    Example:
+        >>> from modal.structure.structural_model import StructuralModel
+        >>> model = StructuralModel.chain(
+        ...     [2.0, 1.0], [800.0, 800.0], [1.0, 1.0], force_dofs=0, sensor_dofs=1, output_names=["roof"]
+        ... )
+        >>> places_in_words(model)
+        {'dof_1': 'roof', 'element_0': 'the link DOF 0-ground', 'element_1': 'the link DOF 0-roof'}
+    """
+    sensors: dict[int, str] = {}
+    for name, row in zip(model.output_names, model.sensor_map, strict=True):
+        read = np.flatnonzero(row)
+        if len(read) == 1 and not re.fullmatch(r"output_\d+", name):
+            sensors.setdefault(int(read[0]), name)
+    words = {f"dof_{dof}": name for dof, name in sensors.items()}
+    for element in model.elements:
+        ends = [*(sensors.get(dof, f"DOF {dof}") for dof in element.ends), *(["ground"] if element.end is None else [])]
+        if is_numbered(element):
+            words[element.name] = f"the link {'-'.join(ends)}" if model.n_dofs > 1 else "the link to ground"
+    return words
 
 
 def _places(model: "StructuralModel") -> list[tuple[str, tuple[int, ...]]]:

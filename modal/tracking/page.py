@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from modal.batch.tables import part_file
-from modal.plots.tracks import frequencies_in_time
+from modal.plots.records import frequencies_in_time
 from modal.plots.vector import svg_text
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version
@@ -33,6 +33,8 @@ def moment_text(time: float, tracks: Tracks) -> str:
 def tracks_headline(tracks: Tracks) -> str:
     """What was found, in one sentence."""
     modes = f"{len(tracks.tracks)} mode{'s' * (len(tracks.tracks) != 1)} followed"
+    if not tracks.alarms and not tracks.enough:
+        return f"{modes}; too few records to tell a change from chance."
     if not tracks.alarms:
         return f"{modes}; nothing changed beyond chance."
     n = len(tracks.alarms)

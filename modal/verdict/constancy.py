@@ -39,6 +39,9 @@ UNSTEADY = 3.0
 """Say that what drives a record without inputs is not steady where a tenth of it has so many times the rms of another:
 wind and traffic stay within it, and chance does over a hundred samples."""
 
+QUARTILES = (0.25, 0.75)
+"""Compare the mode where time or level are at these quantiles of the blocks."""
+
 
 def changing_modes(
     model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
@@ -62,11 +65,13 @@ def changing_modes(
             blocks = _blocks(mode, complex(pole), (records, left), output_scale, length)
             if len(blocks.level) < FEWEST_BLOCKS:
                 continue
-            time = np.arange(len(blocks.level), dtype=np.float64)
-            words += _sentence(mode, "during the record", ("early", "late"), _ends(blocks, time))
             level = np.log(np.maximum(blocks.level, np.finfo(float).tiny))
-            words += _sentence(mode, "with the level of motion", ("where it is low", "where it is high"),
-                               _ends(blocks, level))  # fmt: skip
+            for over, when, ends in (
+                (np.arange(level.size, dtype=np.float64), "during the record", ("early", "late")),
+                (level, "with the level of motion", ("where it is low", "where it is high")),
+            ):
+                if np.diff(np.quantile(over, QUARTILES))[0] > 0.0:  # else it is at rest in most blocks
+                    words += _sentence(mode, when, ends, _ends(blocks, over))
     return tuple(words)
 
 
@@ -114,8 +119,8 @@ def _ends(blocks: _Blocks, over: FloatArray) -> tuple[FloatArray, FloatArray, Fl
     Returns:
         (2, 2) quartile by decay rate and angular frequency; (2,) t of the slopes; (2,) their chance.
     """
-    low, high = np.quantile(over, [0.25, 0.75])
-    x = (over - low) / max(high - low, np.finfo(float).tiny)  # 0 and 1 there
+    low, high = np.quantile(over, QUARTILES)
+    x = (over - low) / (high - low)  # 0 and 1 there
     basis = np.stack([np.ones_like(x), x], axis=1)
     whole = np.einsum("ba,bc,bij->aicj", basis, basis, blocks.products).reshape(4, 4)
     inverse = np.linalg.pinv(whole, hermitian=True)

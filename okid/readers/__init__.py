@@ -117,5 +117,5 @@ def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
     files = [path.resolve() for path in listed]  # a link to a record is that record
     double = sorted({str(path) for path, file in zip(listed, files, strict=True) if files.count(file) > 1})
     if double:
-        raise InvalidDataError(f"{', '.join(double)} is given more than once; a record counts once.")
+        raise InvalidDataError(f"{', '.join(double)} is given more than once; a record counts once; leave it out.")
     return [read_table(path) for path in listed]

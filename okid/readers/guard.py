@@ -44,9 +44,6 @@ DEFLATE_RATIO = 1032
 """Refuse compressed data that claim to unpack to more times their size: deflate has no shorter code than two bits for
 258 bytes."""
 
-LONGEST_PATH = 200
-"""Letters of a path in a sentence."""
-
 MEMORY_SHARE = 0.8
 """Refuse to read a file or to identify a record that would take a greater share of the memory."""
 
@@ -126,7 +123,7 @@ def check_file(path: Path) -> None:
         found = path.stat()
     except OSError as error:
         reason = "does not exist" if isinstance(error, FileNotFoundError) else f"cannot be opened ({error.strerror})"
-        raise UnreadableFileError(f"{_shortened(path)} {reason}; check the path.") from error
+        raise UnreadableFileError(f"{path} {reason}; check the path.") from error
     if stat.S_ISDIR(found.st_mode):
         raise UnreadableFileError(f"{path} is a folder; give the file in it that holds the record.")
     if not stat.S_ISREG(found.st_mode):
@@ -163,12 +160,6 @@ def check_channel_count(path: Path, n_channels: int) -> None:
             f"{path.name} holds {n_channels} columns, more than the {MAX_CHANNELS} that one record may have; rows must "
             "be samples and columns channels, so save its transpose or fewer channels."
         )
-
-
-def _shortened(path: Path) -> str:
-    """The path as text of bounded length: one that is too long for the system is too long for a sentence as well."""
-    text = str(path)
-    return text if len(text) <= LONGEST_PATH else f"{text[: LONGEST_PATH // 2]}…{text[-LONGEST_PATH // 2 :]}"
 
 
 def first_line(error: Exception) -> str:

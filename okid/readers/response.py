@@ -402,7 +402,9 @@ def _columns(table: Table) -> _Functions:
         )
     axis = np.asarray(table.values[:, at]) * _hertz(table.columns[at].unit, path)
     if len(axis) < 2 or not np.isfinite(axis).all() or (np.diff(axis) <= 0).any() or axis[0] < 0:
-        raise UnreadableFileError(f"the frequencies of {path.name} must be at least 0 and increase from row to row.")
+        raise UnreadableFileError(
+            f"the frequencies of {path.name} must be at least 0 and rise from row to row; sort them."
+        )
     found = _Functions(axis)
     pieces: dict[str, dict[str, tuple[FloatArray, str]]] = {}
     for index, column in enumerate(table.columns):

@@ -41,9 +41,10 @@ TIME_NAMES = frozenset(
     [
         *("time", "t", "timestamp", "time stamp", "elapsed time", "relative time", "time axis", "x value"),
         *("sec", "secs", "second", "seconds", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid", "tijd"),
+        *("datetime", "date time", "elapsed", "czas", "aika", "время", "時間", "时间"),
     ]
 )
-TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|min|h)$")
+TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|ns|min|h)$")
 """Read the unit of a time column where it stands behind the name without brackets: `time_ms`, `Zeit in s`."""
 
 COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row", "no", "no.", "#"])
@@ -155,7 +156,7 @@ _BRACKET = re.compile(
 _PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
 _COMMON_UNITS = frozenset(
     [
-        *("s", "ms", "us", "µs", "μs", "min", "h", "sec", "msec"),
+        *("s", "ms", "us", "µs", "μs", "min", "h", "sec", "msec", "second", "seconds", "milliseconds"),
         *("m", "mm", "cm", "km", "um", "µm", "μm", "nm", "in", "inch", "ft"),
         *("g", "mg", "gn", "kg", "lb", "lbs", "G", "gal", "Gal"),
         *("N", "mN", "kN", "MN", "lbf", "kip", "Nm", "kNm", "N·m"),

@@ -43,7 +43,9 @@ def read_tdms(path: Path) -> Table:
             raise Damage(said[0])
     usable = [(channel, values) for channel, values in series if values.dtype.kind in "iuf" and values.size]
     if not usable:
-        raise UnreadableFileError(f"{path.name} holds no channel of numbers (it has {len(found)} channels).")
+        raise UnreadableFileError(
+            f"{path.name} holds no channel of numbers (it has {len(found)} channels); save it again."
+        )
     check_channel_count(path, len(usable))
     steps = {(len(values), channel.properties.get("wf_increment")) for channel, values in usable}
     if len(steps) > 1:

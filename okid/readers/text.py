@@ -27,6 +27,7 @@ import numpy as np
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
+from okid.readers.stamps import with_seconds
 from okid.readers.table import Column, Table, looks_like_unit, split_header, unique_names
 
 __all__ = [
@@ -131,7 +132,7 @@ def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
         searched = "in its only line" if n_lines == 1 else f"among its first {n_lines} lines"
         raise UnreadableFileError(
             f"{file_name} holds no row of numbers {searched} (it begins with {shown!r}); a record is a table "
-            "of numbers, one row a sample, one column a channel."
+            "of numbers, one row a sample, one column a channel; export the samples themselves."
         )
     _, dialect, (first_line, n_columns) = max(found, key=lambda candidate: candidate[0])
     headers = _headers(lines, first_line, n_columns, dialect, file_name)
@@ -293,6 +294,10 @@ def read_text(path: Path) -> Table:
 
 
 def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
+    if (clocked := _seconds(head, path)) != head:
+        file.seek(0)
+        file = io.BytesIO(_seconds(file.read(), path))
+        head = clocked
     raw_lines = head.splitlines(keepends=True)
     if len(head) == SAMPLE_BYTES:
         if len(raw_lines) == 1:
@@ -318,6 +323,13 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
     return Table(path=path, format="text table", columns=tuple(columns), values=values)
 
 
+def _seconds(data: bytes, path: Path, head: bytes | None = None) -> bytes:
+    try:
+        return with_seconds(data, head)
+    except ValueError as error:
+        raise UnreadableFileError(f"a time stamp in {path.name} is no date ({error}); correct it.") from error
+
+
 def table_of_text(data: bytes, path: Path) -> Table:
     """The table of whole lines that were read from a file already; errors as in `read_text`."""
     return _read(io.BytesIO(data), data[:SAMPLE_BYTES], path)
@@ -331,6 +343,7 @@ def more_rows(data: bytes, head: bytes, path: Path) -> FloatArray:
         head: the first lines of the file.
         path: of the file, for messages.
     """
+    data, head = _seconds(data, path, head), _seconds(head, path)
     layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
     names = [split_header(header)[0] for header in layout.headers] or [str(k) for k in range(layout.n_columns)]
     return _numbers(io.BytesIO(data), layout, names, path)

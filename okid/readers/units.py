@@ -14,6 +14,9 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from okid.errors import UnreadableFileError
+from okid.readers.guard import first_line
+
 __all__ = ["UnitConversion", "convert_unit", "unit_error"]
 
 STANDARD_GRAVITY = 9.80665
@@ -249,9 +252,15 @@ def _unread_unit(channel: str) -> str:
 
 @functools.cache
 def _registry() -> Any:
-    import pint
+    try:
+        import pint
 
-    registry: Any = pint.UnitRegistry()
+        registry: Any = pint.UnitRegistry()
+    except Exception as error:  # a version that does not work with another library: no unit would be known
+        raise UnreadableFileError(
+            f"units cannot be read, because the library pint does not work here ({first_line(error)}); run: pip "
+            "install --upgrade pint."
+        ) from error
     registry.define("Nm = newton * meter")
     registry.define("Nmm = newton * millimeter")
     registry.define("Ns = newton * second")
@@ -267,9 +276,10 @@ def _parsed(text: str) -> Any:
         return None
     if " " in text and _PEAK.search(text):
         return None
+    registry = _registry()
     for spelling in (text, _BARE_POWER.sub(r"^\1", text)):
         try:
-            return _registry().parse_units(spelling)
+            return registry.parse_units(spelling)
         except Exception:  # noqa: BLE001, S112 - pint raises many kinds for text that is no unit; all mean "unknown"
             continue
     return None

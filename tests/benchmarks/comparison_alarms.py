@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 from random_problems import random_problem
 
 from modal.comparison.changes import compare_results
-from modal.comparison.source import summary_of
+from modal.comparison.shifts import summary_of
 from modal.identification.pipeline import identify
 from okid.record import Record
 

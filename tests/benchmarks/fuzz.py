@@ -25,6 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from fuzz_own import LONGEST  # noqa: E402 - this checkout, whatever is installed
 from fuzz_sorts import SORTS  # noqa: E402 - this checkout, whatever is installed
 
 SLOW, STUCK = 5.0, 60.0
@@ -140,7 +141,7 @@ def child(name, folder, seed, start, stop):
             what = sort.read(path)
         except IdentificationError as error:
             outcome, text = "refused", str(error)
-            if "\n" in text or len(text) > 900 or not text.isprintable():
+            if "\n" in text or len(text) > LONGEST or not text.isprintable():
                 outcome, detail = "no sentence", text
         except Exception as error:  # noqa: BLE001 - that is what is looked for
             outcome, detail = "foreign", f"{type(error).__name__}: {error}"

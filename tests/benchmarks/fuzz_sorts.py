@@ -1,46 +1,21 @@
 """The sorts of files that `fuzz.py` mutates: how sound ones are made, how we read one, how the format's library does.
 
-A new sort is one `Sort` in `SORTS`: sound files, our reader, and what another reading of the same file gives.
+A new sort is one `Sort` in `SORTS`: sound files, our reader, and what another reading of the same file gives. Our own
+formats stand in `fuzz_own.py`.
 """
 
 import contextlib
-import io
-import json
 import struct
-import tomllib
 import warnings
-import zipfile
 import zlib
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from fuzz_own import OWN, Sort, zip_inner
 
 RNG = np.random.default_rng(21)
 N = 40
 FORCE, TIPS = RNG.standard_normal(N), RNG.standard_normal((N, 2))
 TIME = 0.01 * np.arange(N)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sort:
-    """One sort of file.
-
-    Attributes:
-        suffix: of its files.
-        make: writes sound files into a folder and returns their paths.
-        read: ours; returns what it read, or raises one of our errors.
-        wrong: (path, what we read, sound file it was made of): why the numbers are wrong, "" where they are right.
-        inner: (bytes, change) where the file is a container: the container anew, with `change` applied to its content
-            and its own checksums right again.
-    """
-
-    suffix: str
-    make: Callable[[Path], Iterable[Path]]
-    read: Callable[[Path], object]
-    wrong: Callable[[Path, object, Path], str]
-    inner: Callable[[bytes, Callable[[bytes], bytes]], bytes] | None = None
 
 
 # --- records ---------------------------------------------------------------------------------------------------------
@@ -120,18 +95,6 @@ def make_npz(folder):
         np.savez(folder / f"{name}.npz", **contents)
         np.savez_compressed(folder / f"{name}_z.npz", **contents)
         yield from (folder / f"{name}.npz", folder / f"{name}_z.npz")
-
-
-def zip_inner(data, change):
-    """The archive anew, one of its members changed."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
-        members = old.infolist()
-        chosen = len(data) % len(members)
-        for number, member in enumerate(members):
-            content = old.read(member)
-            new.writestr(zipfile.ZipInfo(member.filename), change(content) if number == chosen else content)
-    return out.getvalue()
 
 
 def npz_by_hand(path, _table):
@@ -460,200 +423,6 @@ def tdms_by_hand(path, _table):
         yield from (channel[:] for channel in group.channels())
 
 
-# --- models, geometries, test files, results: our own formats -------------------------------------------------------
-
-CHAIN = {
-    "masses": [1.0, 1.5],
-    "stiffnesses": [400.0, 300.0],
-    "dampings": [0.4, 0.3],
-    "force_dofs": [1],
-    "sensor_dofs": [0, 1],
-    "sensor_kind": "acceleration",
-    "output_names": ["tip", "root"],
-}
-MATRICES = {
-    "mass": [[1.0, 0.0], [0.0, 1.5]],
-    "damping": [[0.7, -0.3], [-0.3, 0.3]],
-    "stiffness": [[700.0, -300.0], [-300.0, 300.0]],
-    "force_map": [[0.0], [1.0]],
-    "sensor_map": [[1.0, 0.0], [0.0, 1.0]],
-    "sensor_kind": "acceleration",
-}
-SPACE = {
-    "A": [[0.9, 0.1], [-0.1, 0.9]],
-    "B": [[0.0], [1.0]],
-    "C": [[1.0, 0.0]],
-    "D": [[0.25]],
-    "dt": 0.01,
-    "sensor_kind": "displacement",
-}
-MODELS = {"chain": CHAIN, "matrices": MATRICES, "space": SPACE}
-
-
-def read_model_file(path):
-    from modal.structure.model_file import read_model
-
-    return read_model(path)
-
-
-def toml_words(document):
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in document.items())
-
-
-def make_model_toml(folder):
-    for name, document in MODELS.items():
-        (folder / f"{name}.toml").write_text(toml_words(document))
-        yield folder / f"{name}.toml"
-
-
-def make_model_json(folder):
-    for name, document in MODELS.items():
-        (folder / f"{name}.json").write_text(json.dumps(document, indent=1))
-        yield folder / f"{name}.json"
-
-
-def make_model_npz(folder):
-    for name, document in MODELS.items():
-        arrays = {key: np.array(value) for key, value in document.items() if isinstance(value, list | float)}
-        words = {key: value for key, value in document.items() if key not in arrays}
-        np.savez(folder / f"{name}.npz", **arrays, options=np.array(json.dumps(words)))
-        yield folder / f"{name}.npz"
-
-
-def model_is_wrong(by_hand):
-    """The check that every matrix of a model is what its file says."""
-
-    def wrong(path, model, _sound):
-        try:
-            document = by_hand(path)
-        except Exception as error:  # noqa: BLE001
-            return f"the parser refuses it: {type(error).__name__}: {error}"
-        for name in ("mass", "damping", "stiffness", "force_map", "sensor_map"):
-            if name in document and hasattr(model, name):
-                given = np.asarray(document[name], dtype=float)
-                if not np.array_equal(given.reshape(getattr(model, name).shape), getattr(model, name), equal_nan=True):
-                    return f"{name} is not what the file says"
-        if "masses" in document and not np.array_equal(np.diag(np.asarray(document["masses"], float)), model.mass):
-            return "masses are not what the file says"
-        return ""
-
-    return wrong
-
-
-def model_npz_by_hand(path):
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def make_geometry(folder):
-    import modal.examples
-
-    words = (Path(modal.examples.__file__).parent / "three_storey_frame.toml").read_text()
-    document = tomllib.loads(words)["geometry"]
-    nodes = "".join(f"{name} = {place}\n" for name, place in document["nodes"].items())
-    lines = f'unit = "mm"\nlines = {document["lines"]}\nfixed = [1, 2]\n'
-    (folder / "a.toml").write_text(
-        f'{lines}[nodes]\n{nodes}[sensors]\ntop = "31X+"\nskew = {{ node = 32, direction = [1, 1, 0] }}\n'
-    )
-    yield folder / "a.toml"
-    places = [(name, *(0.001 * value for value in place)) for name, place in document["nodes"].items()]
-    set_15 = "".join(f"{int(n):10d}{0:10d}{0:10d}{8:10d}{x:13.5e}{y:13.5e}{z:13.5e}\n" for n, x, y, z in places)
-    set_82 = f"{1:10d}{4:10d}{8:10d}\n{'a line':80}\n{1:10d}{11:10d}{21:10d}{31:10d}\n"
-    (folder / "b.unv").write_text(f"    -1\n    15\n{set_15}    -1\n    -1\n    82\n{set_82}    -1\n")
-    yield folder / "b.unv"
-
-
-def read_geometry_file(path):
-    from modal.geometry.file import read_geometry
-
-    return read_geometry(path)
-
-
-def geometry_is_wrong(path, geometry, _sound):
-    from modal.geometry.file import UNITS
-
-    if path.suffix == ".unv":
-        text = path.read_bytes().decode("latin-1")
-        for name, place in zip(geometry.node_names, geometry.positions, strict=True):
-            if not np.isfinite(place).all() or str(int(name)) not in text:
-                return f"node {name} stands nowhere in the file"
-        return ""
-    document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    document = document.get("geometry", document)
-    given = np.array(list(document["nodes"].values()), dtype=float) * UNITS[document.get("unit", "m")]
-    return "" if np.allclose(given, geometry.positions, rtol=1e-15, atol=0) else "positions are not those of the file"
-
-
-def make_test_file(folder):
-    import modal.examples
-
-    words = (Path(modal.examples.__file__).parent / "three_storey_frame.toml").read_text()
-    sensors = '\n[[sensors]]\nchannel = "13Y-"\nkind = "accelerometer"\ncalibrated = 2026-01-02\n'
-    (folder / "a.toml").write_text(words.partition("[geometry]")[0] + sensors)
-    (folder / "b.toml").write_text(words)
-    return (folder / "a.toml", folder / "b.toml")
-
-
-def read_test_file(path):
-    from modal.acceptance.test_file import read_specification
-
-    return read_specification(path)
-
-
-def wrong_test_file(path, specification, _sound):
-    document = tomllib.loads(path.read_text(encoding="utf-8"))
-    if (
-        specification.article != document.get("article", "").strip()
-        and specification.article not in document["article"]
-    ):
-        return "the article is another"
-    return "" if len(specification.limits) == len(document.get("limits", [])) else "limits are lost"
-
-
-def make_result(folder):
-    from modal.comparison.source import PART, summary_of
-    from modal.examples.demo import demo_record
-    from modal.identification.pipeline import identify
-    from modal.identification.result import write_parts
-
-    record = demo_record(np.random.default_rng(2))
-    result = identify(record, observer_order=20, ridge=0.0, order=8)
-    write_parts({"result": result, PART: summary_of(result)}, folder / "a.npz")
-    write_parts({PART: summary_of(result)}, folder / "b.npz")
-    return (folder / "a.npz", folder / "b.npz")
-
-
-def read_result_file(path):
-    """Both readings: what `diff` looks at, and the whole where it is there."""
-    from modal.comparison.source import read_result
-    from modal.identification.result import load
-    from okid.errors import UnreadableFileError
-
-    read = [read_result(path), None]
-    try:
-        read[1] = load(path)
-    except UnreadableFileError:
-        read[1] = None
-    return read
-
-
-def result_is_wrong(_path, read, sound):
-    from modal.identification.result import _encode
-
-    for ours, theirs in zip(read, read_result_file(sound), strict=True):
-        if ours is None:
-            continue
-        first, second = {}, {}
-        one, other = _encode(ours, first), _encode(theirs, second)
-        one.pop("name", None), other.pop("name", None)
-        same = one == other and len(first) == len(second)
-        for (_, a), (_, b) in zip(first.values(), second.values(), strict=False):
-            same = same and a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-        if not same:
-            return "a damaged result was read as another one"
-    return ""
-
-
 def record_sort(suffix, make, by_hand, **more):
     return Sort(suffix=suffix, make=make, read=read_record_file, wrong=columns_are_among(by_hand), **more)
 
@@ -672,26 +441,5 @@ SORTS = {
     "frf": Sort(suffix="", make=make_frf, read=read_frf_file, wrong=frf_is_wrong),
     "parquet": record_sort(".parquet", make_parquet, parquet_by_hand),
     "tdms": record_sort(".tdms", make_tdms, tdms_by_hand),
-    "model_toml": Sort(
-        suffix=".toml",
-        make=make_model_toml,
-        read=read_model_file,
-        wrong=model_is_wrong(lambda path: tomllib.loads(path.read_text(encoding="utf-8"))),
-    ),
-    "model_json": Sort(
-        suffix=".json",
-        make=make_model_json,
-        read=read_model_file,
-        wrong=model_is_wrong(lambda path: json.loads(path.read_text(encoding="utf-8"))),
-    ),
-    "model_npz": Sort(
-        suffix=".npz",
-        make=make_model_npz,
-        read=read_model_file,
-        wrong=model_is_wrong(model_npz_by_hand),
-        inner=zip_inner,
-    ),
-    "geometry": Sort(suffix="", make=make_geometry, read=read_geometry_file, wrong=geometry_is_wrong),
-    "test_file": Sort(suffix=".toml", make=make_test_file, read=read_test_file, wrong=wrong_test_file),
-    "result": Sort(suffix=".npz", make=make_result, read=read_result_file, wrong=result_is_wrong),
+    **OWN,
 }

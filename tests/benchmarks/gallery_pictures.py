@@ -21,7 +21,9 @@ PICTURES = Path(__file__).parents[2] / "modal" / "docs" / "pictures"
 WIDTH = 1000
 PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
     "report": ("demo", "report.html", 0, 1235),
-    "gallery_motor": ("motor_propeller", "report.html", 688, 1556),
+    "discrepancy_report": ("motor_propeller", "report.html", 0, 790),
+    "gallery_hammer": ("hammer", "report.html", 0, 552),
+    "gallery_motor": ("motor_propeller", "report.html", 805, 1655),
     "gallery_mass": ("struck_mass", "1-full-order.svg", 0, 396),
     "gallery_records": ("many_records", "comparison.html", 0, 1080),
 }
@@ -44,6 +46,14 @@ def run(name, folder):
             from modal.command.entry import main
 
             sys.argv = ["modal-report", "demo", "-o", str(folder)]
+            with contextlib.suppress(SystemExit):
+                main()
+        elif name == "hammer":
+            from modal.command.entry import main
+            from modal.examples.files import write_files
+
+            write_files(folder)
+            sys.argv = ["modal-report", "run", str(folder / "hammer.csv"), "--inputs", "force", "-o", str(folder)]
             with contextlib.suppress(SystemExit):
                 main()
         elif name in ("loose_joint", "motor_propeller"):

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import modal
-from modal.tracking.growing import growing_blocks
+from modal.tracking.live import growing_blocks
 
 RATE, N_INPUTS, N_OUTPUTS, SECONDS, BLOCK, WINDOW, ORDER = 10_000, 2, 16, 12.0, 0.2, 2.0, 50
 

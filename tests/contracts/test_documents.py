@@ -2,19 +2,29 @@
 
 import ast
 import doctest
+import fnmatch
 import importlib
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
 
 import pytest
 
+from modal.examples.files import write_files
+
 
 @pytest.fixture(scope="module")
 def readme(repository):
     return (repository / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """What `modal-report demo --files` writes."""
+    return {path.name: path for path in write_files(tmp_path_factory.mktemp("files"))}
 
 
 def blocks(readme, *languages):
@@ -55,6 +65,31 @@ def test_every_command_and_option_of_the_readme_exists(readme, repository):
     assert len(options) > 10
     assert [(command, status) for command, (status, _) in helps.items() if status != 0] == []
     assert [(command, option) for command, option in options if option not in helps[command][1]] == []
+
+
+def test_every_file_that_a_command_of_the_pages_names_can_be_written_to_try_it(repository, files):
+    n_files = 0
+    for page in pages_of(repository):
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        for line in re.findall(r"^modal-report (?!demo)(.*)", text, re.MULTILINE):
+            words = shlex.split(line, comments=True)
+            named = [word for word in words if re.fullmatch(r"[\w*]+\.(csv|toml|uff|mat|npz)", word)]
+            assert [name for name in named if not fnmatch.filter(files, name)] == [], f"{page.name}: {line}"
+            n_files += len(named)
+    assert n_files > 12
+
+
+def test_the_notebook_runs_from_a_csv_to_a_controllers_model(repository, files, monkeypatch):
+    monkeypatch.chdir(files["shaker.csv"].parent)
+    cells = json.loads((repository / "modal" / "docs" / "first_steps.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert len(cells) <= 15
+    names, code = {}, ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    for text in code:
+        exec(text, names)  # noqa: S102 - the notebook is ours
+    assert set(re.findall(r"^(?:import|from) (\S+)", "\n".join(code), re.MULTILINE)) == {"modal", "okid"}
+    assert names["scaled"].modal_mass == pytest.approx(3.6823, abs=4 * names["scaled"].modal_mass_std.max())
+    assert [len(names[one].axes) > 0 for one in ("stabilisation", "measured_over_model", "mac_picture")] == [True] * 3
+    assert names["plant"].output_labels == ["root", "middle", "tip"]
 
 
 def test_the_sessions_of_the_readme_print_what_they_show(readme):
@@ -168,3 +203,17 @@ def test_the_struck_mass_runs_as_its_docstring_says(repository, tmp_path):
     result = subprocess.run(command, capture_output=True, text=True, cwd=repository, check=False)
     assert result.returncode == 0, result.stderr
     assert len(list(tmp_path.glob("*.svg"))) == 4
+
+
+def test_ci_pins_a_version_within_bounds_and_a_hash_for_all_that_is_installed(repository):
+    pinned = dict(
+        re.findall(
+            r"^([a-z0-9._-]+)==([^ ]+) --hash=sha256:[0-9a-f]{64}$",
+            (repository / ".ci" / "pinned.txt").read_text(),
+            re.MULTILINE,
+        )
+    )
+    text = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+    wanted = text["project"]["dependencies"] + text["dependency-groups"]["test"]
+    for name, least in (each.lower().split(">=") for each in wanted):
+        assert tuple(map(int, pinned[name].split(".")[:3])) >= tuple(map(int, least.split("."))), name

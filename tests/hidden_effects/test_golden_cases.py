@@ -16,14 +16,14 @@ from hidden_kinds import KINDS
 from modal.discrepancy import diagnose
 
 NAMED = {
-    "1dof_displacement": (*range(3000, 3013), *range(3014, 3018)),
-    "1dof_accelerometer": (3001, 3004, 3005, 3006, 3007, 3010, 3011, 3012, 3014),
-    "motor_propeller": (3000, 3001, 3002, 3003, 3005, 3010, 3011, 3013, 3017),
-    "motor_friction": (3002, 3005),
-    "tank": (3000, 3001, 3002, 3003, 3004, 3006, 3010, 3011),
-    "3dof_displacement": (3000, 3004, 3005),
+    "1dof_displacement": (*range(3000, 3013), *range(3014, 3018), *range(3019, 3023)),
+    "1dof_accelerometer": (3001, 3004, 3005, 3006, 3007, 3010, 3022),
+    "motor_propeller": (3000, 3001, 3002, 3003, 3005, 3010, 3011, 3012, 3017),
+    "motor_friction": (3002,),
+    "tank": (3000, 3001, 3002, 3003, 3004, 3005, 3006, 3008, 3010, 3011),
+    "3dof_displacement": (3004,),
     "3dof_accelerometers": (3002,),
-    "state_space": (3005, 3007),
+    "state_space": (3007,),
     "two_effects": (3004,),
     "weak_effects": (3000,),
 }

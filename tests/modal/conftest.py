@@ -26,7 +26,7 @@ SHAPES = np.array([[0.45, -1.0, 0.80], [0.80, -0.35, -1.0], [1.0, 0.85, 0.45]])
 """(n_outputs, n_modes)."""
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def identification():
     return make_identification()
 

@@ -265,14 +265,13 @@ def simulate(
     process_noise: np.ndarray | None = None,
 ) -> np.ndarray:
     """(n_samples, n_outputs), one sample after the other; `process_noise` (n_samples, order) joins the state."""
-    state = np.zeros(system.order) if initial_state is None else np.array(initial_state, dtype=float)
-    outputs = np.empty((len(inputs), system.n_outputs))
-    for k, u in enumerate(inputs):
-        outputs[k] = system.C @ state + system.D @ u
-        state = system.A @ state + system.B @ u
-        if process_noise is not None:
-            state = state + process_noise[k]
-    return outputs
+    states = np.zeros((len(inputs) + 1, system.order))
+    if initial_state is not None:
+        states[0] = initial_state
+    driven = inputs @ system.B.T + (0.0 if process_noise is None else process_noise)
+    for k, push in enumerate(driven):
+        states[k + 1] = system.A @ states[k] + push
+    return states[:-1] @ system.C.T + inputs @ system.D.T
 
 
 def markov(system: TruthSystem, n_lags: int) -> np.ndarray:

@@ -379,7 +379,12 @@ def score_equations(current: Estimate, problem: Problem, slopes: Sensitivity) ->
 def _step(current: Estimate, gram: FloatArray, score: FloatArray, damping: float, *, free_common: bool) -> FloatArray:
     """The damped step within the bounds, and within the reach of hard limits."""
     at = np.zeros(len(score))
-    lower, upper, reach = np.full(len(score), -np.inf), np.full(len(score), np.inf), np.full(len(score), np.inf)
+    reach = np.full(len(score), np.inf)
+    own = current.unknowns.local
+    at[len(at) - own.size :] = own.ravel()
+    upper = np.full(len(score), np.inf)
+    upper[len(at) - own.size :] = current.assembly.largest_own(own, current.trajectory.drive).ravel()
+    lower = -upper
     if free_common:
         n = current.assembly.n_common
         at[:n] = current.unknowns.common

@@ -23,7 +23,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.masses import with_released_masses
-from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, node_of, polished, rested
+from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, loaded, node_of, polished, rested
 from modal.discrepancy.fitting.observed_fits import (
     CLEAR,
     MUCH_LESS,
@@ -291,6 +291,9 @@ def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
         start = within_reach(fit.assembly, unknowns, task, fit.trajectory.states, smoothing=smoothing)
         start = None if start is None else rested(start, task.fit)
         run = None if start is None else estimate(start, task.fit, iterations=MOST_FREE, standstill=MOVING_FREE)
+        again = None if run is None else loaded(run, task.fit)
+        if again is not None and again is not run:
+            run = estimate(again, task.fit, iterations=MOST_FREE, standstill=MOVING_FREE)
         if run is not None and (found is None or run.cost < found.cost):
             found = run
         if found is not None and found.iterations > 0:

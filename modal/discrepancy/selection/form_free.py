@@ -39,6 +39,8 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     """
     drive, n_states = task.fit.drive, parent.coarse.assembly.plant.n_states
     budget = Budget(MOST_WORK * simulation_work(drive.n_times, n_states))
+    if not budget.allows():  # the CPU time is spent
+        return []
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))
     ranked = sorted((one for one in found if one.held_out is not None), key=lambda node: node.held_out_level)
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [

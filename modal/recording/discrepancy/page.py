@@ -26,7 +26,6 @@ from modal.sections.discrepancy_values import (
     effect_text,
     found_hypothesis,
     found_value,
-    interval_text,
     size_text,
     step_text,
     times_floor,
@@ -148,12 +147,11 @@ def _parameters(findings: tuple[Finding, ...]) -> str:
             cell(one.name),
             f"**{found_value(one)}**",
             cell(one.unit, 16) if one.unit else UNKNOWN,
-            interval_text(one.value, one.std),
         ]
         for finding in findings
         for one in finding.parameters
     ]
-    return table(["effect", "place", "", "value ± std", "unit", "95 %"], rows)
+    return table(["effect", "place", "", "value ± std", "unit"], rows)
 
 
 def _before_after(plan: DiscrepancyPlan) -> str:

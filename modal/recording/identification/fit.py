@@ -1,4 +1,7 @@
-"""The page "Observer fit": what the model makes of what was measured, and what is left over."""
+"""The page "Observer fit": what the model makes of what was measured, and what is left over.
+
+Its twin is the page "Responses", where no record was identified but a table of frequency responses.
+"""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
@@ -6,9 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from modal.identification.result import Identification
+from modal.modes.response_synthesis import tabled_frf
 from modal.plots.histories import residual_autocorrelation
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
+from modal.plots.results import measured_responses
 from modal.recording.figure import (
     ORANGE,
     RED,
@@ -19,17 +24,31 @@ from modal.recording.figure import (
     plot_view,
     series_view,
 )
-from modal.recording.plan import SHOWN_INPUTS, SHOWN_OUTPUTS, DataPlan, Plan, label, name_with_unit
+from modal.recording.plan import SHOWN_INPUTS, SHOWN_OUTPUTS, DataPlan, Plan, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
-from modal.recording.tables import fit_page_text, log_table
+from modal.recording.tables import choices_text, fit_page_text, log_table
+from modal.sections.words import modes_headline
 from modal.wording.numbers import fit_text
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     import rerun
+if TYPE_CHECKING:
+    import rerun
 
-__all__ = ["FIT_TEXT", "MARKOV", "WHITENESS", "fit_page", "inputs_view", "log_fit_page", "run_view"]
+    from okid.frequency_response import FrequencyResponse
 
+__all__ = [
+    "FIT_TEXT",
+    "MARKOV",
+    "WHITENESS",
+    "fit_page",
+    "inputs_view",
+    "log_fit_page",
+    "log_response_page",
+    "response_page",
+    "run_view",
+]
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
 WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)
@@ -229,3 +248,36 @@ def _window(identification: Identification, plan: Plan, output: int) -> Any:
 
 def _name(identification: Identification, output: int) -> str:
     return identification.channels.output_names[output]
+
+
+RESPONSES: Final = Pane("responses/plot", 1100.0, 820.0)
+TEXT: Final = "responses/text"
+
+
+def log_response_page(
+    identification: Identification, response: "FrequencyResponse", recording: "rerun.RecordingStream"
+) -> None:
+    """The responses with the model over them, and what was found and chosen in words."""
+    import rerun as rr
+
+    log_chart(recording, RESPONSES, measured_responses(identification, tabled_frf(response)))
+    flat = response.response.reshape(response.n_lines, -1)
+    columns: dict[str, Iterable[object]] = {
+        "frequency": response.frequencies,
+        "real": flat.real.tolist(),
+        "imaginary": flat.imag.tolist(),
+    }
+    log_table(recording, "responses/lines", "frequency_line", np.arange(1, response.n_lines + 1), columns)
+    parts = [f"### {modes_headline(identification)}"]
+    parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
+    parts.append(choices_text(identification))
+    document = rr.TextDocument("\n\n".join(parts), media_type=rr.MediaType.MARKDOWN)
+    recording.log(TEXT, document, static=True, strict=True)
+
+
+def response_page() -> Any:
+    """The page: responses on the left, words on the right."""
+    import rerun.blueprint as rrb
+
+    views = plot_view(RESPONSES, "Measured and synthesised"), document_view(TEXT, "Found and chosen")
+    return rrb.Horizontal(*views, column_shares=[2.2, 1.0], name="Responses")

@@ -267,7 +267,9 @@ def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan
     """Inputs over outputs over coherence, all over one axis of frequency."""
     if not quality.frequencies.size:
         return
-    n_inputs, n_outputs, coherence = len(plan.input_paths), len(plan.output_paths), quality.coherence
+    coherence = quality.coherence
+    n_inputs = sum(channel.role == "input" for channel in quality.channels)  # as read: a decay's release is none
+    n_outputs = len(quality.channels) - n_inputs
     bands = [("output", n_inputs, n_outputs, IN_TURN)]
     if n_inputs:
         bands = [("input", 0, n_inputs, INPUT_ROLES), *bands]

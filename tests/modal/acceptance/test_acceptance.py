@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.acceptance.check import MAYBE, NO, YES, all_met, all_of, any_of, check_limits, inside, negated, uncovered
-from modal.acceptance.limits import AcceptanceLimit
-from modal.acceptance.test_file import Specification
+from modal.acceptance.test_file import AcceptanceLimit, Specification
 from modal.modes.mode import Uncertainty
 from okid.record import Record
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import modal.acceptance.test_file
-from modal.acceptance.limits import KEYS, TomlTable, limits_of
-from modal.acceptance.test_file import Specification, read_specification
+from modal.acceptance.test_file import KEYS, Specification, TomlTable, limits_of, read_specification
 from okid.errors import InvalidDataError, UnreadableFileError
 
 WHOLE = """

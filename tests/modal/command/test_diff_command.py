@@ -10,7 +10,7 @@ import pytest
 
 from modal.command.main import status as _status
 from modal.comparison.changes import compare_results
-from modal.comparison.source import summary_of
+from modal.comparison.shifts import summary_of
 from modal.report.comparison import comparison_html, comparison_json, comparison_markdown, write_comparison
 from okid.errors import InvalidDataError
 

@@ -119,7 +119,7 @@ def test_wrong_use_is_one_sentence_and_nothing_is_written(data, quick, capsys, a
 def test_a_good_run_writes_everything_and_says_where(data, quick, capsys):
     status, captured = gap(capsys, *GOOD)
     assert status == 0, captured
-    assert "The simulation lacks cubic stiffness at element_1." in captured.out
+    assert "The simulation lacks cubic stiffness at the link lower-upper." in captured.out
     assert "out/report.html" in captured.out
     assert captured.err == ""
     assert len(list((data / "out").iterdir())) == 6

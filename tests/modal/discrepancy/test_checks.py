@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from engine_plants import some_records, two_masses
 
+from modal.discrepancy import setup
 from modal.discrepancy.setup import check_plant, check_records
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
@@ -30,6 +31,25 @@ def test_good_records_pass():
     first, second, third = records()
     assert check_records([first, second], third) == ((first, second), (third,), ())
     assert check_records(first, [second]) == ((first,), (second,), ())
+
+
+def test_of_long_records_a_stretch_each_is_looked_at(monkeypatch):
+    """The first one that moves as it does elsewhere, by its rows; the reader is told."""
+    moves = np.where(np.arange(50) % 2, 1.0, -1.0)
+    first = Record(moves, np.cumsum(moves), 0.1, name="run 0")
+    second = replace(first, inputs=np.where(np.arange(50) < 31, 0.0, moves)[:, np.newaxis], name="run 1")
+    monkeypatch.setattr(setup, "MOST_STATES", 60)
+    fits, helds, notes = setup.searched_parts((first, second), (replace(first, name=""),), 2)
+    assert setup.searched_parts((first,), (second,), 1) == ((first,), (second,), ())
+    assert [part.name for part in fits] == ["run 0, rows 0 to 14", "run 1, rows 30 to 44"]
+    assert np.array_equal(fits[1].outputs, second.outputs[30:45])
+    assert [part.name for part in helds] == ["record, rows 0 to 29"]
+    assert "(run 0, rows 0 to 14, run 1, rows 30 to 44, record, rows 0 to 29)" in notes[-1]
+    monkeypatch.setattr(setup, "memory_budget", lambda: (1e6, "ulimit leaves"))
+    with pytest.raises(
+        InvalidDataError, match=r"along 60 rows with 2 states needs about 0\.0 GiB, .* that ulimit leaves"
+    ):
+        setup.searched_parts((first, second), (replace(first, name=""),), 2)
 
 
 def test_there_must_be_records_of_both_kinds():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy import CATALOGUE, diagnose
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
@@ -42,7 +42,8 @@ def test_friction_is_named_from_decays_alone():
     model = StructuralModel(
         [[1.0]], [[0.75]], [[624.0]], force_map=nothing, sensor_map=[[1.0]], sensor_kind="displacement"
     )
-    found = diagnose(model, records[:2], records[2])
+    rivals = ("coulomb_friction", "quadratic_drag", "cubic_stiffness", "bouc_wen_hysteresis", "gap_spring")
+    found = diagnose(model, records[:2], records[2], catalogue={key: CATALOGUE[key] for key in rivals})
     assert found.status == "named"
     assert [one.effect for one in found.findings] == ["coulomb_friction"]
     assert found.findings[0].parameters[0].value == pytest.approx(FRICTION, rel=0.01)

@@ -27,7 +27,7 @@ def diagnosed(case, **options):
         return diagnose(model, records[:-1], records[-1])
 
 
-@pytest.mark.parametrize("seed", [1002, 1005])
+@pytest.mark.parametrize("seed", [1002, pytest.param(1005, marks=pytest.mark.slow)])
 def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
     case = mistake("wrong_mass", seed)
     found = diagnosed(case)

@@ -11,7 +11,7 @@ import control
 import numpy as np
 import pytest
 
-from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.stages import fit
 from modal.structure.given import simulate
@@ -45,8 +45,11 @@ def names(diagnosis):
 # --- pendulum: a free decay -------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def pendulum(shared_data):
+RIVALS = ("sine_softening", "cubic_stiffness", "quadratic_drag", "coulomb_friction")
+
+
+@pytest.fixture(scope="module", params=[RIVALS, pytest.param(CATALOGUE, marks=pytest.mark.slow)], ids=["rivals", "all"])
+def pendulum(shared_data, request):
     folder = shared_data / "pendulum_decay"
     stated = json.loads((folder / "about.json").read_text())["author_model"]
     length = 0.315 + stated["d"] / 2
@@ -69,7 +72,8 @@ def pendulum(shared_data):
             np.zeros((end - begin, 0)), angle.outputs[begin:end], angle.dt, output_names=["angle"], output_units=["rad"]
         )
 
-    return diagnose(model, [part(0, 300), part(600, 750)], [part(300, 600), part(750, 917)])
+    catalogue = {key: CATALOGUE[key] for key in request.param}
+    return diagnose(model, [part(0, 300), part(600, 750)], [part(300, 600), part(750, 917)], catalogue=catalogue)
 
 
 def test_a_pendulum_softens_by_the_sine_of_its_angle(pendulum):

@@ -16,8 +16,8 @@ from modal.examples.struck_mass_models import (
     frequency_and_damping,
     full_order_model,
     hankel,
-    pulse_response,
     reduced_model,
+    sampled_pulse,
     singular_value_shares,
     step_response,
     truncated_model,
@@ -50,7 +50,7 @@ def test_a_push_of_one_tick_is_an_impulse_in_the_middle_of_the_tick():
         decay = np.exp(-TRUTH.damping_ratio * natural * time)
         return TRUTH.dt / (TRUTH.mass * damped) * decay * np.sin(damped * time)
 
-    pulse = pulse_response(TRUTH.model(), 200)[1:]
+    pulse = sampled_pulse(TRUTH.model(), 200)[1:]
     early, middle = (np.linalg.norm(dirac(at) - pulse) / np.linalg.norm(pulse) for at in (0.0, TRUTH.dt / 2))
     assert early == pytest.approx(0.099, abs=0.003)
     assert middle == pytest.approx(0.2**2 / 24, rel=0.1)
@@ -61,7 +61,7 @@ def test_full_order_model_repeats_all_its_samples_noise_included(seed):
     """2N unknowns, 2N samples: N = 10, and N = 4 where even a bad matrix does not lose digits."""
     for n in (4, 10):
         samples = blow(n, seed)
-        error = np.abs(pulse_response(full_order_model(samples), 2 * n + 1) - samples).max() / np.abs(samples).max()
+        error = np.abs(sampled_pulse(full_order_model(samples), 2 * n + 1) - samples).max() / np.abs(samples).max()
         assert error < 1e-10 * np.linalg.cond(hankel(samples, 1))
 
 
@@ -78,8 +78,8 @@ def test_full_order_model_of_many_samples_has_growing_poles():
 def test_nothing_changes_between_truncated_and_reduced_with_the_projector(n, seed):
     samples = blow(n, seed)
     for order in (1, 2, 5):
-        reduced = pulse_response(reduced_model(samples, order), n)
-        truncated = pulse_response(truncated_model(samples, order), n)
+        reduced = sampled_pulse(reduced_model(samples, order), n)
+        truncated = sampled_pulse(truncated_model(samples, order), n)
         np.testing.assert_allclose(truncated, reduced, atol=1e-11 * np.abs(reduced).max())
 
 
@@ -88,13 +88,13 @@ def test_something_changes_without_the_projector():
     differences = []
     for seed in SEEDS:
         samples = blow(25, seed)
-        reduced = pulse_response(reduced_model(samples, 2), 50)
-        without = pulse_response(truncated_model(samples, 2, projector="none"), 50)
+        reduced = sampled_pulse(reduced_model(samples, 2), 50)
+        without = sampled_pulse(truncated_model(samples, 2, projector="none"), 50)
         differences.append(np.linalg.norm(without - reduced) / np.linalg.norm(reduced))
     assert 0.001 < np.median(differences) < 0.01
     clean = blow(25, 0, noise=0.0)
     np.testing.assert_allclose(
-        pulse_response(truncated_model(clean, 2, projector="none"), 50), pulse_response(TRUTH.model(), 50), atol=1e-12
+        sampled_pulse(truncated_model(clean, 2, projector="none"), 50), sampled_pulse(TRUTH.model(), 50), atol=1e-12
     )
 
 

@@ -24,7 +24,7 @@ def test_the_five_stories_can_be_run(page):
 
 def test_every_section_has_a_small_picture_and_every_link_a_target(page, repository):
     pictures = re.findall(r"!\[[^\]]+\]\((pictures/\w+\.png)\)", page)
-    assert len(pictures) == len(set(pictures)) == page.count("\n## ") == 5
+    assert len(pictures) == len(set(pictures)) == page.count("\n## ") == 6
     for link in [*pictures, *re.findall(r"\]\(([\w./]+)\)", page)]:
         assert (repository / "modal" / "docs" / link).is_file(), link
     for picture in pictures:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.geometry.placement import derivatives_of, placed, turned
+from modal.geometry.placement import derivatives_of, guessed_grid, placed, turned
 from modal.geometry.sensors import Geometry, Sensor
 from modal.modes.mode import Mode
 from okid.errors import InvalidDataError
@@ -196,3 +196,35 @@ def test_powers_of_the_pole_are_needed_only_among_different_derivatives():
 def test_an_explicit_sensor_about_an_axis_in_metres_is_left_out():
     geometry = tower(sensors=(Sensor(name="g", node=0, direction=[0, 0, 1], motion="about"),))
     assert placed(geometry, ["g", "2X+"], ["m", "m"]).sensors[0] is None
+
+
+@pytest.mark.parametrize("pattern", ["p{}{}", "x{}y{}", "r{}c{}", "acc_{}_{} top", "{}-{}"])
+@pytest.mark.parametrize("start", [0, 1])
+def test_names_that_count_rows_and_columns_are_a_grid(pattern, start):
+    names = [pattern.format(i, j) for i in range(start, start + 3) for j in range(start, start + 4)]
+    grid = guessed_grid(names, ["m/s^2"] * 12)
+    first, last = grid.positions[0, :2], grid.positions[-1, :2]
+    assert len(grid.lines) == 7
+    assert np.abs(last - first).max() == pytest.approx(2.0)
+    assert (first < last).tolist() == ([True, True] if pattern.startswith("x") else [True, False])
+    assert "guessed from the names" in placed(None, names).sentences[0]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"ch{k:02}" for k in range(20)],
+        [f"ch{k}" for k in range(10, 30)],
+        ["p11", "p12", "p21"],
+        ["p11", "p12", "q21", "q22"],
+        ["11X+", "12X+", "21X+", "22X+"],
+        ["p11", "p12", "p21", "p31"],
+        ["tip", "root"],
+    ],
+)
+def test_names_that_count_channels_or_fill_no_grid_are_none(names):
+    assert guessed_grid(names) is None
+
+
+def test_a_grid_of_two_units_is_no_grid():
+    assert guessed_grid(["p11", "p12", "p21", "p22"], ["m", "m", "m", "m/s^2"]) is None

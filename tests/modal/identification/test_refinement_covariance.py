@@ -276,3 +276,25 @@ def test_a_pole_that_dies_at_once_leaves_the_others_as_sure_as_they_were():
     beside = output_error_uncertainty(replace(refined, step=step_at(larger, refined.data)), modes, n_lags=N_LAGS)
     np.testing.assert_allclose(beside.frequency_std, alone.frequency_std, rtol=0.02)
     np.testing.assert_allclose(beside.damping_ratio_std, alone.damping_ratio_std, rtol=0.02)
+
+
+def test_what_is_struck_while_other_forces_shake_it_is_no_more_certain_than_it_is():
+    """One blow: noise with the mode's own memory makes errors many times those under white noise."""
+    turn = 0.98 * np.exp(0.3j)
+    A = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+    start = Realisation(A, np.array([[1.0], [0.3]]), np.array([[1.0, 0.5]]), np.zeros((1, 1)), 0.01)
+    force = np.zeros((1500, 1))
+    force[100:104, 0] = (0.5, 1.0, 1.0, 0.5)
+    rng = np.random.default_rng(4)
+    over = []
+    for _ in range(15):
+        shaken = simulate(start, 0.01 * rng.standard_normal(force.shape))
+        model = refined_model([Record(force, simulate(start, force) + shaken, 0.01)], start, MOST_STEPS, by="rows")
+        (mode,) = extract_modes(model.realisation).modes
+        as_white = output_error_uncertainty(replace(model, whiteness_ratio=1.0), [mode], n_lags=1)
+        known = output_error_uncertainty(model, [mode], n_lags=1)
+        error = mode.frequency - np.angle(turn) / (2 * np.pi * 0.01)
+        over.append([error / as_white.frequency_std[0], error / known.frequency_std[0]])
+    white, ours = np.sqrt(np.mean(np.square(over), axis=0))
+    assert white > 3.0
+    assert ours < 0.5 * white

@@ -68,7 +68,8 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
         name="set-up 2",
     )
     records = [set_up(1, 2, [1, 0]), second]
-    result = modal.identify(okid.join_setups(records))
+    orders = {"observer_order": 20, "ridge": 1e-6, "order": 6}
+    result = modal.identify(okid.join_setups(records), **orders)
     assert any("set-up 2: force 4 samples" in choice.value for choice in result.choices)
     assert any(re.search(r"set-up 2 answers force (1\.99|2\.0)\d* times", text) for text in result.warnings)
     for mode, shape in zip(result.modes.system, SHAPES, strict=True):
@@ -78,7 +79,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
     assert result.modes.output_names == ("y1", "y0", "y2")
     assert "set-up 1: y1, y0; set-up 2: y1, y2" in result.warnings[0]
     assert "set-ups" in [choice.what for choice in result.choices]
-    alone = [modal.identify(record).modes.system for record in records]
+    alone = [modal.identify(record, **orders).modes.system for record in records]
     for joint, *own in zip(result.modes.system, *alone, strict=True):
         together = sum(mode.frequency_std**-2 for mode in own) ** -0.5
         assert joint.frequency_std == pytest.approx(together, rel=0.05)
@@ -106,7 +107,7 @@ def test_what_cannot_be_joined_is_refused():
         for k in range(2)
     ]
     with pytest.raises(IdentificationError, match="no mode in common"):
-        modal.identify(okid.join_setups(noise))
+        modal.identify(okid.join_setups(noise), observer_order=6, ridge=1e-3, order=4)
     both = [set_up(1, 2, [1, 0]), set_up(2, 2, [1, 2])]
     moved = okid.Record(both[1].inputs, both[1].outputs, DT, input_names=["other"], output_names=both[1].output_names)
     with pytest.raises(InvalidDataError, match="rove sensors or hammer"):

@@ -8,7 +8,7 @@ import pytest
 from modal import plots
 from modal.identification.result import OrderEvidence
 from modal.modes.response_synthesis import measured_frf
-from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES, _levels, pole_classes
+from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES
 from modal.plots.panels import COLOURS, envelope
 from modal.sections.discrepancy_stages import power_spectra
 from okid.record import Record
@@ -135,14 +135,6 @@ def test_power_spectrum_finds_the_line_of_a_sine():
     assert abs(frequency[np.argmax(power[:, 0])] - 12.5) <= frequency[1] / 2 + 1e-12
 
 
-@pytest.mark.parametrize("classes", [OVERLAP_CLASSES, REPEATABILITY_CLASSES])
-def test_classes_cover_the_unit_interval_without_overlap(classes):
-    edges = [low for low, _, _ in classes] + [classes[-1][1]]
-    assert edges[0] == 0.0
-    assert edges[-1] > 1.0
-    assert [high for _, high, _ in classes] == edges[1:]
-
-
 @pytest.mark.parametrize("measure", ["overlap", "repeatability"])
 def test_stabilisation_diagram_draws_every_pole_in_its_class(identification, measure):
     classes = {"overlap": OVERLAP_CLASSES, "repeatability": REPEATABILITY_CLASSES}[measure]
@@ -184,17 +176,6 @@ def test_missing_samples_do_not_break_the_histories(identification):
     plots.output_spectra([gappy], identification.simulated)
 
 
-@pytest.mark.parametrize(("n_orders", "kept"), [(5, 5), (40, 20)])
-def test_of_very_many_poles_every_second_order_is_drawn(monkeypatch, identification, n_orders, kept):
-    monkeypatch.setattr("modal.plots.order.MOST_POLES", 400)
-    one = identification.order_evidence.stabilisation[0]
-    points = tuple(replace(one, order=order, frequency=0.1 * k) for order in range(n_orders) for k in range(20))
-    evidence = replace(identification.order_evidence, stabilisation=points)
-    drawn = {point.order for _, poles in pole_classes(evidence) for point in poles}
-    assert len(drawn) == kept
-    assert n_orders - 1 in drawn
-
-
 @pytest.mark.parametrize(("count", "labels"), [(3, 3), (30, 4)])
 def test_crowded_modes_have_labels_on_few_lines(identification, count, labels):
     modes = tuple(replace(identification.modes.modes[0], frequency=5.0 + 0.001 * i) for i in range(count))
@@ -213,11 +194,3 @@ def test_a_response_is_pale_where_the_coherence_is_low_and_the_strip_shows_it(id
     hidden = np.isnan(trusted.y)
     np.testing.assert_array_equal(hidden, coherence[1:, 0] < 0.5)
     np.testing.assert_array_equal(strip.lines[0].y, coherence[1:, 0])
-
-
-@pytest.mark.parametrize(
-    ("frequencies", "levels"),
-    [([], []), ([1.0, 5.0], [0, 0]), ([1.0, 1.1, 1.2, 2.3], [0, 1, 2, 0]), ([1.0, 1.5, 2.1], [0, 1, 0])],
-)
-def test_labels_of_close_modes_stand_on_lines_of_their_own(frequencies, levels):
-    assert _levels(np.array(frequencies), 1.0) == levels

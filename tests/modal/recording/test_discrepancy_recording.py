@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from levels_by_hand import HARDENS, POLE, RESTS, VAGUE, with_levels
 
+from modal.discrepancy.results import in_words
 from modal.recording import log_diagnosis, save_recording
 from modal.recording.discrepancy.series import planned_diagnosis
 from modal.recording.stream import diagnosis_blueprint, diagnosis_id
@@ -59,7 +60,7 @@ def test_every_line_over_time_is_drawn_by_its_extremes(stored):
 def test_the_gap_shrinks_on_the_timeline_step(stored, diagnosis):
     table = stored.table("/discrepancy/steps", "step")
     assert table["step"] == [0, 1, 2, 3]
-    assert table["name"] == [step.name for step in diagnosis.steps]
+    assert table["name"] == [step.name for step in in_words(diagnosis).steps]
     assert table["held_out_level"] == [step.held_out_level for step in diagnosis.steps]
     for path, way in (("gap/plot/3_now", "height"), ("spectrum/plot/3_now", "height"), ("parts/plot/2_now", "length")):
         rows = stored.rows(f"/discrepancy/steps/{path}", "step")
@@ -74,7 +75,7 @@ def test_the_gap_shrinks_on_the_timeline_step(stored, diagnosis):
     texts = [row["TextDocument:text"][0] for row in stored.rows("/discrepancy/steps/text", "step").values()]
     assert [text.split("\n")[0] for text in texts][::3] == [
         "### Step 0 of 3: as given",
-        "### Step 3 of 3: + Coulomb friction at element\\_1".replace("\\_", "_"),
+        "### Step 3 of 3: + Coulomb friction at the link lower-upper",
     ]
 
 
@@ -109,7 +110,7 @@ def test_tables_hold_the_numbers(stored, diagnosis):
 
 def test_words_name_what_was_found(stored):
     text = stored.static("/discrepancy/verdict", "TextDocument:text")[0]
-    assert text.startswith("### The simulation lacks cubic stiffness and Coulomb friction at element")
+    assert text.startswith("### The simulation lacks cubic stiffness and Coulomb friction at the link lower-upper")
     assert "(2.013 ± 0.019)e5" in text.replace("\\", "")
     assert "Add a record at twice the level" in text
 

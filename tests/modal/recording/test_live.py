@@ -216,3 +216,14 @@ def test_a_page_that_cannot_be_drawn_is_said_once_and_stops_nothing(identificati
         log_progress(live, "on we go", 1.0)
     assert len(said) == 1
     assert said[0].startswith("The live view stopped (")
+
+
+def test_a_connection_that_comes_while_the_relay_is_cut_is_closed():
+    """It was left open, and warned of itself in whatever ran when it was collected."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        wire = Relay(*other.getsockname())
+        wire.cut()
+        late = socket.socket()
+        with pytest.raises(OSError, match=r"^$"):
+            wire._kept(late)
+        assert late.fileno() == -1

@@ -4,10 +4,10 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from page_reader import Skeleton
 
 from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, draw_diagnosis
 from modal.sections.provenance import Provenance
@@ -19,35 +19,6 @@ NASTY = (
     + "\N{RIGHT-TO-LEFT OVERRIDE}\x1b[2J\x00 $\\frac{",
 )
 NASTY_INPUT = "--><img src=x onerror=alert(1)>"
-VOID = {"meta", "br", "img", "input", "link", "hr"}
-
-
-class Tags(HTMLParser):
-    """Tags with the names of their attributes, all values, and the text outside pictures."""
-
-    def __init__(self, text):
-        super().__init__(convert_charrefs=True)
-        self.tags, self.attributes, self.words, self.open = [], [], [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        if "svg" not in self.open:
-            self.tags.append((tag, tuple(name for name, _ in attrs)))
-        self.attributes += [(tag, name, value) for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.attributes += [(tag, name, value) for name, value in attrs]
-
-    def handle_endtag(self, tag):
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "svg" not in self.open and "style" not in self.open:
-            self.words.append(data)
 
 
 class Location:
@@ -78,14 +49,14 @@ def pages(make_gap):
 
 
 def test_names_change_no_tag_of_the_page(pages):
-    plain, nasty = Tags(pages["plain"][0]), Tags(pages["nasty"][0])
+    plain, nasty = Skeleton(pages["plain"][0]), Skeleton(pages["nasty"][0])
     assert nasty.tags == plain.tags
     assert not nasty.open
 
 
 def test_nothing_runs_and_nothing_is_loaded(pages):
     for text, _ in pages.values():
-        skeleton = Tags(text)
+        skeleton = Skeleton(text)
         tags = {tag for tag, _, _ in skeleton.attributes} | {tag for tag, _ in skeleton.tags}
         assert not tags & {"script", "link", "iframe", "img", "object", "embed", "foreignobject"}
         for _, name, value in skeleton.attributes:
@@ -101,7 +72,7 @@ def test_hidden_characters_reach_no_text(pages):
 
 
 def test_every_link_leads_somewhere(pages):
-    skeleton = Tags(pages["plain"][0])
+    skeleton = Skeleton(pages["plain"][0])
     identities = {value for _, name, value in skeleton.attributes if name == "id"}
     links = {value[1:] for tag, name, value in skeleton.attributes if tag == "a" and name == "href"}
     assert len(links) > 6
@@ -131,7 +102,7 @@ def test_markdown_tables_have_equal_rows(pages, key):
 
 
 def test_the_page_says_what_was_found_and_how_sure(pages):
-    text = " ".join(" ".join(Tags(pages["plain"][0]).words).split())
+    text = " ".join(" ".join(Skeleton(pages["plain"][0]).words).split())
     for words in (
         "The simulation lacks cubic stiffness and Coulomb friction at element_1.",
         "(2.013 ± 0.019)e5",
@@ -147,6 +118,13 @@ def test_the_page_says_what_was_found_and_how_sure(pages):
         assert words in text, words
 
 
+def test_the_first_page_has_the_answer_how_sure_what_next_and_both_pictures(pages):
+    first = pages["plain"][0].partition("<main>")[0]
+    parts = ("<h1>The simulation lacks", "Proved", "k3 = ", "Next:", "Before: ", "After: ")
+    places = [first.index(part) for part in parts]
+    assert places == sorted(places)
+
+
 def test_lines_of_a_block_stay_lines(pages):
     block = pages["plain"][0].split("result = modal.discrepancy.diagnose")[1]
     assert block.splitlines()[1].startswith("result.model")
@@ -155,17 +133,32 @@ def test_lines_of_a_block_stay_lines(pages):
 @pytest.mark.parametrize(
     ("status", "n_effects", "there", "missing"),
     [
-        ("named", 1, ("What is missing", "Simulate with the updated"), ("The best guess", "What could still hide")),
-        ("unresolved", 1, ("The best guess", "Not proved"), ("What is missing", "Simulate with the updated")),
-        ("none", 0, ("What could still hide", "Nothing missing"), ("What is missing", "What else was tried")),
+        (
+            "named",
+            1,
+            ("What is missing", "Simulate with the updated", "the effect found take away 100 %"),
+            ("The best guess", "What could still hide"),
+        ),
+        (
+            "unresolved",
+            1,
+            ("The best guess", "Not proved", "Do not build on the named effect yet"),
+            ("What is missing", "Simulate with the updated"),
+        ),
+        (
+            "none",
+            0,
+            ("What could still hide", "Go on with the calibrated"),
+            ("What is missing", "What else was tried"),
+        ),
         ("unresolved", 0, ("no effect of the catalogue explains it",), ("What is missing", "The best guess")),
     ],
 )
 def test_each_status_has_its_page(diagnosis_of, status, n_effects, there, missing):
     diagnosis = diagnosis_of(status, n_effects)
-    skeleton = Tags(diagnosis_html(diagnosis, Provenance(), {}))
+    skeleton = Skeleton(diagnosis_html(diagnosis, Provenance(), {}))
     markdown = diagnosis_markdown(diagnosis, Provenance())
-    text = " ".join(skeleton.words)
+    text = skeleton.text
     for words in there:
         assert words in text
         assert words in markdown
@@ -186,8 +179,9 @@ def test_a_model_without_equations_and_without_a_file_is_no_hole_in_the_page(dia
 
 def test_pictures_say_which_outputs_and_records_they_show(diagnosis, monkeypatch):
     captions = {name: picture.caption for name, picture in draw_diagnosis(diagnosis).items()}
-    assert set(captions) == {"histories", "spectra", "before_after", "steps", "hypotheses", "laws"}
-    assert "Held-out record 'held out, 1.8 N'." in captions["histories"]
+    assert set(captions) == {"before", "after", "histories", "spectra", "before_after", "steps", "hypotheses", "laws"}
+    for name in ("before", "histories"):
+        assert "Held-out record 'held out, 1.8 N'." in captions[name]
     assert "largest gap" not in captions["histories"]
     assert "with the effects (green)" in captions["spectra"]
     assert "drawn as the loop" not in captions["laws"]
@@ -200,8 +194,8 @@ def test_missing_samples_are_no_hole_in_the_page(diagnosis):
     outputs[100:300, 0] = np.nan
     gappy = replace(diagnosis, held_out=(replace(diagnosis.held_out[0], outputs=outputs), diagnosis.held_out[1]))
     text = page_of(gappy)
-    assert not re.search(r"\bnan\b", " ".join(Tags(text).words))
-    assert text.count("<svg") == 6
+    assert not re.search(r"\bnan\b", " ".join(Skeleton(text).words))
+    assert text.count("<svg") == 8
 
 
 def test_a_model_that_ran_away_is_told(diagnosis):
@@ -213,14 +207,21 @@ def test_a_model_that_ran_away_is_told(diagnosis):
         hypotheses=(*diagnosis.hypotheses[:-1], lost),
         gap_before=np.full_like(diagnosis.gap_before, np.inf),
     )
-    words = " ".join(Tags(page_of(found)).words)
+    words = " ".join(Skeleton(page_of(found)).words)
     assert "unbounded with the model as given" in " ".join(words.split())
     assert not re.search(r"\b(nan|inf)\b", words)
     assert not re.search(r"\b(nan|inf)\b", diagnosis_markdown(found, Provenance()))
 
 
 def test_pictures_of_nothing_found(diagnosis_of):
-    assert set(draw_diagnosis(diagnosis_of("none", 0))) == {"histories", "spectra", "before_after", "steps"}
+    assert set(draw_diagnosis(diagnosis_of("none", 0))) == {
+        "before",
+        "after",
+        "histories",
+        "spectra",
+        "before_after",
+        "steps",
+    }
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")

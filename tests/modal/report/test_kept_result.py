@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.comparison.source import read_result
+from modal.comparison.shifts import read_result
 from modal.identification.result import load
 from modal.report import writing as kept_result
 from modal.report.writing import keep_result, kept_size

@@ -3,10 +3,10 @@ import hashlib
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from page_reader import Skeleton
 from systems import random_system, simulate
 
 from modal.acceptance.check import LimitOutcome
@@ -21,41 +21,6 @@ from modal.verdict.judgement import FOUND_AGAIN
 from okid.record import Record
 
 NASTY = "</style></script><script>alert(1)</script> {{ 7*7 }} {% raw %} |"
-
-VOID = {"meta", "br", "img", "input", "link", "hr"}
-
-
-class Skeleton(HTMLParser):
-    """The tags of a page with the names of their attributes, and its text outside pictures."""
-
-    def __init__(self, text):
-        super().__init__(convert_charrefs=True)
-        self.tags, self.attributes, self.words, self.open = [], [], [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        if "svg" not in self.open:
-            self.tags.append((tag, tuple(name for name, _ in attrs)))
-        self.attributes += [(tag, name, value) for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.attributes += [(tag, name, value) for name, value in attrs]
-
-    def handle_endtag(self, tag):
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not {"style", "script"} & set(self.open):
-            self.words.append(data)
-
-    @property
-    def text(self):
-        """What a reader reads, a space that does not break as any other."""
-        return " ".join(self.words).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.fixture(scope="module")

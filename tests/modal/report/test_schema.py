@@ -7,8 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from modal.acceptance.limits import AcceptanceLimit
-from modal.acceptance.test_file import SensorNote, Specification
+from modal.acceptance.test_file import AcceptanceLimit, SensorNote, Specification
 from modal.modes.mode import Uncertainty
 from modal.report.machine import document_schema, json_text, schema_file, schema_text, type_schema
 from modal.sections.provenance import Provenance, SourceFile

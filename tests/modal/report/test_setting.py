@@ -1,7 +1,6 @@
 import pytest
 
-from modal.acceptance.limits import AcceptanceLimit
-from modal.acceptance.test_file import Specification
+from modal.acceptance.test_file import AcceptanceLimit, Specification
 from modal.geometry.sensors import Geometry, Sensor
 from modal.report import pictures as module
 from modal.report.pictures import setting_of

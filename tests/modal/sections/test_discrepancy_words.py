@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modal.discrepancy.results import in_words
 from modal.discrepancy.validation.cautions import with_cautions
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_values import (
@@ -13,15 +14,9 @@ from modal.sections.discrepancy_values import (
     found_hypothesis,
     interval_text,
     size_text,
-    times_text,
     value_text,
 )
 from modal.wording.numbers import exact_percent
-
-
-def with_levels(diagnosis, *levels):
-    steps = tuple(replace(s, held_out_level=level) for s, level in zip(diagnosis.steps, levels, strict=True))
-    return replace(diagnosis, steps=steps)
 
 
 def with_first(diagnosis, **changes):
@@ -75,90 +70,8 @@ def test_what_cannot_be_told_apart_asks_for_care(diagnosis_of):
     assert words.judge_diagnosis(with_first(found, ambiguous_with=())).trust == "carried"
 
 
-def test_what_remains_is_told_in_times_of_the_floor(diagnosis):
-    found = with_levels(diagnosis, 2500.0, 100.0, 16.0, 1.49)
-    sentence = words.remaining_sentence(found)
-    assert "50.0 with the model as given, 10.0 after calibration and 1.22 with the effects, which is noise." in sentence
-    assert "which is noise" not in words.remaining_sentence(with_levels(diagnosis, 2500.0, 100.0, 16.0, 1.51))
-
-
-def test_a_model_that_ran_away_is_called_unbounded(diagnosis):
-    sentence = words.remaining_sentence(with_levels(diagnosis, np.inf, 100.0, 16.0, 1.0))
-    assert "unbounded with the model as given" in sentence
-    assert "nan" not in sentence
-
-
-@pytest.mark.parametrize(
-    ("closed", "said"),
-    [(0.75, "away 50 %"), (0.9999, "away 99"), (1.0, "away 100 %"), (0.0, "nothing"), (-3.0, "nothing")],
-)
-def test_what_was_closed(diagnosis, closed, said):
-    assert said in words.closed_sentence(replace(diagnosis, closed=closed))
-
-
-def test_nothing_is_said_to_close_where_there_was_no_gap(diagnosis_of):
-    found = replace(diagnosis_of("none", 0), closed=0.99)
-    assert "Calibration alone takes away 90 %" in words.closed_sentence(found)
-    assert words.closed_sentence(with_levels(found, 1.45, 1.0)) == ""
-    assert words.closed_sentence(replace(found, closed=np.nan)) == ""
-
-
-@pytest.mark.parametrize(
-    ("margin", "said"),
-    [
-        (9.0, "too little to tell the two apart"),
-        (11.0, "the finding leads by 2 ln L = 11"),
-        (np.inf, "on held-out data."),
-    ],
-)
-def test_the_runner_up_and_its_lead(diagnosis, margin, said):
-    finding = diagnosis.findings[0]
-    sentence = words.runner_up_sentence(replace(finding, evidence=replace(finding.evidence, margin=margin)))
-    assert sentence.startswith("Runner-up: gap spring at element_1, which leaves 4.02 times the noise floor")
-    assert said in sentence
-    assert ("leads" in sentence) == (margin == 11.0)
-
-
 def test_without_a_runner_up_nothing_is_compared(diagnosis):
     assert words.runner_up_sentence(diagnosis.findings[1]) == "No other hypothesis was worth a fit in its place."
-
-
-def test_a_runner_up_that_ran_away_has_no_size(diagnosis):
-    finding = diagnosis.findings[0]
-    lost = replace(finding, runner_up=replace(finding.runner_up, held_out_level=np.inf))
-    assert "does not run through the held-out records" in words.runner_up_sentence(lost)
-
-
-def test_what_it_cannot_be_told_from(diagnosis):
-    finding = diagnosis.findings[0]
-    assert "cannot be told from sine softening in these data" in words.ambiguity_sentence(finding)
-    two = replace(finding, ambiguous_with=("sensor_gain", "input_gain"))
-    assert "from sensor gain or input gain in" in words.ambiguity_sentence(two)
-    assert words.ambiguity_sentence(diagnosis.findings[1]) == ""
-
-
-@pytest.mark.parametrize(("margin", "led"), [(9.0, False), (11.0, True)])
-def test_what_another_level_would_tell_is_no_matter_of_structure(diagnosis, margin, led):
-    finding = replace(
-        diagnosis.findings[0],
-        effect="coulomb_friction",
-        ambiguous_with=("quadratic_drag", "viscous damping", "constant_force"),
-        evidence=replace(diagnosis.findings[0].evidence, margin=margin),
-    )
-    sentence = words.ambiguity_sentence(finding)
-    assert "cannot be told from constant force in these data." in sentence
-    assert "is easily taken for quadratic drag or viscous damping in records of one level" in sentence
-    assert ("fits these better" in sentence) == led
-
-
-@pytest.mark.parametrize(
-    ("n_hit", "said"),
-    [(0, ""), (1, "P0 sits on its bound"), (2, "P0 and p1 sit on their bound"), (5, "p2 and 2 more sit")],
-)
-def test_bounds_that_were_hit(diagnosis, n_hit, said):
-    sentence = words.bounds_sentence(replace(diagnosis, bounds_hit=tuple(f"p{i}" for i in range(n_hit))))
-    assert said in sentence
-    assert bool(sentence) == (n_hit > 0)
 
 
 def test_a_bound_that_a_warning_names_is_not_told_again(diagnosis):
@@ -179,48 +92,9 @@ def test_what_the_diagnosis_settled_on_is_found_among_the_hypotheses(diagnosis, 
     assert found_hypothesis(replace(diagnosis, hypotheses=more)) is more[0]
 
 
-def test_limits_are_told_only_where_nothing_was_found(diagnosis, diagnosis_of):
-    limits = diagnosis_of("none", 0).detection_limits
-    assert words.hidden_sentence(replace(diagnosis, detection_limits=limits)) == ""
-
-
-def test_warnings_become_sentences(diagnosis):
-    found = replace(diagnosis, warnings=("one level only; add one", "All is well."))
-    assert words.read_first(found) == ("One level only; add one.", "All is well.")
-
-
-def test_what_could_still_hide_is_told_where_it_is_known(diagnosis, diagnosis_of):
+def test_what_could_still_hide_is_told_where_nothing_was_found(diagnosis, diagnosis_of):
     assert words.hidden_sentence(diagnosis) == ""
-    none = diagnosis_of("none", 0)
-    sentence = words.hidden_sentence(none)
-    assert "cubic stiffness at element_1 up to k3 = 3100 N/m^3" in sentence
-    assert "more stand" not in sentence
-    assert "; 1 more stand in the table" in words.hidden_sentence(
-        replace(none, detection_limits=none.detection_limits * 2)
-    )
-
-
-@pytest.mark.parametrize(
-    ("status", "n_effects", "start"),
-    [
-        ("named", 1, "Simulate with the updated model"),
-        ("none", 0, "Go on with the calibrated model"),
-        ("unresolved", 1, "Do not build on the named effect yet"),
-        ("unresolved", 0, "Keep the model as it is"),
-    ],
-)
-def test_what_to_do_next_ends_with_the_advice(diagnosis_of, status, n_effects, start):
-    found = diagnosis_of(status, n_effects)
-    first, *rest = words.next_sentences(found)
-    assert first.startswith(start)
-    assert tuple(rest) == found.advice
-
-
-def test_the_way_of_the_floor_is_told_once_for_records_that_share_it(diagnosis):
-    (sentence,) = words.floor_sentences(diagnosis)
-    assert sentence.startswith("Noise floor of held out, 0.8 N and held out, 1.8 N: quiet band (18 to 25 Hz")
-    floor = replace(diagnosis.noise_floor, method=("quiet band",) * 3 + ("repeated periods",))
-    assert len(words.floor_sentences(replace(diagnosis, noise_floor=floor))) == 2
+    assert "cubic stiffness at element_1 up to k3 = 3100 N/m^3" in words.hidden_sentence(diagnosis_of("none", 0))
 
 
 def test_the_floor_in_short_has_the_way_and_how_sure_it_is(diagnosis):
@@ -228,13 +102,6 @@ def test_the_floor_in_short_has_the_way_and_how_sure_it_is(diagnosis):
     assert sentence == "Noise floor of held out, 0.8 N and held out, 1.8 N: quiet band, known to about 4.2 %."
     floor = replace(diagnosis.noise_floor, method=("quiet band",) * 3 + ("repeated periods",))
     assert len(words.floor_summary(replace(diagnosis, noise_floor=floor))) == 2
-
-
-@pytest.mark.parametrize(("error", "limit"), [(0.29, False), (0.31, True)])
-def test_a_floor_that_is_hardly_known_is_called_a_limit(diagnosis, error, limit):
-    floor = replace(diagnosis.noise_floor, standard_error=np.full((4, 2), error))
-    (sentence,) = words.floor_summary(replace(diagnosis, noise_floor=floor))
-    assert ("rather an upper limit" in sentence) == limit
 
 
 def with_noise_for(found, outputs):
@@ -270,14 +137,6 @@ def test_none_is_no_praise_of_a_model_that_explains_nothing(diagnosis_of, output
     assert ("nothing was compared but noise" in words.next_sentences(found)[0]) == (len(outputs) == 2)
     assert ("explains nothing of" in found.verdict) == bool(outputs)
     assert bool(words.hidden_sentence(found)) == (len(outputs) < 2)
-
-
-def test_where_is_that_of_the_location(diagnosis):
-    class Location:
-        sentences = ("The gap lies in output 'upper'.",)
-
-    assert words.where_sentences(replace(diagnosis, location=Location())) == Location.sentences
-    assert words.where_sentences(diagnosis) == ()
 
 
 def test_a_finding_in_one_sentence(diagnosis):
@@ -343,7 +202,19 @@ def test_the_limits_of_the_words_are_those_of_the_decision():
     assert pytest.approx(NEAR_FLOOR) == NAMED_WITHIN**2
 
 
-def test_times_of_the_floor_keep_three_digits():
-    for value in (0.0123, 0.5, 1.0, 1.499, 12.34, 123.4, 98765.0):
-        assert float(times_text(value)) == pytest.approx(value, rel=6e-3)
-        assert "e" not in times_text(value)
+def test_places_that_nobody_named_are_told_by_what_they_join(make_gap):
+    found = make_gap(warnings=("look at element_1, not at element_10 or my element_1-a",))
+    told = in_words(found)
+    assert "at the link lower-upper;" in found.verdict
+    assert [one.where for one in told.findings] == ["the link lower-upper"] * 2
+    assert told.calibrated[0].name == "stiffness of the link lower-ground"
+    assert told.warnings == ("look at the link lower-upper, not at element_10 or my element_1-a",)
+    assert told.steps[2].name == "cubic_stiffness at the link lower-upper"
+    assert told.model is found.model
+
+
+def test_a_name_that_somebody_gave_stays(make_gap):
+    found = make_gap(where="joint")
+    elements = [replace(one, name="joint") if one.end else one for one in found.model.elements]
+    told = in_words(replace(found, model=replace(found.model, elements=tuple(elements))))
+    assert {one.where for one in told.findings} == {"joint"}

@@ -1,6 +1,7 @@
 """Each sentence comes from a rule, and here each rule is met on both of its sides."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from modal.identification.words import (
     frequency_text,
     trust_of,
 )
-from modal.sections.words import data_sentences, fit_word, modes_headline
+from modal.sections.words import data_sentences, fit_word, modes_headline, next_sentences
 from modal.wording.numbers import fit_text, hertz, ratio_text, with_interval
 
 
@@ -70,14 +71,6 @@ def test_frequencies_are_written_without_powers_of_ten(identification, value, te
 )
 def test_fit_words(fit, word):
     assert fit_word(fit) == word
-
-
-def test_a_fit_below_one_half_is_said_and_is_no_error_where_modes_are_certain(identification):
-    below, above = with_fit(identification, 0.49), with_fit(identification, 0.51)
-    assert "reproduces only 49 % of data kept aside; the rest is noise or forces" in fit_sentence(below)
-    nothing = replace(below, modes=replace(below.modes, modes=()))
-    assert fit_sentence(nothing) == "The model reproduces only 49 % of data kept aside, too little."
-    assert fit_sentence(above).startswith("From the inputs alone, the model reproduces 51 % of data kept aside")
 
 
 @pytest.mark.parametrize(
@@ -146,13 +139,6 @@ def test_trust(identification, fit, n_system, warnings, trust):
     assert trust_of(result).trust == trust
 
 
-def test_no_system_mode_is_said(identification):
-    assert not any("No pole" in reason for reason in trust_of(identification).reasons)
-    assert any(
-        "No pole of the model is accepted" in reason for reason in trust_of(with_system(identification, 0)).reasons
-    )
-
-
 def test_unresolved_damping_is_said_and_not_quoted(identification):
     assert damping_sentence(identification) == ""
     first, *others = identification.modes.modes
@@ -205,3 +191,15 @@ def test_intervals_are_shown_when_known(identification):
     assert frequency_text(mode) == "3.670 ± 0.020"
     assert damping_text(mode) == "1.200 ± 0.098 %"
     assert ratio_text(np.nan) == "–"
+
+
+def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
+    warned = replace(with_system(identification, 0), warnings=("Look.", "Look again."))
+    bad = SimpleNamespace(findings=(SimpleNamespace(level="bad", what="missing samples", where="force"),))
+    (mend,) = next_sentences(warned, bad)
+    assert mend.startswith("Mend or replace the data (missing samples, force)")
+    (again,) = next_sentences(warned)
+    assert again.startswith("Quote nothing")
+    assert (
+        next_sentences(replace(identification, warnings=("Look.",)))[0] == "Read the warning before you quote a number."
+    )

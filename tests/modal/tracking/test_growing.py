@@ -9,7 +9,7 @@ import scipy
 
 import modal
 from modal.command.main import status
-from modal.tracking.growing import growing_blocks
+from modal.tracking.live import growing_blocks
 from okid.errors import InvalidDataError, UnreadableFileError
 
 DT, N = 0.01, 1500

@@ -8,6 +8,7 @@ from bridge_year import DAY, HOUR, as_table, bridge_year
 
 import modal
 from modal.command.main import status as _status
+from modal.tracking.page import tracks_headline
 from okid.errors import InvalidDataError
 
 
@@ -143,3 +144,9 @@ def test_the_command_writes_a_page_and_a_table(tmp_path, capsys):
     assert pq.read_table(tmp_path / "tracks.parquet").num_rows == table.num_rows
     assert _status(["track", str(tmp_path / "nothing")]) == 2
     assert "holds no modes.parquet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("n_records", "says"), [(39, "too few records"), (42, "nothing changed beyond chance")])
+def test_no_alarm_of_few_records_is_no_good_news(n_records, says):
+    wobble = 1.0 + 1e-3 * np.random.default_rng(2).standard_normal((n_records, 2))
+    assert says in tracks_headline(modal.track(table_of(np.array([2.0, 3.1]) * wobble, SHAPES)))

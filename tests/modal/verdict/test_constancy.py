@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hard_records import FAMILIES
+from scipy.signal import lfilter
 
 from modal.identification.pipeline import identify
 from modal.verdict.constancy import unsteady_drive
@@ -34,6 +35,17 @@ def test_a_stiffness_that_falls_or_rises_is_said_so():
 
 def test_a_linear_structure_does_not_change():
     assert warnings_of("driven", 1) == []
+
+
+def test_a_mode_at_rest_in_most_of_the_record_has_no_level_to_change_with():
+    """Driven for a tenth of the record, then decayed below what a float can hold."""
+    u = np.random.default_rng(0).standard_normal(12_000)
+    u[1200:] = 0.0
+    y = lfilter([0.0, 1.0], [1.0, -1.2, 0.8], u)
+    noisy = y + 1e-3 * np.random.default_rng(1).standard_normal(u.size)
+    result = identify(Record(u, noisy, 0.01), kind="driven")
+    assert [mode.verdict for mode in result.modes][:1] == ["system"]
+    assert not [words for words in result.warnings if "changes" in words]
 
 
 def test_an_event_without_its_input_is_said():

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.wording.names import csv_cell, escape_markdown, plot_label, shorten, visible
+from okid.errors import InvalidDataError
 
 RIGHT_TO_LEFT_OVERRIDE = "\N{RIGHT-TO-LEFT OVERRIDE}"
 
@@ -67,3 +68,14 @@ def test_underscores_within_a_word_stay():
 
 def test_a_picture_label_is_never_mathematics():
     assert plot_label("a\x1b[2J$") == "a\N{REPLACEMENT CHARACTER}[2J$"
+
+
+def test_a_sentence_leaves_out_the_middle_of_what_is_too_long_to_be_read():
+    long = InvalidDataError(
+        f"the kind of 'a' is {'acc[' * 900!r}, and {'b c ' * 900!r} is the name of 'd'; use a word."
+    )
+    assert len(str(long)) < 420
+    assert str(long).startswith("the kind of 'a' is 'acc[")
+    assert str(long).endswith("c ' is the name of 'd'; use a word.")
+    between = f"'a' {'of many short words ' * 20}'b'"
+    assert str(InvalidDataError(between)) == between

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError, UnreadableFileError
 from okid.readers import read_record
 
 N_SAMPLES = 200
@@ -128,6 +128,7 @@ def test_a_time_column_in_another_unit(file_with_time):
             "Seconds",
         ),
         *("X_Value", "x value", "time_s", "t_s", "Time, s", "Time / s", "Relative Time", "Elapsed Time (s)", "Tiempo"),
+        *("Time (seconds)", "Datetime", "Date Time", "Elapsed", "Czas", "Время", "時間"),
     ],
 )
 def test_time_columns_of_loggers(file_with_time, header):
@@ -138,6 +139,43 @@ def test_time_columns_of_loggers(file_with_time, header):
 @pytest.mark.parametrize("header", ["time_ms", "Time (ms)", "Zeit [ms]", "t_ms", "Zeit in ms", "Temps ms"])
 def test_time_columns_in_milliseconds(file_with_time, header):
     assert read_record(file_with_time(TIME, header)).dt == pytest.approx(1e-5, rel=1e-12)
+
+
+@pytest.mark.parametrize("head", ["Timestamp,tip", "Datum,tip", "DAQ,tip", "Uhrzeit,tip\n[hh:mm:ss],[g]"])
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        "2026-05-04T23:59:{}",
+        "2026-05-04 23:59:{}Z",
+        '"2026-05-04T23:59:{}+02:00"',
+        "04.05.2026 23:59:{}",
+        "23:59:{}",
+    ],
+)
+def test_stamps_of_a_clock(tmp_path, head, stamp):
+    path = tmp_path / "clock.csv"
+    rows = [f"{stamp.format(f'{t:06.3f}')},{k}" for k, t in enumerate(np.arange(100) / 128.0)]
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    record = read_record(path)
+    assert (record.dt, record.start_time) == (pytest.approx(1 / 128, rel=1e-3), 0.0)
+    assert record.outputs[:, 0].tolist() == pytest.approx(np.arange(100.0) * (9.80665 if "[g]" in head else 1.0))
+
+
+def test_a_clock_past_midnight_and_one_with_a_comma(tmp_path):
+    path = tmp_path / "night.csv"
+    path.write_text("t;x\n2026-12-31 23:59:59,5;1,5\n2027-01-01 00:00:00,0;2\n2027-01-01 00:00:00,5;3\n")
+    assert read_record(path).dt == 0.5
+    path.write_text("t;x\n23:59:59.5;1,5\n24:00:00.0;2,5\n24:00:00.5;3,5\n")
+    assert read_record(path).outputs.ravel().tolist() == [1.5, 2.5, 3.5]
+    path.write_text("t,x,y\n00:00:01,5,1\n00:00:02,6,1\n00:00:03,7,1\n00:00:04,8,1\n")
+    assert read_record(path).dt == 1.0  # between commas, a comma is no decimal sign
+
+
+def test_a_stamp_that_is_no_date(tmp_path):
+    path = tmp_path / "clock.csv"
+    path.write_text("t,x\n2026-02-28 00:00:00,1\n2026-02-31 00:00:01,2\n")
+    with pytest.raises(UnreadableFileError, match="no date"):
+        read_record(path)
 
 
 @pytest.mark.parametrize("header", ["T", "tip_ms", "times", "dt", "x", "timer_h"])

@@ -6,6 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from okid.errors import UnreadableFileError
+from okid.readers import units
 from okid.readers.table import split_header, unique_names
 from okid.readers.units import convert_unit, unit_error
 
@@ -65,6 +67,18 @@ def test_temperatures_have_an_offset(written, celsius_20):
     conversion = convert_unit("oil", written)
     assert conversion.unit == "K"
     assert conversion.factor * celsius_20 + conversion.offset == pytest.approx(293.15, abs=1e-9)
+
+
+def test_a_units_library_that_does_not_work_is_said(monkeypatch):
+    """As an old one beside a new parser: every unit would count as unknown, and be kept as it is in silence."""
+
+    def broken():
+        raise TypeError("cannot inherit frozen dataclass from a non-frozen one")
+
+    monkeypatch.setattr("pint.UnitRegistry", broken)
+    units._registry.cache_clear()
+    with pytest.raises(UnreadableFileError, match=r"pint does not work here \(cannot inherit .*run: pip install"):
+        convert_unit("speed", "furlong/fortnight")
 
 
 def test_a_rate_of_temperature_has_no_offset():

@@ -16,6 +16,7 @@ from modal.discrepancy.fitting.estimation import (
     weighted_residual,
     weights_along,
 )
+from modal.discrepancy.fitting.nodes import loaded
 from modal.simulation.drive import drive_of
 from modal.simulation.scheme import Budget
 from modal.simulation.sensitivity import sensitivity
@@ -33,9 +34,6 @@ def problem_of(keys, *, missing=0.0, noise=0.0, seed=0, change=(), lengths=(120,
     for index, value in change:
         common[index] = value
     local = unknowns.local.copy()
-    for place, placement in enumerate(assembly.placements):
-        if placement.effect.rate_independent:
-            local[:, assembly.own_of(place)] = 0.0  # a hysteretic link starts unloaded
     unknowns = replace(unknowns, common=common, local=local)
     variance = np.full((2, plant.n_outputs), floor)
     problem = Problem(drive=drive, floor=variance)
@@ -43,6 +41,34 @@ def problem_of(keys, *, missing=0.0, noise=0.0, seed=0, change=(), lengths=(120,
     rng = np.random.default_rng(seed)
     measured = exact + noise * rng.standard_normal(exact.shape)
     return assembly, unknowns, replace(problem, drive=replace(drive, outputs=np.where(drive.present, measured, 0.0)))
+
+
+def a_link(displacement, velocity, load):
+    """A link that slips at 0.15, in records that begin so; the truth, and the problem of what each record begins at."""
+    assembly, unknowns, problem = problem_of(["slack_in_hysteresis"], floor=1e-6)
+    local = np.zeros_like(unknowns.local)
+    local[:, [0, 2, -1]] = displacement, velocity, load
+    truth = replace(unknowns, local=local)
+    outputs = simulate_at(assembly, truth, problem).trajectory.outputs
+    return assembly, truth, replace(problem, drive=replace(problem.drive, outputs=outputs), free_common=False)
+
+
+def test_a_link_that_is_loaded_to_the_other_side_is_found_there():
+    assembly, truth, problem = a_link(0.4, 3.0, 0.15)
+    turned = truth.local * np.array([*[1.0] * (assembly.n_local - 1), -1.0])
+    start = simulate_at(assembly, replace(truth, local=turned), problem)
+    stuck = estimate(start, problem, iterations=20)
+    assert stuck.level > 100.0  # no step leads from one end to the other
+    assert loaded(stuck, problem).level < 1e-3
+
+
+def test_a_link_that_begins_at_rest_is_not_loaded():
+    """Else one that never slips would be a constant force of each record, and explain a zero that moves."""
+    assembly, truth, problem = a_link(0.0, 0.0, 0.1)
+    start = simulate_at(assembly, replace(truth, local=np.zeros_like(truth.local)), problem)
+    found = estimate(start, problem, iterations=12)
+    assert np.abs(found.unknowns.local[:, -1]).max() < 0.03
+    assert found.level > 100.0
 
 
 def away(assembly, unknowns):

@@ -1,9 +1,11 @@
 """A wrongly declared hold, with records that a simulation loop wrote down, as people do."""
 
+import math
+
 import numpy as np
 import pytest
 
-from modal.discrepancy import diagnose
+from modal.discrepancy import CATALOGUE, diagnose
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
@@ -19,11 +21,11 @@ def loop_record(sines, *, written, n=400, hold="zero_order"):
     force = sum(size * np.sin(speed * time + start) for size, speed, start in sines)
     x = v = 0.0
     outputs = np.empty(n)
-    for k, u in enumerate(force):
+    for k, u in enumerate(force.tolist()):
         if written == "before":
             outputs[k] = x
         for _ in range(SUBSTEPS):
-            v += DT / SUBSTEPS * (u - 0.4 * v - 100.0 * x - FRICTION * np.sign(v))
+            v += DT / SUBSTEPS * (u - 0.4 * v - 100.0 * x - (math.copysign(FRICTION, v) if v else 0.0))
             x += DT / SUBSTEPS * v
         if written == "after":
             outputs[k] = x
@@ -34,7 +36,8 @@ def loop_diagnosis(written, hold):
     sines = (((3, 8.0, 1), (2, 12.3, 0)), ((6, 9.0, 1), (3, 5.1, 0)), ((4, 7.1, 1), (3, 11.2, 0)))
     *fit, held_out = (loop_record(one, written=written, hold=hold) for one in sines)
     model = StructuralModel.chain([1.0], [100.0], [0.4], force_dofs=[0], sensor_dofs=[0])
-    return diagnose(model, fit, held_out)
+    rivals = ("coulomb_friction", "input_delay", "missing_mode")
+    return diagnose(model, fit, held_out, catalogue={key: CATALOGUE[key] for key in rivals})
 
 
 @pytest.mark.parametrize(("written", "samples"), [("after", -1.0)])

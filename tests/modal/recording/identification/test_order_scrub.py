@@ -1,12 +1,9 @@
 """The page "Order" on the timeline "model_order": poles appear as the order grows, words say what each order has."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from modal.recording import save_recording
-from modal.recording.identification.order import order_text
 
 PLOT = "/order/stabilisation/plot"
 
@@ -54,18 +51,6 @@ def test_the_words_of_each_order_come_from_its_numbers(stored, identification):
     assert ", chosen" not in text
     ((chosen,),) = [row["TextDocument:text"] for row in stored.rows("/order/text", "time").values()]
     assert chosen.startswith(f"### Order {evidence.order}, chosen")
-
-
-def test_what_was_not_tried_or_is_unstable_is_said(identification):
-    evidence = identification.order_evidence
-    assert "not tried by cross-validation" in order_text(evidence, 40)
-    unstable = evidence.candidate_orders[np.isnan(evidence.candidate_fits)][0]
-    assert "the free run is unstable" in order_text(evidence, int(unstable))
-    known = replace(
-        evidence, stabilisation=tuple(replace(point, repeatability=0.96) for point in evidence.stabilisation)
-    )
-    total = sum(p.order == 10 for p in evidence.stabilisation)
-    assert f"{total} of its {total} poles were found again from halves of the data" in order_text(known, 10)
 
 
 def test_behind_the_poles_is_the_spectrum_of_the_outputs_and_the_key_says_so(build, tmp_path, read):

@@ -10,10 +10,9 @@ from modal.preparation.channel import Finding
 from modal.quality import check_quality
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.recording import save_recording
-from modal.recording.identification.record import MOST_MARKS, _density_unit, marked, quality_text
+from modal.recording.identification.record import MOST_MARKS, marked
 from modal.recording.plan import gather, planned
 from modal.recording.stream import blueprint
-from okid.record import Record
 
 HOSTILE = "<script>alert(1)</script> |x| [y](http://z) \u202e"
 
@@ -146,13 +145,6 @@ def test_without_faults_nothing_is_marked_and_there_is_no_view_for_it(identifica
     assert "What was found, and when" not in [getattr(view, "name", "") for view in page.contents[0].contents]
 
 
-def test_what_is_not_known_is_a_dash(identification):
-    quality = make_quality()
-    unknown = replace(quality.channels[0], statistics=statistics(signal_to_noise=np.nan, explained=np.nan), unit="")
-    text = quality_text(replace(quality, channels=(unknown,)), identification.records)
-    assert "| shaker_1 | – | 1 | 1 | – | – | good |" in text.replace("\\", "")
-
-
 def test_hostile_text_of_findings_is_harmless(build, tmp_path, read):
     quality = make_quality([finding(what=HOSTILE, channels=(HOSTILE,), sentence=HOSTILE)])
     stored = read(save_recording(build(), tmp_path / "run.rrd", quality=quality))
@@ -170,11 +162,9 @@ def test_the_identification_looks_at_the_data_itself_where_nobody_has(build):
     assert any(one.spans for one in quality.findings)
 
 
-@pytest.mark.parametrize(
-    ("units", "expected"),
-    [(("N", "N"), "N²/Hz"), (("m/s^2", "m/s^2"), "(m/s^2)²/Hz"), (("m", "N"), "unit²/Hz"), (("", ""), "unit²/Hz")],
-)
-def test_a_spectrum_has_the_unit_of_its_channels_where_they_have_one(units, expected):
-    rng = np.random.default_rng(0)
-    record = Record(rng.standard_normal(200), rng.standard_normal((200, 2)), 0.1, output_units=units)
-    assert _density_unit(check_quality(record), "output") == expected
+def test_data_that_were_read_without_the_release_of_a_decay_are_drawn(build, tmp_path):
+    """A decay is identified with an input of its own, which no file holds."""
+    found = build(n_inputs=1)
+    (record,) = found.records
+    read = check_quality(replace(record, inputs=np.empty((record.n_samples, 0)), input_names=(), input_units=()))
+    assert save_recording(found, tmp_path / "decay.rrd", quality=read).stat().st_size > 0

@@ -7,7 +7,7 @@ import pytest
 
 from era.realisation import Realisation
 from modal.recording import save_recording
-from modal.recording.identification.validation import drawn_inputs, two_line_limits, validation_text
+from modal.recording.identification.validation import drawn_inputs
 from modal.recording.plan import gather, planned, response_of
 from okid.record import Record
 
@@ -67,28 +67,6 @@ def test_the_input_that_moves_an_output_most_is_drawn_first_and_many_pairs_are_b
     evidence = replace(evidence, measured=replace(evidence.measured, ordinary_coherence=coherence))
     assert drawn_inputs(evidence, plan, 5)[0] == 2
     assert all(len(drawn_inputs(evidence, plan, output)) == 1 for output in range(12))
-
-
-def test_the_words_say_which_rows_were_run(identification, build):
-    driven = validation_text(identification, gather(identification))
-    assert driven.startswith("### Free run on all rows")
-    assert "not fitted to the rows they are scored on" in driven
-    assert "H1 from" in driven
-    alone = build(n_inputs=0)
-    text = validation_text(alone, gather(alone))
-    assert text.startswith("### One step ahead, on all rows")
-    assert "H1" not in text
-    short = build(n_samples=12, n_noise=0)
-    assert gather(short).measured is None
-    assert "too short for a measured response" in validation_text(short, gather(short))
-
-
-def test_what_is_left_over_is_the_root_mean_square_of_the_residual(identification):
-    text = validation_text(identification, gather(identification))
-    record, run = identification.records[0], identification.simulated[0]
-    left = np.sqrt(np.mean((record.outputs[:, 2] - run.outputs[:, 2]) ** 2))
-    row = next(line for line in text.splitlines() if line.startswith("| floor"[:7]) and "_3" in line)
-    assert f"| {left:.3g} |" in row
 
 
 def test_without_inputs_the_spectrum_of_the_model_stands_beside_that_of_the_data(build):
@@ -154,14 +132,3 @@ def test_between_coarse_lines_the_model_is_drawn_and_stored_as_it_is(build, tmp_
         np.testing.assert_allclose(made[line], expected[1], rtol=1e-9)
     drawn = stored.static("/validation/overview/02/plot/synthesised", "LineStrips2D:strips")
     assert sum(map(len, drawn)) > 3 * evidence.measured.frequencies.size
-
-
-def test_the_axis_holds_the_peaks_of_the_model_but_not_those_that_are_none():
-    seen = np.array([0.1, 1.0, np.nan])
-    assert two_line_limits(seen, np.array([1e-9, 5.0])) == (0.1, 5.0)
-    assert 5.0 < two_line_limits(seen, np.array([1e9]))[1] < 1e4
-    assert two_line_limits(np.array([np.nan]), np.array([2.0, 3.0]))[1] >= 3.0
-    assert two_line_limits(np.array([np.nan]), np.array([np.nan]))[1] > 0.0
-    low, lowest = (two_line_limits(np.array([1e-12, 1.0]), seen, decades=n)[0] for n in (5.0, 10.0))
-    assert low == pytest.approx(1e-5)
-    assert lowest == pytest.approx(1e-10)
