@@ -212,7 +212,8 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
             progress=lambda what, share: tell(what, READ + (DIAGNOSED - READ) * share),
         )
         tell("writing the report and the recording", DIAGNOSED)
-        remarks = (*remarks, *(text for text in heard if text not in found.warnings))
+        told = {text.rstrip(".") for text in found.warnings}
+        remarks = (*remarks, *(text for text in heard if text.rstrip(".") not in told))
         provenance = replace(job.provenance(), remarks=remarks, files=files_read)
         files = write_diagnosis(found, job.folder, existing=job.existing, provenance=provenance)
         if job.pdf is not None:

@@ -77,5 +77,5 @@ def test_a_sentence_leaves_out_the_middle_of_what_is_too_long_to_be_read():
     assert len(str(long)) < 420
     assert str(long).startswith("the kind of 'a' is 'acc[")
     assert str(long).endswith("c ' is the name of 'd'; use a word.")
-    between = f"'a' {'of many short words ' * 20}'b'"
+    between = f"'a' {'of many short words ' * 20}'b'."
     assert str(InvalidDataError(between)) == between
