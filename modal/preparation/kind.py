@@ -22,7 +22,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["GivenKind", "KindFound", "RecordKind", "find_kind", "first_acts", "given_kind"]
+__all__ = ["GivenKind", "KindFound", "RecordKind", "find_kind", "first_acts", "given_kind", "variance"]
 
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
@@ -213,7 +213,7 @@ def _free_from(outputs: FloatArray) -> int:
     if n_rows < 2:
         return 0
     parts = outputs[: n_rows * FINE_PARTS].reshape(FINE_PARTS, n_rows, -1)
-    power = _variance(parts, axis=1)
+    power = variance(parts, axis=1)
     levels = (power / np.maximum(power.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
     strongest = int(levels.argmax())
     # the part before the strongest may hold the first rows of the motion
@@ -226,13 +226,13 @@ def _free_from(outputs: FloatArray) -> int:
     away = np.abs(np.nan_to_num(near - level))
     size = np.maximum(away.max(axis=0), np.finfo(float).tiny)
     first = int(
-        (away > np.maximum(LEAVES_REST * size, DEVIATIONS * np.sqrt(_variance(rest, axis=0)))).any(axis=1).argmax()
+        (away > np.maximum(LEAVES_REST * size, DEVIATIONS * np.sqrt(variance(rest, axis=0)))).any(axis=1).argmax()
     )
     furthest = int((away / size).max(axis=1).argmax())
     return n_rows * quiet.size + first + 2 * max(0, furthest - first) + 1
 
 
-def _variance(values: FloatArray, *, axis: int) -> FloatArray:
+def variance(values: FloatArray, *, axis: int) -> FloatArray:
     """About the mean along an axis of what is there; 0 where nothing is."""
     count = np.maximum(np.isfinite(values).sum(axis=axis, keepdims=True), 1)
     away = np.nan_to_num(values - np.nansum(values, axis=axis, keepdims=True) / count)
@@ -242,17 +242,23 @@ def _variance(values: FloatArray, *, axis: int) -> FloatArray:
 def _fall(outputs: FloatArray) -> tuple[float, bool]:
     """Power of the first part over that of the last three, 0 where a later part has more; and whether it never rises.
 
-    Every output counts in units of its own power at the end, so that one that shows nothing hides no other.
+    Every output counts in units of its own power at the end, so that one that shows nothing hides no other. A part in
+    which an output has no sample says nothing, and is left out.
     """
     n_rows = len(outputs) // N_PARTS
     if n_rows < 1:
         return 0.0, False
     parts = outputs[: n_rows * N_PARTS].reshape(N_PARTS, n_rows, -1)
+    there = np.isfinite(parts).any(axis=1)  # (N_PARTS, n_outputs)
+    parts = parts[:, :, there.any(axis=0)]
+    parts = parts[there[:, there.any(axis=0)].all(axis=1)]
+    if len(parts) <= 3:
+        return 0.0, False
     # the level at which the motion ends
     squares = np.square(parts - np.nanmean(parts[-3:], axis=(0, 1)))
-    power = np.nanmean(squares, axis=1)  # (N_PARTS, n_outputs)
-    end = np.maximum(np.nanmean(power[-3:], axis=0), ROUND_OFF * power.max(axis=0) + np.finfo(float).tiny)
-    levels = np.nanmean(power / end, axis=1)
+    power = np.nanmean(squares, axis=1)  # (n_parts, n_outputs)
+    end = np.maximum(power[-3:].mean(axis=0), ROUND_OFF * power.max(axis=0) + np.finfo(float).tiny)
+    levels = (power / end).mean(axis=1)
     if levels.argmax() > 0:
         return 0.0, False
     return float(levels[0]), bool((levels[1:] - 1.0 <= RISE * levels[:-1]).all())

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from modal.modes.choice import Choice
-from modal.preparation.kind import first_acts
+from modal.preparation.kind import first_acts, variance
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -160,9 +160,11 @@ def _rests(record: Record, first: int) -> bool:
         return True
     n_rows = max(1, record.n_samples // N_PARTS)
     parts = record.outputs[: n_rows * (record.n_samples // n_rows)].reshape(-1, n_rows, record.n_outputs)
-    floor = np.nanmin(np.nanstd(parts, axis=1), axis=0)
-    least = np.maximum(NO_QUIETER * floor, NEGLIGIBLE * np.nanstd(record.outputs, axis=0))
-    if (np.sqrt(np.nanmean(np.square(before), axis=0)) > least).any():
+    there = np.isfinite(parts).any(axis=1)
+    floor = np.sqrt(np.where(there, variance(parts, axis=1), np.inf).min(axis=0))
+    least = np.maximum(NO_QUIETER * floor, NEGLIGIBLE * np.sqrt(variance(record.outputs, axis=0)))
+    n_before = np.maximum(np.isfinite(before).sum(axis=0), 1)
+    if (np.sqrt(np.nansum(np.square(before), axis=0) / n_before) > least).any():
         return False
     return first < ENOUGH or _looks_white(before)
 

@@ -1,5 +1,7 @@
 """What kind of record is it: told from data that the product has not made, and never wrong in silence."""
 
+import warnings
+
 import numpy as np
 import pytest
 from field_records import KINDS, random_records
@@ -125,3 +127,16 @@ def test_what_the_caller_says():
             find_kind(records, kind)
     with pytest.raises(InvalidDataError, match="kind must be one of"):
         given_kind("struck")
+
+
+@pytest.mark.parametrize("away", [(0.3, 0.55), (0.8, 1.0), (0.0, 0.0)])
+def test_a_decay_with_a_gap_is_a_decay(away):
+    """Whole tenths of the record are missing, at its end too; nothing is said about an empty mean."""
+    rng = np.random.default_rng(8)
+    time = np.arange(4000)
+    swings = np.exp(-0.004 * time)[:, np.newaxis] * np.sin(np.outer(time, [0.2, 0.5]))
+    outputs = swings + 1e-3 * rng.standard_normal(swings.shape)
+    outputs[int(4000 * away[0]) : int(4000 * away[1])] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert find_kind([Record(np.zeros((4000, 0)), outputs, 0.01)]).kind == "decay"

@@ -1,5 +1,7 @@
 """Rest before a blow: believed only where the record shows it, and the release that stands for a decay."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,16 @@ def test_a_release_for_each_of_the_strongest():
     np.testing.assert_allclose(made[4].outputs[:2].ravel(), [7.0, 12.0], atol=1e-3)
     gap = np.where(rng.random(2000) < 0.1, np.nan, RING)
     assert np.isfinite(released([Record([], gap, 0.01)])[0].outputs[0]).all()
+
+
+def test_a_gap_hides_no_rest():
+    """The quietest part is looked for where there are samples, without a word about those where there are none."""
+    rng = np.random.default_rng(5)
+    force = np.zeros(2000)
+    force[150:154] = 1.0
+    outputs = np.convolve(force, np.exp(-0.02 * np.arange(400)) * np.sin(0.4 * np.arange(400)))[:2000]
+    outputs += 1e-3 * rng.standard_normal(2000)
+    outputs[900:1300] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert with_rest([Record(force, outputs, 0.01)]).choice.value == "used"
