@@ -195,6 +195,8 @@ def settled(
     They are linear in the start, so one step is exact; rows by which A - K C has forgotten it say nothing about it.
     """
     errors, _ = innovation_run(A, C, gain, part.values, state=part.state)
+    if not np.isfinite(errors).all():  # a gain that makes the predictor unstable
+        return part, errors
     radius, length = _radius(A - gain @ C), errors.shape[0]
     if radius < 1.0:
         length = min(length, 2 * A.shape[0] + int(np.log(FORGOTTEN) / np.log(max(radius, FORGOTTEN))))

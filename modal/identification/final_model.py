@@ -180,8 +180,10 @@ def _refined(
             n_rest=n_rest,
             by=by,
         )
-    gain = None if refined is None else estimate_gain(refined.realisation, records)
-    base = model if refined is None or gain is None else replace(refined.realisation, K=gain.gain)
+    # the gain that came with the observer is not that of the model cut from it, and may make it unstable
+    driven = model if refined is None else refined.realisation
+    gain = estimate_gain(driven, records) if model.n_inputs else None
+    base = model if gain is None else replace(driven, K=gain.gain)
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base)
     if base.K is None:
         return made

@@ -9,6 +9,7 @@ from era.simulation import simulate as free_simulation
 from modal.estimation.cross_validation import Trial
 from modal.identification.final_model import fit_all_rows
 from modal.identification.order_search import Search, search, search_limits
+from modal.identification.pipeline import identify
 from okid.errors import NumericalError
 from okid.record import Record
 
@@ -137,3 +138,15 @@ def test_an_integrator_ends_with_a_stable_model():
     assert spectral_radius(final.realisation) < 1.0
     assert np.isfinite(free_simulation(final.realisation, record).outputs).all()
     assert found.chosen in found.trials
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_exact_data_give_no_gain(seed):
+    """There is no noise to learn it from: that of the observer belongs to another model, and may make this unstable."""
+    rng = np.random.default_rng(seed)
+    system = modal_system(
+        rng, n_inputs=2, n_outputs=3, frequencies=[4.0, 11.0, 19.0], damping_ratios=[0.02, 0.01, 0.01]
+    )
+    u = random_inputs(rng, 1200, 2)
+    model = identify(Record(u, simulate(system, u), system.dt)).realisation
+    assert not model.K.any()
