@@ -88,9 +88,11 @@ class LikeliestFit:
 
     @property
     def covariance(self) -> FloatArray:
-        """(n_outputs, n_outputs) R of the errors, the numbers fitted to each output taken off."""
+        """(n_outputs, n_outputs) R of the errors, the numbers fitted to each output taken off; none below the least."""
         n_rows = n_rows_of(self.data)
-        return self.step.linear.error_products / max(1.0, n_rows - self.n_numbers / self.step.layout.n_outputs)
+        values, vectors = _noises(self.step, max(1.0, n_rows - self.n_numbers / self.step.layout.n_outputs))
+        covariance: FloatArray = (vectors * values) @ vectors.T
+        return covariance
 
 
 def n_rows_of(data: OutputError) -> int:
@@ -133,10 +135,15 @@ def leaves_rounding(step: RefinementStep, n_rows: int) -> bool:
 
 
 def _weights(step: RefinementStep, n_rows: int) -> tuple[FloatArray, float]:
-    """R^-1 and N ln det R; what is too small for a weight of its own, or rounding, is taken as larger."""
-    values, vectors = np.linalg.eigh(step.linear.error_products / n_rows)
-    values = np.maximum(values, max(SMALLEST_NOISE**2 * values[-1], np.finfo(np.float64).tiny))
+    """R^-1 and N ln det R."""
+    values, vectors = _noises(step, n_rows)
     return (vectors / values) @ vectors.T, n_rows * float(np.log(values).sum())
+
+
+def _noises(step: RefinementStep, n_rows: float) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues and vectors of R; what is too small for a weight of its own, or rounding, is taken as larger."""
+    values, vectors = np.linalg.eigh(step.linear.error_products / n_rows)
+    return np.maximum(values, max(SMALLEST_NOISE**2 * values[-1], np.finfo(np.float64).tiny)), vectors
 
 
 def predictor_data(records: Sequence[Record], rows: Sequence[BoolArray]) -> OutputError:

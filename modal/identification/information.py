@@ -172,10 +172,6 @@ def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
     products = np.tensordot(weighted.real, gram[layout.real, phi], axes=(1, 0))
     products -= np.tensordot(weighted.imag, gram[layout.imaginary, phi], axes=(1, 0))
     taken = -np.einsum("son,nk->sko", products, inverse)
-    own = np.einsum("kn,oq->kqno", step.linear.inverse_factor, np.linalg.cholesky(_safe(R)))
+    own = np.einsum("kn,oq->kqno", step.linear.inverse_factor, np.linalg.cholesky(R))
     own = own.reshape(-1, layout.n_regressors, layout.n_outputs)
     return np.vstack([theta, np.zeros((own.shape[0], theta.shape[1]))]), np.concatenate([taken, own])
-
-
-def _safe(R: FloatArray) -> FloatArray:
-    return 0.5 * (R + R.T) + np.finfo(float).eps * np.trace(R) * np.eye(R.shape[0])

@@ -1,5 +1,7 @@
 """The innovation form: its chart by differences, its optimum and its information by an explicit loop over samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from noisy import noisy_data, noisy_system
@@ -168,3 +170,12 @@ def test_the_fit_is_near_the_true_gain_and_no_worse_than_the_truth():
     np.testing.assert_allclose(fit.covariance, truth.covariance, rtol=0.1, atol=0.05 * np.trace(truth.covariance))
     found, wanted = model.C @ model.K, s.C @ truth.K
     np.testing.assert_allclose(found, wanted, atol=0.2 * np.abs(wanted).max())
+
+
+def test_outputs_that_foretell_each_other_leave_a_covariance_that_can_be_used():
+    """Fewer things drive the outputs than there are, and no noise: rounding may make its least eigenvalue negative."""
+    _, _, fit = fitted(6, 1500)
+    rank_one = np.outer([1.0, 2.0], [1.0, 2.0])
+    linear = replace(fit.step.linear, error_products=rank_one - 1e-14 * np.eye(2))
+    values = np.linalg.eigvalsh(replace(fit, step=replace(fit.step, linear=linear)).covariance)
+    assert 0.0 < values[0] < 2e-6 * values[1]
