@@ -1,7 +1,9 @@
 """Modes through time: `modal-report track` follows those of a batch, `modal-report live` those of a growing file."""
 
+import codecs
 import contextlib
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
@@ -19,9 +21,13 @@ from modal.recording.live import estimate_recording, live_recording, log_estimat
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
 from modal.tracking.page import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
+from modal.wording.names import shorten
+from modal.wording.numbers import listed
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
-from okid.readers.dispatch import read_table
+from okid.readers.dispatch import READERS, read_table
+from okid.readers.table import Table
+from okid.readers.text import read_text, table_of_text
 from okid.record import Record
 
 __all__ = ["EXAMPLES", "LIVE_EXAMPLES", "live", "track"]
@@ -39,7 +45,8 @@ def track(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Table of what was measured besides (temperature, ...), one row a record in their order.",
+            help="Table of what was measured besides (temperature, ...): a row a record, by its name in a column "
+            "'record', else in their order.",
         ),
     ] = None,
     traceback: Traceback = False,
@@ -51,7 +58,7 @@ def track(
     """
     with faults(show=traceback):
         batch = Batch(folder)
-        found = follow_modes(batch, causes={} if causes is None else _read_causes(causes))
+        found = follow_modes(batch, causes={} if causes is None else _read_causes(causes, batch))
         write_tracks(found, folder)
         console = Console(highlight=False)
         console.print()
@@ -66,10 +73,52 @@ def track(
         raise typer.Exit(1 if found.alarms else 0)
 
 
-def _read_causes(path: Path) -> dict[str, FloatArray]:
-    """Every column of numbers but the time."""
-    table = read_table(path)
-    return {table.columns[k].name: np.array(table.values[:, k], dtype=np.float64) for k in table.channels()}
+_FIRST_CELL = re.compile(rb'(?m)^[ \t]*(?:"((?:[^"\r\n]|"")*)"|([^,;\t\r\n" ][^,;\t\r\n"]*))')
+"""The first cell of each line, in quotes or not."""
+
+
+def _read_causes(path: Path, batch: Batch) -> dict[str, FloatArray]:
+    """Every column of numbers but the time, a value a record; nan where a table that names records lacks one."""
+    records = batch.records.column("record").to_pylist()
+    table, named = _named_rows(path)
+    columns = [k for k in table.channels() if table.columns[k].name.lower() != "record"]
+    values = table.values[:, columns]
+    if named is None:
+        if len(values) != len(records):
+            status = batch.records.column("status").to_pylist()
+            failed = [name for name, how in zip(records, status, strict=True) if how == "failed"]
+            raise InvalidDataError(
+                f"{path.name} has {len(values)} rows, but the batch has {len(records)} records"
+                f"{f', failed ones included ({shorten(listed(failed), 80)})' if failed else ''}; give a row for each, "
+                "or name them in a first column 'record'."
+            )
+        found = values
+    else:
+        place = {name: row for row, name in enumerate(named)}
+        if len(place) < len(named):
+            twice = next(name for row, name in enumerate(named) if place[name] != row)
+            raise InvalidDataError(f"{path.name} names the record {twice!r} twice; leave one row for each.")
+        of_files = {Path(name).stem: row for name, row in place.items()}
+        rows = [place.get(name, of_files.get(name, -1)) for name in records]
+        if max(rows) < 0:
+            raise InvalidDataError(
+                f"{path.name} names none of the records of the batch ({shorten(listed(records), 120)}); write their "
+                "names, as batch lists them, into its column 'record'."
+            )
+        found = np.array([values[row] if row >= 0 else np.full(len(columns), np.nan) for row in rows])
+    return {table.columns[k].name: np.array(found[:, i], dtype=np.float64) for i, k in enumerate(columns)}
+
+
+def _named_rows(path: Path) -> tuple[Table, list[str] | None]:
+    """The table, and the names of its rows where the first column of a text is headed 'record'."""
+    text = path.is_file() and READERS.get(path.suffix.lower()) is read_text
+    data = path.read_bytes().removeprefix(codecs.BOM_UTF8) if text else b""
+    cells = [(one[1] or one[2] or b"").decode(errors="replace").strip() for one in _FIRST_CELL.finditer(data)]
+    if not cells or cells[0].lower() != "record":
+        return read_table(path), None
+    numbers = itertools.count(-1)
+    table = table_of_text(_FIRST_CELL.sub(lambda one: b"%d" % k if (k := next(numbers)) >= 0 else one[0], data), path)
+    return table, [cells[1 + int(k)] if k >= 0 else "" for k in table.values[:, table.names.index(cells[0])]]
 
 
 LIVE_EXAMPLES = examples(

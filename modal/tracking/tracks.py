@@ -24,11 +24,14 @@ from modal.batch.tables import Batch
 from modal.comparison.shifts import DOUBT, POLE_SCALE, SHAPE_SCALE, TOO_FAR, Shift
 from modal.comparison.words import percent_text
 from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, find_changes
-from modal.wording.numbers import hertz
+from modal.wording.names import shorten
+from modal.wording.numbers import hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
 from okid.errors import InvalidDataError
 
 __all__ = ["Alarm", "Track", "Tracks", "followed", "track"]
+
+IndexArray = npt.NDArray[np.intp]
 
 COLUMNS = ("record", "start_time", "frequency", "verdict", "shape")
 MOST_NAMED = 4
@@ -112,7 +115,7 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
         batch_or_table: of `modal.identify_batch`, or a table of modes (anything that pyarrow takes) with the columns
             record, start_time, frequency, verdict and shape.
         causes: what was measured besides, such as a temperature: a value a record, in the order of the records (of
-            `Batch.records`, or as a table names them first).
+            `Batch.records`, or as a table names them first); not looked at where a record has no mode.
 
     Returns:
         Tracks and alarms. A false alarm has a chance of at most 1 in 400 a month.
@@ -132,8 +135,8 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     record = _numbers(table, names)
     starts = np.zeros(len(names))
     starts[record] = table.column("start_time").to_numpy(zero_copy_only=False)
-    given = _given(causes or {}, len(names))
     seen = np.unique(record)  # a record without a mode has no time either
+    given = _given(causes or {}, names, seen)
     clock = bool(np.unique(starts[seen]).size == seen.size > 1)
     order = seen[np.argsort(starts[seen], kind="stable")] if clock else seen
     place = np.full(len(names), -1, dtype=np.intp)
@@ -207,21 +210,22 @@ def _shapes(table: Any) -> ComplexArray:
     return shapes
 
 
-def _given(causes: Mapping[str, npt.ArrayLike], n_records: int) -> dict[str, FloatArray]:
+def _given(causes: Mapping[str, npt.ArrayLike], names: Sequence[str], seen: IndexArray) -> dict[str, FloatArray]:
     given = {}
     for name, values in causes.items():
-        cause = np.asarray(values, dtype=np.float64)
-        if cause.shape != (n_records,):
+        cause = np.array(values, dtype=np.float64)
+        if cause.shape != (len(names),):
             raise InvalidDataError(
-                f"the cause {name!r} has the shape {cause.shape}, but there are {n_records} records; give one value a "
+                f"the cause {name!r} has the shape {cause.shape}, but there are {len(names)} records; give one value a "
                 "record, in their order."
             )
-        if not np.isfinite(cause).all():
+        lacking = [names[k] for k in seen if not np.isfinite(cause[k])]
+        if lacking:
             raise InvalidDataError(
-                f"the cause {name!r} is missing in {int((~np.isfinite(cause)).sum())} of {n_records} records; fill "
-                "the gaps, or leave these records out."
+                f"the cause {name!r} is missing in {len(lacking)} of {len(seen)} records "
+                f"({shorten(listed(lacking), 80)}); fill the gaps, or leave these records out."
             )
-        given[name] = frozen(cause, name=name, shape=(n_records,))
+        given[name] = frozen(np.nan_to_num(cause), name=name, shape=(len(names),))
     return given
 
 
@@ -287,8 +291,6 @@ def _with_tracks(table: Any, owner: npt.NDArray[np.intp]) -> Any:
     kept = table.drop_columns(["track"]) if "track" in table.column_names else table
     return kept.append_column("track", pa.array(owner.astype(np.int32)))
 
-
-IndexArray = npt.NDArray[np.intp]
 
 FAR = 6.0
 """Count a change of this many usual ones as one that chance does not make."""

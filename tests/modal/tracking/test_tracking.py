@@ -146,6 +146,44 @@ def test_the_command_writes_a_page_and_a_table(tmp_path, capsys):
     assert "holds no modes.parquet" in capsys.readouterr().err
 
 
+def test_causes_are_joined_by_the_names_of_records(tmp_path, capsys):
+    """In any order, with the endings of the files, in the German way; a record that failed needs none."""
+    rng = np.random.default_rng(8)
+    year = bridge_year(rng, n_records=800, loss=0.02, change_at=0.5)
+    names = [f"hour_{k:05d}" for k in range(800)]
+    pq.write_table(as_table(year), tmp_path / "modes.parquet")
+    status = pa.table({"record": ["a_broken", *names], "status": ["failed", *["done"] * 800]})
+    pq.write_table(status, tmp_path / "records.parquet")
+    weather = tmp_path / "weather.csv"
+    lines = [
+        f"{name}.csv;{degrees:.6f}".replace(".", ",").replace(",csv", ".csv")
+        for name, degrees in zip(names, year.temperature, strict=True)
+    ]
+
+    def told(*rows):
+        weather.write_text("\n".join(["record;temperature [degC]", *rows, ""]))
+        return _status(["track", str(tmp_path), "--causes", str(weather)]), capsys.readouterr()
+
+    shuffled = [lines[k] for k in rng.permutation(800)]
+    tracks = []
+    for rows in (lines, shuffled):
+        assert told(*rows)[0] == 1
+        tracks.append(pq.read_table(tmp_path / "tracks.parquet"))
+    assert tracks[0].equals(tracks[1])
+    assert "temperature" in told(*shuffled)[1].out
+    for rows, words in (
+        (lines[:-2], "missing in 2 of 800 records (hour_00798 and hour_00799)"),
+        ([*lines, lines[0]], "names the record 'hour_00000.csv' twice"),
+        (["other;1,0"], "names none of the records of the batch"),
+    ):
+        code, said = told(*rows)
+        assert (code, said.err.count("\n")) == (2, 1)
+        assert words in said.err
+    np.savetxt(weather, year.temperature, header="temperature", comments="")
+    assert _status(["track", str(tmp_path), "--causes", str(weather)]) == 2
+    assert "800 rows, but the batch has 801 records, failed ones included (a_broken)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("n_records", "says"), [(39, "too few records"), (42, "nothing changed beyond chance")])
 def test_no_alarm_of_few_records_is_no_good_news(n_records, says):
     wobble = 1.0 + 1e-3 * np.random.default_rng(2).standard_normal((n_records, 2))
