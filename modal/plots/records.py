@@ -61,7 +61,7 @@ def frequencies_of_records(
 
 
 MEANS = 24
-"""Draw the mean of so many neighbours of what is left: a day of hourly records."""
+"""Draw the mean of so many neighbours of what is left, a day of hourly records, but at least as many means."""
 
 
 class TrackLine(Protocol):
@@ -99,7 +99,7 @@ def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *,
         role = IN_TURN[number % len(IN_TURN)]
         x = along[np.searchsorted(every, one.times)]
         above.dots(x, one.frequency, role, dot=DOT)
-        n_means = -(-x.size // MEANS)
+        n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
         parts = np.array_split(np.arange(x.size), n_means) if n_means else []
         below.line([x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts], role)
     for time in alarms:

@@ -42,6 +42,19 @@ def tracks_headline(tracks: Tracks) -> str:
     return f"{modes}; {n} change{'s' * (n != 1)} beyond chance, the first since {first}."
 
 
+def _verdict(tracks: Tracks) -> tuple[str, str]:
+    """Class of the style sheet, and words."""
+    if tracks.alarms:
+        return "not-carried", "Something changed"
+    return ("carried", "No change beyond chance") if tracks.enough else ("with-care", "Too few records to tell")
+
+
+def _explained(share: float) -> str:
+    if not np.isfinite(share):
+        return "–"
+    return f"{100 * share:.1f} %" if share > 0.0 else "nothing"
+
+
 def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
     """Write tracks.html and tracks.parquet (the table of modes with a column "track").
 
@@ -63,7 +76,7 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
                 hertz(middle),
                 one.frequency.size,
                 f"{100 * (one.frequency.min() / middle - 1):+.2f} to {100 * (one.frequency.max() / middle - 1):+.2f} %",
-                f"{100 * one.explained:.1f} %" if np.isfinite(one.explained) else "–",
+                _explained(one.explained),
                 "; ".join(
                     f"{word} {moment_text(time, tracks)}"
                     for word, time in (("first seen", one.born), ("last seen", one.died))
@@ -77,7 +90,7 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
         .get_template("tracks.html.j2")
         .render(
             headline=tracks_headline(tracks),
-            calm=not tracks.alarms,
+            verdict=_verdict(tracks),
             causes=", ".join(tracks.causes),
             alarms=[
                 (moment_text(one.since, tracks), moment_text(one.time, tracks), one.reason) for one in tracks.alarms

@@ -306,6 +306,7 @@ LEAST_SHARE = 0.01
 LEAST_DENSITY = 0.25
 """Nor what is in less than this share of the records between its first and its last."""
 LEAST_COUNT = 3
+"""Nor what fewer records than these found, or called a mode of the system."""
 UNKNOWN_SHAPE = 0.25
 """Take this loss of assurance where fewer than two outputs are shared: such a mode jumps by chance only."""
 
@@ -382,7 +383,7 @@ def followed(record: IndexArray, frequency: FloatArray, shapes: ComplexArray, do
             count=np.append(active.count[kept], np.ones(new.size, dtype=np.intp)),
         )
         n_modes += new.size
-    return _numbered(owner, record, frequency, n_modes)
+    return _numbered(owner, record, frequency, doubtful, n_modes)
 
 
 def _normalised(shapes: ComplexArray) -> ComplexArray:
@@ -445,15 +446,19 @@ def _remember(active: _Followed, own: IndexArray, poles: _Poles, k: int) -> None
     active.shape[own] = np.where(poles.known, (1.0 - part) * old + part * new, old)
 
 
-def _numbered(owner: IndexArray, record: IndexArray, frequency: FloatArray, n_modes: int) -> IndexArray:
-    """The modes that last, numbered by their median frequency."""
+def _numbered(
+    owner: IndexArray, record: IndexArray, frequency: FloatArray, doubtful: BoolArray, n_modes: int
+) -> IndexArray:
+    """The modes that last and that records were sure of, numbered by their median frequency."""
     n_records = int(record.max(initial=-1)) + 1
-    least = max(min(LEAST_COUNT, n_records), LEAST_SHARE * n_records)
-    count = np.bincount(owner, minlength=n_modes)
+    several = min(LEAST_COUNT, n_records)
+    least = max(several, LEAST_SHARE * n_records)
+    count, sure = np.bincount(owner, minlength=n_modes), np.bincount(owner[~doubtful], minlength=n_modes)
     begins, ends = np.full(n_modes, n_records), np.full(n_modes, -1)
     np.minimum.at(begins, owner, record)
     np.maximum.at(ends, owner, record)
-    lasting = np.flatnonzero((count >= least) & (count >= LEAST_DENSITY * (ends - begins + 1)))
+    dense = count >= LEAST_DENSITY * (ends - begins + 1)
+    lasting = np.flatnonzero((count >= least) & (sure >= several) & dense)
     medians = [float(np.median(frequency[owner == number])) for number in lasting]
     final = np.full(n_modes, -1, dtype=np.intp)
     final[lasting[np.argsort(medians, kind="stable")]] = np.arange(lasting.size)

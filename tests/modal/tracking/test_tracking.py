@@ -8,7 +8,7 @@ from bridge_year import DAY, HOUR, as_table, bridge_year
 
 import modal
 from modal.command.main import status as _status
-from modal.tracking.page import tracks_headline
+from modal.tracking.page import tracks_headline, write_tracks
 from okid.errors import InvalidDataError
 
 
@@ -144,6 +144,27 @@ def test_the_command_writes_a_page_and_a_table(tmp_path, capsys):
     assert pq.read_table(tmp_path / "tracks.parquet").num_rows == table.num_rows
     assert _status(["track", str(tmp_path / "nothing")]) == 2
     assert "holds no modes.parquet" in capsys.readouterr().err
+
+
+def test_what_no_record_was_sure_of_is_no_mode(tmp_path):
+    """A doubtful pole beside a mode, here in every fourth record, is not followed; a mode in doubt now and then is."""
+    rng = np.random.default_rng(4)
+    frequency = np.array([2.0, 3.0, 3.06]) * (1 + 1e-3 * rng.standard_normal((24, 3)))
+    rows = [(k, j) for k in range(24) for j in range(3) if j < 2 or k % 4 == 0]
+    table = pa.table(
+        {
+            "record": [f"{k:02d}" for k, _ in rows],
+            "start_time": [0.0 for _ in rows],
+            "frequency": [frequency[k, j] for k, j in rows],
+            "verdict": ["doubtful" if j == 2 or k % 3 == 0 else "system" for k, j in rows],
+            "shape": [[{"real": float(v), "imag": 0.0} for v in SHAPES[min(j, 1)]] for _, j in rows],
+        }
+    )
+    tracks = modal.track(table)
+    assert [len(one.times) for one in tracks.tracks] == [24, 24]
+    page = write_tracks(tracks, tmp_path)[0].read_text()
+    assert "Too few records to tell" in page
+    assert "No change beyond chance" not in page
 
 
 def test_causes_are_joined_by_the_names_of_records(tmp_path, capsys):
