@@ -37,11 +37,12 @@ from modal.preparation.channel import (
     where_found,
 )
 from modal.wording.numbers import percent
-from okid.arrays import FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
 __all__ = [
+    "clipped_samples",
     "clipping_findings",
     "constant_findings",
     "repeat_findings",
@@ -75,8 +76,8 @@ SUDDEN = 0.3
 """Take a run for rest that begins and ends with a step of less than this share of the median step nearby."""
 
 
-def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
-    """Clipping at the upper, the lower or both ends."""
+def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = False) -> list[Finding]:
+    """Clipping at the upper, the lower or both ends; `left_out` says that the samples are no longer used."""
     if channel.std == 0.0:
         return []
     sides: list[tuple[Literal["above", "below"], float]] = [("above", 1.0), ("below", -1.0)]
@@ -92,9 +93,11 @@ def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
     )
     head = f"{channel.role} {named(channel.name)} stands at its limit {levels} of the samples"
     if channel.role == "output":
-        rest = (
-            ": it is clipped, by an amplifier or converter out of range; what lies beyond is lost and makes false "
-            "harmonics: mark those samples as missing, or measure again with a larger range."
+        rest = ": it is clipped, by an amplifier or converter out of range; what lies beyond is lost"
+        rest += (
+            ", so these samples are left out; measure again with a larger range."
+            if left_out
+            else " and makes false harmonics: mark those samples as missing, or measure again with a larger range."
         )
     else:
         rest = (
@@ -112,6 +115,16 @@ def clipping_findings(channel: Channel, n_records: int) -> list[Finding]:
             share=share,
         )
     ]
+
+
+def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
+    """(n_samples,) a record: where the channel stands at a limit that clips it."""
+    near = ROUNDING * channel.extent
+    above, below = (channel.std > 0.0 and _clipped(channel, sign) is not None for sign in (1.0, -1.0))
+    return tuple(
+        (above & (part >= channel.largest - near)) | (below & (part <= channel.smallest + near))
+        for part in channel.parts
+    )
 
 
 def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:

@@ -1,15 +1,17 @@
 """Faults that a look at single channels finds, and what the identification does about them before anything else.
 
-A dead output is left out, spikes are left out sample by sample; what cannot be mended (clipping, few levels, a frozen
-sensor) is said with its size. `modal.quality` says the same, and more, before a fit.
+A dead output is left out, spikes are left out sample by sample, and so is what is clipped where measured inputs tell
+what lay beyond the limit; what cannot be mended (few levels, a frozen sensor) is said with its size. `modal.quality`
+says the same, and more, before a fit.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modal.preparation.amplitude import (
+    clipped_samples,
     clipping_findings,
     constant_findings,
     resolution_findings,
@@ -44,11 +46,13 @@ class Mended:
     warnings: tuple[str, ...]
 
 
-def mended(records: Sequence[Record]) -> Mended:
+def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
     """Leave out what is no measurement, and say so.
 
     Args:
         records: of one system.
+        driven: by inputs that were measured throughout: a free run bridges what is clipped. A blow or a decay has all
+            that it says at its peaks, and without inputs peaks are predicted by others that are clipped.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -61,19 +65,16 @@ def mended(records: Sequence[Record]) -> Mended:
     told: dict[str, list[str]] = {"dead": dead}
     masks = [np.zeros(record.outputs.shape, dtype=np.bool_) for record in kept]
     for channel, resolution, sharp in _looked(kept):
-        found, largest = spikes_of(channel, resolution, sharp)
-        spiked = spike_findings(channel, resolution, sharp, len(kept)) if found else []
-        if any(finding.level != "note" for finding in spiked):
-            left_out = "left out" if channel.role == "output" else "an input must be whole, so they stay"
-            told.setdefault("spikes", []).append(
-                f"{channel.role.capitalize()} {named(channel.name)} has {len(found)} spike{'s' * (len(found) > 1)} "
-                f"({percent(len(found) / channel.n_samples)} of the samples, up to {spoken(largest / channel.std)} "
-                f"standard deviations off the curve through the neighbours): {left_out}."
-            )
-            if channel.role == "output":
-                for number, k in found:
-                    masks[number][k, channel.index] = True
-        clipped = clipping_findings(channel, len(kept))
+        spiked, gone = _spikes(channel, resolution, sharp, kept)
+        if spiked:
+            told.setdefault("spikes", []).append(spiked)
+        left_out = driven and channel.role == "output"
+        clipped = clipping_findings(channel, len(kept), left_out=left_out)
+        if clipped and left_out:
+            gone = [one | more for one, more in zip(gone, clipped_samples(channel), strict=True)]
+        if channel.role == "output":
+            for mask, own in zip(masks, gone, strict=True):
+                mask[:, channel.index] = own
         more = [*clipped, *resolution_findings(channel, resolution, len(kept))]
         more += [] if clipped else stuck_findings(channel, kept, resolution)
         for f in more:
@@ -84,12 +85,34 @@ def mended(records: Sequence[Record]) -> Mended:
             replace(record, outputs=np.where(mask, np.nan, record.outputs)) if mask.any() else record
             for record, mask in zip(kept, masks, strict=True)
         )
-    warnings = []
-    for what, sentences in told.items():
-        warnings += sentences[:MOST_TOLD]
+    return Mended(records=kept, warnings=tuple(_told(told)))
+
+
+def _told(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for what, sentences in faults.items():
+        yield from sentences[:MOST_TOLD]
         if len(sentences) > MOST_TOLD:
-            warnings.append(f"The same ({what}) is true of {counted(len(sentences) - MOST_TOLD)} more channels.")
-    return Mended(records=kept, warnings=tuple(warnings))
+            yield f"The same ({what}) is true of {counted(len(sentences) - MOST_TOLD)} more channels."
+
+
+def _spikes(
+    channel: Channel, resolution: float, sharp: Sequence[BoolArray], records: Sequence[Record]
+) -> tuple[str, list[BoolArray]]:
+    """A sentence on the spikes of a channel, and where they are; nothing where they are not worth one."""
+    found, largest = spikes_of(channel, resolution, sharp)
+    spiked = spike_findings(channel, resolution, sharp, len(records)) if found else []
+    masks = [np.zeros(record.n_samples, dtype=np.bool_) for record in records]
+    if all(finding.level == "note" for finding in spiked):
+        return "", masks
+    for number, k in found:
+        masks[number][k] = True
+    fate = "left out" if channel.role == "output" else "an input must be whole, so they stay"
+    sentence = (
+        f"{channel.role.capitalize()} {named(channel.name)} has {len(found)} spike{'s' * (len(found) > 1)} "
+        f"({percent(len(found) / channel.n_samples)} of the samples, up to {spoken(largest / channel.std)} "
+        f"standard deviations off the curve through the neighbours): {fate}."
+    )
+    return sentence, masks
 
 
 def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:

@@ -110,7 +110,7 @@ def prepare(
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
     _check_words(missing, input_delay)
-    mend = mended(records)
+    mend = mended(records, driven=kind == "driven" and first.n_inputs > 0)
     parts, gaps = _parts(mend.records)
     rested = with_rest(parts) if kind in ("transient", "decay") else None
     centred = tuple(one.detrended() for one in parts) if rested is None else rested.records

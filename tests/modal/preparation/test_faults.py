@@ -42,6 +42,21 @@ def test_modes_stand_through_spikes():
     assert any("spikes" in warning for warning in result.warnings)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_clipped_is_left_out_of_driven_records(seed):
+    """With measured inputs the rest of the record tells what lay beyond: as good as a record that was never clipped."""
+    truth, record = record_of("clipped", seed)
+    result = identify(record)
+    found = np.array([mode.frequency for mode in result.modes.system])
+    wrong = [np.abs(found - f).min() / f for f in truth.frequencies]
+    _, whole = record_of("driven", seed)
+    clean = np.array([mode.frequency for mode in identify(whole).modes.system])
+    assert max(wrong) <= 3.0 * max(np.abs(clean - f).min() / f for f in truth.frequencies)
+    assert any("these samples are left out" in warning for warning in result.warnings)
+    (kept,) = mended((record,)).records
+    assert not np.isnan(kept.outputs).any()
+
+
 @pytest.mark.parametrize(
     ("family", "words"), [("clipped", "stands at its limit"), ("coarse", "rounding"), ("dead_channel", "left out")]
 )
