@@ -353,7 +353,8 @@ def lasting_share(left: Sequence[SlowMotion]) -> float:
 
 def is_significant(gain: FloatArray, limit: float) -> bool:
     """Whether the sum of the differences exceeds so many of its standard errors."""
-    return bool(gain.sum() > limit * np.sqrt(gain.size) * gain.std(ddof=1))
+    shares = gain / max(float(np.abs(gain).max(initial=0.0)), np.finfo(float).tiny)  # squares of squares overflow
+    return bool(shares.sum() > limit * np.sqrt(gain.size) * shares.std(ddof=1))
 
 
 def _explained(n_functions: int, record: Record, reason: str, *, warning: str = "") -> Drift:

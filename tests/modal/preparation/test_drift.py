@@ -7,6 +7,7 @@ from modal.preparation.drift import (
     CANDIDATES,
     choose_drift,
     held_out_squares,
+    is_significant,
     slow_functions,
     slow_motion,
     without_drift,
@@ -95,3 +96,11 @@ def test_hundreds_of_short_records_leave_groups_to_compare(lengths):
     left = slow_motion([rng.standard_normal((length, 2)) for length in lengths])
     assert held_out_squares(left, 1).size >= 2
     assert held_out_squares(left, 0).sum() > 0.0
+
+
+def test_significance_knows_no_unit():
+    gain = np.array([1.0, 1.2, 0.9, 1.1])
+    with np.errstate(all="raise"):
+        assert [is_significant(scale * gain, 3.0) for scale in (1.0, 1e300, 1e-300)] == [True] * 3
+        assert not is_significant(1e300 * np.array([1.0, -1.2, 0.9, -1.1]), 3.0)
+        assert not is_significant(np.zeros(4), 3.0)
