@@ -249,7 +249,7 @@ def _fall(outputs: FloatArray) -> tuple[float, bool]:
     if n_rows < 1:
         return 0.0, False
     parts = outputs[: n_rows * N_PARTS].reshape(N_PARTS, n_rows, -1)
-    there = np.isfinite(parts).any(axis=1)  # (N_PARTS, n_outputs)
+    there: BoolArray = np.asarray(np.isfinite(parts).any(axis=1))  # (N_PARTS, n_outputs)
     parts = parts[:, :, there.any(axis=0)]
     parts = parts[there[:, there.any(axis=0)].all(axis=1)]
     if len(parts) <= 3:
