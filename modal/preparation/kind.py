@@ -189,6 +189,7 @@ def _by_outputs(records: Sequence[Record]) -> KindFound:
     decays = [ratio >= FAR_ABOVE or (ratio >= ABOVE and fall) for ratio, fall in zip(ratios, falls, strict=True)]
     struck = any(starts)
     words = f"the outputs start with {least:.3g} times the power that they end with"
+    words = words if least > 0.0 else "the outputs move no more at their start than later"
     if all(decays):
         words = f"after a blow or a release that was not measured, {words}" if struck else words
         return _found("decay", f"{words}, and there is no input: they ring down", starts=starts)

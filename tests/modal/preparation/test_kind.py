@@ -125,3 +125,9 @@ def test_what_the_caller_says():
             find_kind(records, kind)
     with pytest.raises(InvalidDataError, match="kind must be one of"):
         given_kind("struck")
+
+
+def test_motion_that_goes_on_is_not_said_to_start_with_no_power():
+    found = find_kind([Record([], np.random.default_rng(3).standard_normal((6000, 3)), 0.01)])
+    assert found.kind == "ambient"
+    assert "0 times the power" not in found.choice.reason
