@@ -34,7 +34,7 @@ from modal.identification.words import (
     with_feedback,
 )
 from modal.modes.extraction import extract_modes
-from modal.preparation.band import missed_share
+from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
@@ -263,6 +263,11 @@ def _identified(
         refinement_steps=found.chosen.refinement_steps,
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if prepared[0].n_inputs else None,
+        chance=chance_of_following(
+            prepared,
+            [mode.frequency for mode in unjudged.modes],
+            [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
+        ),
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)

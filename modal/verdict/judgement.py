@@ -45,6 +45,7 @@ from modal.verdict.probability import (
     f_ratio,
     poor_fit_doubt,
     probability,
+    unanswered_doubt,
     unexcited_doubt,
 )
 from okid.arrays import BoolArray, FloatArray
@@ -192,6 +193,7 @@ def judge(
     lines: BetweenLines | None = None,
     n_values: int = 0,
     edge: float = np.inf,
+    chance: FloatArray | None = None,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -218,6 +220,8 @@ def judge(
         lines: what inputs of a few lines tell of each mode; None where they are no lines.
         n_values: measured values, rows times outputs, that the gain was taken on.
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
+        chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
+            where unknown.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -252,7 +256,7 @@ def judge(
         undriven = (
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
-            *unexcited_doubt(mode, excitation),
+            *(unexcited_doubt(mode, excitation) or unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))),
             *line_doubt(lines, beside),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
