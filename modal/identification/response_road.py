@@ -54,8 +54,8 @@ LONGEST = 2048
 """Realise at most so many lags: they only give the start, and more cost without moving it."""
 BETWEEN = 4
 """Describe a table by so many steps a half period of its last line, unless one is likelier, which is exact for a
-sampled system with lines up to half its sampling frequency: an analyser behind a filter sees the motion between samples, from
-which four steps differ by less than 1 % at the last line, and modes beyond it have room."""
+sampled system with lines up to half its sampling frequency: an analyser behind a filter sees the motion between
+samples, from which four steps differ by less than 1 % at the last line, and modes beyond it have room."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
 WITHOUT_GAIN = 4

@@ -200,7 +200,8 @@ def judge(
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for p
     >= 0.8 where no kind of change leaves less than 0.42, "noise" for p < 0.05, else "doubtful". At most doubtful are:
     a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of
-    `modal.verdict.probability` or `modal.verdict.excitation`. Poles side by side that share one resonance are judged
+    `modal.verdict.probability` or `modal.verdict.excitation`; what is doubtful already is noise where nothing follows
+    the inputs. Poles side by side that share one resonance are judged
     together (`modal.verdict.judgement`). A real pole is judged like the others but named as what it is.
 
     Whether the damping of an oscillatory mode is resolved: see `modal.verdict.probability`.
@@ -253,10 +254,11 @@ def judge(
         ratio = float(np.fmin(ratio, beside))  # no more certain than the excitation at its frequency allows
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
+        unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))
         undriven = (
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
-            *(unexcited_doubt(mode, excitation) or unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))),
+            *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
@@ -273,6 +275,8 @@ def judge(
         )
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
+        elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
+            verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)
         if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing
             p = min(p, DOUBTED)
         doubt = damping_doubt(

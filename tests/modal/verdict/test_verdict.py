@@ -446,3 +446,5 @@ def test_a_pole_where_nothing_follows_the_inputs_is_no_mode_of_the_system():
     mode = judged(vibration(), found_with(), chance=np.array([0.4]))
     assert mode.verdict == "doubtful"
     assert "nothing follows the inputs at 5 Hz beyond chance" in mode.reason
+    assert judged(vibration(), found_with(data=0.3), chance=np.array([1e-9])).verdict == "doubtful"
+    assert judged(vibration(), found_with(data=0.3), chance=np.array([0.4])).verdict == "noise"
