@@ -30,6 +30,7 @@ from modal.identification.words import (
     explain_search,
     noise_words,
     order_evidence,
+    records_apart,
     warnings_in_words,
     with_feedback,
 )
@@ -38,6 +39,7 @@ from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
+from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
@@ -319,6 +321,7 @@ def _identified(
                 residuals=residuals,
                 found=found,
             ),
+            *records_apart(*left_alone_and_together(prepared, left)),
             *noise_words(modes, inflation),
         ),
         record_kind=kind.kind,

@@ -219,7 +219,8 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
     n_usable = n_rows = 0
     for record in records:
         there = np.isfinite(record.outputs)
-        complete = (there | ~there.any(axis=0)).all(axis=1) & np.isfinite(record.inputs).all(axis=1)
+        whole = np.hstack([there | ~there.any(axis=0), np.isfinite(record.inputs)])
+        complete = np.asarray(whole.all(axis=1), dtype=np.bool_)
         order = min(OBSERVER_ORDER, record.n_samples // 4)
         n_usable += int(usable_rows(complete, order).sum())
         n_rows += record.n_samples - order
