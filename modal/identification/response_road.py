@@ -204,10 +204,9 @@ def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> fl
     table, _ = _table(found.response, window, finer)
     poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
-    fit = fit_at(
-        table, np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there], _weight(table, found.noise)
-    )
-    fit = refined(table, fit, _weight(table, found.noise))
+    weight = _weight(table, found.noise)
+    fit = fit_at(table, np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there], weight)
+    fit = refined(table, fit, weight)
     return _settled(table, fit, noise_of(table, fit))[2]
 
 
@@ -244,12 +243,12 @@ def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respo
 def _powers(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
     """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
     plus, minus = table.basis(fit.poles)[0], table.basis(fit.poles.conj())[0] * fit.is_pair
-    powers = np.empty(fit.poles.size)
+    powers = []
     for r, (c, b) in enumerate(zip(fit.shapes.T, fit.inputs, strict=True)):
-        residue = np.outer(c, b)
-        part = plus[:, r, np.newaxis, np.newaxis] * residue + minus[:, r, np.newaxis, np.newaxis] * residue.conj()
-        powers[r] = np.square(np.abs(weight * part)).sum()
-    return powers
+        part = plus[:, r, np.newaxis, np.newaxis] * np.outer(c, b)
+        part += minus[:, r, np.newaxis, np.newaxis] * np.outer(c, b).conj()
+        powers.append(float(np.square(np.abs(weight * part)).sum()))
+    return np.array(powers)
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -456,8 +455,8 @@ def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
     first, last = response.frequencies[[0, -1]]
     judged = []
     for mode in modes.modes:
-        half_power = mode.damping_ratio * mode.frequency
-        inside = first - half_power <= mode.frequency <= last + half_power or mode.kind != "oscillatory"
+        half = mode.damping_ratio * mode.frequency  # of its half-power band
+        inside = first - half <= mode.frequency <= last + half or mode.kind != "oscillatory"
         reason = (
             f"outside the lines of the table ({hertz(first)} to {hertz(last)} Hz): it stands for what lies beyond them"
         )

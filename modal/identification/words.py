@@ -327,14 +327,13 @@ def records_apart(alone: float, together: float) -> tuple[str, ...]:
     """
     if not (together > MUCH_LEFT and alone < together / TIMES_BETTER):
         return ()
-    return (
-        (
-            f"The records do not belong together: a model of each by itself leaves {percent(alone)} of its motion, the "
-            f"model of all {percent(together)}. Where an input acted at another point in each, as a roving hammer does, "
-            "name it after the point in each file (force p01, force p02) and give all names as inputs; where the structure "
-            "changed between the records, identify them apart."
-        ),
+    said = (
+        f"The records do not belong together: a model of each by itself leaves {percent(alone)} of its motion, the "
+        f"model of all {percent(together)}. Where an input acted at another point in each, as a roving hammer does, "
+        "name it after the point in each file (force p01, force p02) and give all names as inputs; where the "
+        "structure changed between the records, identify them apart."
     )
+    return (said,)
 
 
 def with_feedback(result: Identification, moved: FloatArray | None) -> Identification:
