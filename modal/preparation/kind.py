@@ -161,9 +161,13 @@ def first_acts(records: Sequence[Record]) -> tuple[int, ...]:
 def _active_share(columns: Sequence[FloatArray]) -> float:
     """Share of the rows that hold most of an input's power above what it has at rest; 1 where rest is not seen.
 
-    Rows between two of them count too where they are few: a force that swings passes through zero without a rest.
+    Rows between two of them count too where they are few: a force that swings passes through zero without a rest. A row
+    without a number tells neither rest nor motion.
     """
-    each = [np.nan_to_num(np.square(values - np.nanmedian(values))) for values in columns]
+    measured = [values[np.isfinite(values)] for values in columns]
+    each = [np.square(values - np.median(values)) for values in measured if values.size]
+    if not each:
+        return 1.0
     squares = np.sort(np.concatenate(each))[::-1]
     rest = float(np.median(squares)) / NORMAL_MEDIAN
     excess = float(squares.sum()) - squares.size * rest
