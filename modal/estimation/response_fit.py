@@ -41,10 +41,12 @@ STANDS_STILL = 1e-7
 """Stop where a step lowers the squared error by a smaller share: far below what noise decides."""
 ROUNDING = 1e-13
 """Take errors for at least this share of a table's largest value: the digits of its numbers."""
+LEAST_START = 1e-3
+"""Start no pole with a shorter memory than a thousandth a step."""
 NEAR, WIDE = 10, 40
 """Smooth the noise over so many lines on either side, where coherence tells it and where only the scatter does: some 20
 and 80 values, which give a level to about a quarter and a tenth."""
-ROUNDS = 20
+ROUNDS = 60
 """Split scatter into leakage and floor by so many multiplicative updates; they settle to a few per cent in ten."""
 FARTHEST = 8
 """Correlate the errors of lines up to so far apart: beyond, the windows known here leave nothing."""
@@ -157,11 +159,16 @@ class ResponseFit:
         )
 
 
-def start_of(model: Realisation) -> tuple[ComplexArray, BoolArray, ComplexArray]:
-    """Poles, pairs and participations of a realisation in a table's channels; poles that grow are turned inwards."""
+def start_of(model: Realisation, dt: float) -> tuple[ComplexArray, BoolArray, ComplexArray]:
+    """Poles at steps of dt, pairs and participations of a realisation in a table's channels; growing ones turned in."""
     basis = modal_basis(model)
     poles = np.where(np.abs(basis.poles) >= 1, 1 / np.where(basis.poles == 0, 1, basis.poles.conj()), basis.poles)
-    return poles, basis.is_pair, _unit(basis.inputs, basis.is_pair)
+    if dt == model.dt:
+        return poles, basis.is_pair, _unit(basis.inputs, basis.is_pair)
+    # at a shorter step what alternated from sample to sample is a pair
+    poles = np.exp(np.log(np.maximum(np.abs(poles), LEAST_START) * np.exp(1j * np.angle(poles))) * dt / model.dt)
+    is_pair = np.asarray(poles.imag > 0, dtype=np.bool_)
+    return poles, is_pair, _unit(basis.inputs, is_pair)
 
 
 def _unit(inputs: ComplexArray, is_pair: BoolArray) -> ComplexArray:
@@ -403,8 +410,10 @@ class Noise:
 def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     """Variance of each value of a table.
 
-    What coherence says (else the scatter about the model) is split into leakage and a floor, so that their sum has the
-    narrow shape of the one and the steadiness of the other; what it is more or less than that, in the mean over
+    What coherence says is split into leakage and a floor, so that their sum has the narrow shape of the one and the
+    steadiness of the other; the scatter about the model, where there is no coherence, into these two and a part that
+    grows with the response, as a noisy force and an error of the calibration make it, else a window that leaks passes
+    for the likeliest wherever resonances scatter; what it is more or less than that, in the mean over
     neighbouring lines, corrects it. The level, one for each input, is that of the scatter.
 
     Args:
@@ -416,14 +425,10 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     scatter = scatter / max(0.1, 1 - fit.n_parameters / (2 * int(table.known.sum())))
     share = 1.0
     if table.noise is None:
-        floor = np.maximum(_median(scatter, table.known) / np.log(2), least)  # of an exponential distribution
-        share = float(scatter.sum() / leak.sum()) if leak.any() else 0.0
-        for _ in range(ROUNDS):
-            floor = np.maximum(_median(np.maximum(scatter - share * leak, 0), table.known) / np.log(2), least)
-            weight = leak * table.known / (share * leak + floor) ** 2
-            below = float((weight * (share * leak + floor)).sum())
-            share *= float((weight * scatter).sum()) / below if below > 0 else 1.0
-        seen, expected, reach = scatter, share * leak + floor, WIDE
+        share, expected = _split(
+            scatter, [leak, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
+        )
+        seen, reach = scatter, WIDE
     else:
         measured = np.abs(table.values) ** 2
         seen = table.noise * (measured.sum(axis=2, keepdims=True) if table.together else measured)
@@ -432,6 +437,28 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     expected = np.maximum(expected * _smoothed(seen / expected, table.known, reach), least)
     level = _weighted_mean((scatter / expected).reshape(-1, leak.shape[2]), table.known.reshape(-1, leak.shape[2]))
     return Noise(variance=np.maximum(expected * level, least), leakage=leak, share=share * level)
+
+
+def _split(scatter: FloatArray, parts: list[FloatArray], known: BoolArray, least: float) -> tuple[float, FloatArray]:
+    """The first part's share in the scatter and the variance: some of each part and a floor of each response.
+
+    By the likelihood of exponentially distributed powers, with multiplicative updates, which leave no size negative.
+    """
+    floor = np.maximum(_median(scatter, known) / np.log(2), least)  # of an exponential distribution
+    sizes = [
+        float(np.median(scatter[known & (part > 0)] / part[known & (part > 0)])) if part.any() else 0.0
+        for part in parts
+    ]
+    variance = floor + sum(size * part for size, part in zip(sizes, parts, strict=True))
+    for _ in range(ROUNDS):
+        above, below = known * scatter / variance**2, known / variance
+        sizes = [
+            size * float(np.sqrt((above * part).sum() / max(float((below * part).sum()), TINY)))
+            for size, part in zip(sizes, parts, strict=True)
+        ]
+        floor = np.maximum(floor * np.sqrt(above.sum(axis=0) / np.maximum(below.sum(axis=0), TINY)), least)
+        variance = floor + sum(size * part for size, part in zip(sizes, parts, strict=True))
+    return sizes[0], variance
 
 
 def _weighted_mean(values: FloatArray, known: BoolArray) -> FloatArray:

@@ -9,6 +9,8 @@ of the input explained by the output's m last samples,
 is chi-square with m degrees of freedom (Bartlett's approximation) where there is no feedback. A controller has few
 roads, so each pair of an input and an output is asked apart, and the least of so many p-values multiplied (Bonferroni).
 An input that its own past foretells, a sweep or a tone, is foretold as well by whatever has filtered it, and not asked.
+Where a part of the band is empty, an input is foretold as far as its sensor's noise lets it, and outputs, which know
+the force without that noise, tell a little more: as much as that noise may hide is taken off R.
 
 What feedback does to a model matters, not that it is there: the same regression with what a free run leaves in the
 place of the outputs gives the part of the inputs that the noise has made, and that part gives the bias.
@@ -26,6 +28,7 @@ import numpy as np
 import scipy
 
 from okid.arrays import FloatArray
+from okid.frequency_response import averaged_spectra
 from okid.gram import lag_gram
 from okid.markov import solve_recursion
 from okid.record import Record
@@ -41,6 +44,11 @@ OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
 ROWS_A_NUMBER = 10
 """Shorten both pasts where there are fewer rows for each number."""
+SEGMENT = 256
+"""Look for the floor of an input's spectrum in segments of so many samples: 128 lines show an empty part of it."""
+EMPTY, LEAST_EMPTY = 1e-3, 0.05
+"""Call a part of the band empty where an input has 30 dB less than its mean density there, from 5 % of the lines on:
+its sensor's noise fills it; no controller of the tests' 15 loops leaves so little."""
 FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
@@ -67,13 +75,13 @@ def feedback_p_value(records: Sequence[Record]) -> float:
     power, n_rows = np.diag(left)[:m], told.n_rows - told.own * m - 1
     if (power <= FORETOLD * told.power).any():
         return float("nan")
-    least = 1.0
+    least, denoised = 1.0, told.denoised(records)
     for j in range(q):
         own = m + j + q * np.arange(OTHER_PAST)
         weights, _, rank, _ = np.linalg.lstsq(left[np.ix_(own, own)], left[own, :m], rcond=1e-12)
         if rank == OTHER_PAST:
-            explained = ((left[own, :m] * weights).sum(axis=0) / power).max()
-            ratio = -np.log(max(1.0 - explained, np.finfo(float).tiny))
+            explained = (((left[own, :m] * weights).sum(axis=0) / power - denoised) / (1.0 - denoised)).max()
+            ratio = -np.log(np.clip(1.0 - explained, np.finfo(float).tiny, 1.0))
             least = min(least, float(scipy.special.chdtrc(OTHER_PAST, (n_rows - (OTHER_PAST + 2) / 2) * ratio)))
     return min(1.0, m * q * least)
 
@@ -129,6 +137,33 @@ class _Told:
     n_inputs: int
     n_outputs: int
     scaling: ChannelScaling
+
+    def denoised(self, records: Sequence[Record]) -> FloatArray:
+        """(n_inputs,) share of what is left that the sensor's noise in an input's own past may have put there.
+
+        With the weights a of that past and white noise of the density in the empty part of the band, var sum of a^2;
+        nothing where no part is empty.
+        """
+        longest = max(record.n_samples for record in records)
+        spectra = averaged_spectra(records, n_per_segment=min(SEGMENT, longest))
+        density = spectra.power[1:-1, : self.n_inputs]
+        if spectra.n_averages == 0 or not density.size:
+            return np.zeros(self.n_inputs)
+        level = np.maximum(density.mean(axis=0), np.finfo(float).tiny)
+        empty = density < EMPTY * level
+        floor = [
+            float(np.median(one[there])) if there.mean() > LEAST_EMPTY else 0.0
+            for one, there in zip((density / level).T, empty.T, strict=True)
+        ]
+        m = self.n_inputs
+        own = self.weights[1:, :m].reshape(self.own, m, m)[:, np.arange(m), np.arange(m)]
+        share = (
+            np.array(floor)
+            * self.power
+            * np.square(own).sum(axis=0)
+            / np.maximum(np.diag(self.left)[:m], np.finfo(float).tiny)
+        )
+        return np.asarray(np.minimum(share, 0.99), dtype=np.float64)
 
     @classmethod
     def of(cls, records: Sequence[Record]) -> "_Told | None":

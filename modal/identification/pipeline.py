@@ -30,14 +30,16 @@ from modal.identification.words import (
     explain_search,
     noise_words,
     order_evidence,
+    records_apart,
     warnings_in_words,
     with_feedback,
 )
 from modal.modes.extraction import extract_modes
-from modal.preparation.band import missed_share
+from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
+from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
@@ -263,6 +265,11 @@ def _identified(
         refinement_steps=found.chosen.refinement_steps,
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if prepared[0].n_inputs else None,
+        chance=chance_of_following(
+            prepared,
+            [mode.frequency for mode in unjudged.modes],
+            [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
+        ),
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
@@ -314,6 +321,7 @@ def _identified(
                 residuals=residuals,
                 found=found,
             ),
+            *records_apart(*left_alone_and_together(prepared, left)),
             *noise_words(modes, inflation),
         ),
         record_kind=kind.kind,

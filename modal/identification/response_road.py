@@ -33,7 +33,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
-from modal.wording.numbers import LEAST_FIT, counted
+from modal.wording.numbers import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.frequency_response import (
@@ -52,6 +52,10 @@ LARGEST_ORDER = 64
 """Try model orders up to this one, as for records."""
 LONGEST = 2048
 """Realise at most so many lags: they only give the start, and more cost without moving it."""
+BETWEEN = 4
+"""Describe a table by so many steps a half period of its last line, unless one is likelier, which is exact for a
+sampled system with lines up to half its sampling frequency: an analyser behind a filter sees the motion between
+samples, from which four steps differ by less than 1 % at the last line, and modes beyond it have room."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
 WITHOUT_GAIN = 4
@@ -59,6 +63,8 @@ WITHOUT_GAIN = 4
 LEAST_TRIED = 24
 """Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
 edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
+WEAKEST = 3
+"""Try to leave out one of so many of the weakest poles before all are kept."""
 QUICK = 5
 """Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 OTHER_LAGS = 0.7
@@ -94,6 +100,7 @@ class _Found:
     evidence: dict[int, float]
     fits: dict[int, float]
     likelihood: float
+    finer: int
 
 
 def identify_response(
@@ -119,22 +126,26 @@ def identify_response(
     with one_blas_thread():
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED
-        found = _search(response, windows[0], order)
-        tried: dict[ResponseWindow, float] = {windows[0]: found.likelihood}
-        for window in windows[1:]:  # with as many states, so that only the window differs
-            tried[window] = _search(response, window, found.order).likelihood
+        found = _search(response, windows[0], order, BETWEEN)
+        if _likelihood_through(windows[0], found, 1) > found.likelihood:
+            found = _search(response, windows[0], order, 1)
+        # with as many poles, so that only the window differs
+        tried = {window: _likelihood_through(window, found, found.finer) for window in windows[1:]}
+        tried = {windows[0]: found.likelihood, **tried}
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
-            found = _search(response, best, order)
+            found = _search(response, best, order, found.finer)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         tell("done", 1.0)
     return result
 
 
-def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"]) -> _Found:
+def _search(
+    response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"], finer: int = 1
+) -> _Found:
     """Model of the order that the evidence favours, refined, with the noise of the table about it."""
-    table, grid = _table(response, window)
+    table, grid = _table(response, window, finer)
     markov, found = _realisations(table, response.frequencies, grid, response)
     largest = min(found.rank, found.max_order)
     if largest < 1:
@@ -147,15 +158,17 @@ def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Li
     chosen = min(first, largest)
     for _ in range(PASSES):
         weight = _weight(table, noise)
-        orders = [chosen] if order != "auto" else sorted({*range(2, largest + 1, 2), largest})
+        least = 2 if not evidence else chosen  # poles too many are taken out below, by the same evidence
+        orders = [chosen] if order != "auto" else sorted({*range(least, largest + 1, 2), chosen, largest})
         candidates: dict[int, ResponseFit] = {}
-        evidence, fits = {}, {}
+        evidence = {}
         for n in orders:
             candidates[n] = _fitted(table, found, n, weight, fit if n == chosen else None)
             evidence[n] = _evidence(table, candidates[n])
             fits[n] = float(np.mean(_fit_of(candidates[n].left, table, weight)))
             best = min(evidence, key=lambda each: evidence[each])
-            if n > max(chosen, LEAST_TRIED) and sum(each > best for each in evidence) >= WITHOUT_GAIN:
+            enough = n > max(chosen, LEAST_TRIED if least == 2 else 0)
+            if enough and sum(each > best for each in evidence) >= WITHOUT_GAIN:
                 break
         best = min(evidence, key=lambda each: evidence[each])
         again = best == chosen
@@ -163,12 +176,13 @@ def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Li
         noise = noise_of(table, fit)
         if again:
             break
-    for _ in range(2):
-        fit = refined(table, fit, _weight(table, noise))
-        noise = noise_of(table, fit)
-    fit = refined(table, fit, _weight(table, noise))
-    variance = noise.variance[table.known]
-    likelihood = -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+    if order == "auto":
+        weight = _weight(table, noise)
+        fit = _pruned(table, fit, weight)
+        chosen = int(np.where(fit.is_pair, 2, 1).sum())
+        evidence = {**{n: each for n, each in evidence.items() if n > chosen}, chosen: _evidence(table, fit)}
+        fits[chosen] = float(np.mean(_fit_of(fit.left, table, weight)))
+    fit, noise, likelihood = _settled(table, fit, noise)
     return _Found(
         response=response,
         table=table,
@@ -181,10 +195,63 @@ def _search(response: FrequencyResponse, window: ResponseWindow, order: int | Li
         evidence=evidence,
         fits=fits,
         likelihood=likelihood,
+        finer=finer,
     )
 
 
-def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[ResponseLines, FloatArray]:
+def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
+    """Of the table through another window, or described by other steps, from the poles that were found."""
+    table, _ = _table(found.response, window, finer)
+    poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
+    there = np.abs(poles.imag) < np.pi
+    weight = _weight(table, found.noise)
+    fit = fit_at(table, np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there], weight)
+    fit = refined(table, fit, weight)
+    return _settled(table, fit, noise_of(table, fit))[2]
+
+
+def _settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
+    """The fit and its noise after each was made with the other a few times, and their log-likelihood."""
+    for _ in range(2):
+        fit = refined(table, fit, _weight(table, noise))
+        noise = noise_of(table, fit)
+    fit = refined(table, fit, _weight(table, noise))
+    variance = noise.variance[table.known]
+    return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+
+
+def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> ResponseFit:
+    """The fit without the poles that do the least, as long as the evidence gains by leaving one out.
+
+    What a realisation cuts last is what is weakest in all lines together, so a candidate may have come to what matters
+    only after poles that follow noise where the responses are large.
+    """
+    fit = refined(table, fit, weight, n_steps=QUICK)
+    evidence, gained = _evidence(table, fit), True
+    while gained and fit.poles.size > 1:
+        gained = False
+        for weakest in np.argsort(_powers(table, fit, weight))[:WEAKEST]:
+            kept = np.arange(fit.poles.size) != weakest
+            trial = fit_at(table, fit.poles[kept], fit.is_pair[kept], fit.inputs[kept], weight)
+            trial = refined(table, trial, weight, n_steps=QUICK)
+            if _evidence(table, trial) < evidence:
+                fit, evidence, gained = trial, _evidence(table, trial), True
+                break
+    return fit
+
+
+def _powers(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
+    """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
+    plus, minus = table.basis(fit.poles)[0], table.basis(fit.poles.conj())[0] * fit.is_pair
+    powers = []
+    for r, (c, b) in enumerate(zip(fit.shapes.T, fit.inputs, strict=True)):
+        part = plus[:, r, np.newaxis, np.newaxis] * np.outer(c, b)
+        part += minus[:, r, np.newaxis, np.newaxis] * np.outer(c, b).conj()
+        powers.append(float(np.square(np.abs(weight * part)).sum()))
+    return np.array(powers)
+
+
+def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
     """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
     noise, trust, together = _noise(response)
     known = np.isfinite(response.response) & (trust > 0)
@@ -195,10 +262,10 @@ def _table(response: FrequencyResponse, window: ResponseWindow) -> tuple[Respons
     into = np.sqrt(_mean(trusted / out[:, np.newaxis] ** 2, known, (0, 1)))
     into = 1 / np.where(into > 0, into, 1.0)
     f = response.frequencies
-    dt, lags, first, grid = 0.5 / float(f[-1]), None, 0, f
+    dt, lags, first, grid = 0.5 / float(f[-1]) / finer, None, 0, f
     try:
         first = round(float(f[0]) / line_spacing(response))
-        n_samples, first = block_length(response, dt if first else None)
+        n_samples, first = block_length(response, dt if first or finer > 1 else None)
         lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
     except InvalidDataError:  # no uniform grid: the start comes from resampled lines, and the window cannot be known
         grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
@@ -229,9 +296,10 @@ def _realisations(
         window=table.window,
         window_time_constant=response.window_time_constant,
     )
-    markov = pulse_response(on_grid, dt=None if grid[0] == 0 else table.dt)
+    dt = 0.5 / float(f[-1])
+    markov = pulse_response(on_grid, dt=None if grid[0] == 0 else dt)
     n_lags = min(LONGEST, round(share * markov.n_lags))
-    markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=table.dt)
+    markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=dt)
     return markov, decompose(markov, max_order=min(LARGEST_ORDER, *hankel_limits(markov)))
 
 
@@ -284,7 +352,7 @@ def _fitted(
 ) -> ResponseFit:
     """The model of an order, from its realisation or from a fit of it, after a few steps."""
     if start is None:
-        start = fit_at(table, *start_of(realise_from(found, order)), weight)
+        start = fit_at(table, *start_of(realise_from(found, order), table.dt), weight)
     return refined(table, start, weight, n_steps=QUICK)
 
 
@@ -332,8 +400,8 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         n_values=int(2 * table.known.sum() / _lines_joined(table)),
         fit=measured.mean,
     )
-    modes = _in_these_words(modes)
-    tried_orders = sorted(found.evidence)
+    modes = _in_these_words(_within(found.response, modes))
+    tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
     return Identification(
@@ -380,6 +448,21 @@ def _with_deviations(
         )
     why = "the model is fitted to the responses themselves, and cut from no Hankel matrix"
     return replace(model, modes=tuple(modes), indicators_missing=why)
+
+
+def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
+    """Poles whose resonance lies outside the lines are no modes that the table shows: they stand for all beyond it."""
+    first, last = response.frequencies[[0, -1]]
+    judged = []
+    for mode in modes.modes:
+        half = mode.damping_ratio * mode.frequency  # of its half-power band
+        inside = first - half <= mode.frequency <= last + half or mode.kind != "oscillatory"
+        reason = (
+            f"outside the lines of the table ({hertz(first)} to {hertz(last)} Hz): it stands for what lies beyond them"
+        )
+        outside = replace(mode, verdict="noise", probability=0.0, damping_resolved=False, reason=reason)
+        judged.append(mode if inside else outside)
+    return replace(modes, modes=tuple(judged))
 
 
 def _in_these_words(modes: ModalModel) -> ModalModel:
@@ -447,7 +530,7 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
             runs.append(Rerun(label=f"order {n}", change=change, modes=modes))
     folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
-    n_steps = found.decomposition.n_block_rows + found.decomposition.n_block_columns
+    n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
     scales = {"output_scale": table.output_scale, "input_scale": table.input_scale}
     return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, _fit_of(both, table, whole)
 
@@ -470,7 +553,7 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
         best = found.evidence[found.order]
         near = sorted(found.evidence, key=lambda n: abs(n - found.order))[1:5]
         shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
-        reason = f"least Schwarz criterion of {len(found.evidence)} orders; others differ by {shown or 'nothing'}"
+        reason = f"least Schwarz criterion of {len(found.fits)} orders; others differ by {shown or 'nothing'}"
     choices.append(Choice(what="model order", value=str(found.order), reason=reason))
     known = [name for name, there in (("coherence", table.noise is not None),) if there]
     value = "coherence and scatter" if known else "scatter"

@@ -36,6 +36,7 @@ from modal.wording.numbers import (
     NINETY_FIVE,
     counted,
     hertz,
+    percent,
     ratio_text,
     reproduced,
     with_interval,
@@ -61,6 +62,7 @@ __all__ = [
     "frequency_text",
     "noise_words",
     "order_evidence",
+    "records_apart",
     "trust_of",
     "warnings_in_words",
     "with_feedback",
@@ -72,6 +74,9 @@ FOLLOWS_INPUT = 3.0
 """Ratio of the input-correlation statistic to its degrees of freedom above which the observer misses something."""
 LEAST_EXCITED = 0.5
 """Share of the band in which an input must move for its response not to be called narrow."""
+MUCH_LEFT, TIMES_BETTER = 0.05, 4.0
+"""Say that records do not belong together where a model of all leaves more than a twentieth of the motion and models of
+each by itself a quarter of that: with four rows an unknown such a model follows noise by a quarter of its power."""
 MOVED = "the outputs are fed back into the inputs, which may move it by several of its deviations"
 FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
@@ -311,6 +316,24 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
             f"{NO_INTERVAL:.0f} times those under white noise, so no interval is given there."
         )
     return tuple(words)
+
+
+def records_apart(alone: float, together: float) -> tuple[str, ...]:
+    """That records do not belong to one system with the inputs where they are said to act; empty where they may.
+
+    Args:
+        alone: share of the outputs' power that models of each record by itself leave.
+        together: the same of the model of all.
+    """
+    if not (together > MUCH_LEFT and alone < together / TIMES_BETTER):
+        return ()
+    said = (
+        f"The records do not belong together: a model of each by itself leaves {percent(alone)} of its motion, the "
+        f"model of all {percent(together)}. Where an input acted at another point in each, as a roving hammer does, "
+        "name it after the point in each file (force p01, force p02) and give all names as inputs; where the "
+        "structure changed between the records, identify them apart."
+    )
+    return (said,)
 
 
 def with_feedback(result: Identification, moved: FloatArray | None) -> Identification:

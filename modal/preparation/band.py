@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from okid.arrays import ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["Band", "coherent_band", "missed_share"]
+__all__ = ["Band", "chance_of_following", "coherent_band", "missed_share"]
 
 COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
@@ -119,6 +120,50 @@ def missed_share(records: Sequence[Record], left: Sequence[FloatArray]) -> float
     missed = np.maximum(0.0, follows) * errors / whole
     explained = np.maximum(0.0, 1.0 - errors / whole)
     return float(missed.sum() / max(missed.sum() + explained.sum(), np.finfo(float).tiny))
+
+
+def chance_of_following(
+    records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]
+) -> FloatArray:
+    """How often outputs that know nothing of the inputs follow them as well within each of some bands.
+
+    The multiple coherence of an output, m inputs over n averages, is chance with the mean m / n; its sum over half as
+    many independent lines as the window leaves in the band is about gamma-distributed. The least of all outputs counts,
+    times their number (Bonferroni).
+
+    Args:
+        records: of one system.
+        frequencies: (n_bands,) middle of each band [Hz].
+        half_widths: (n_bands,) [Hz]; two lines on either side at least.
+
+    Returns:
+        (n_bands,) probabilities, 0 where they cannot be told.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> noise, force = rng.standard_normal((2, 8000))
+        >>> force = np.fft.irfft(np.where(np.arange(4001) < 2000, np.fft.rfft(force), 0.0), 8000)  # up to 25 Hz of 50
+        >>> told = chance_of_following([Record(force, force + 0.1 * noise, 0.01)], [10.0, 40.0], [1.0, 1.0])
+        >>> bool(told[0] < 1e-6), bool(told[1] > 0.01)
+        (True, True)
+    """
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    n_segment = _segment_length(records)
+    spectra, n_averages = _spectra(records, n_segment)
+    if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
+        return np.zeros(len(frequencies))
+    lines = np.fft.rfftfreq(n_segment, records[0].dt)
+    worth = 0.95 * n_averages  # as in `_multiple_coherence`, whose correction is taken back
+    bias = n_inputs / worth
+    coherence = _multiple_coherence(spectra, n_inputs, n_averages, clip=False) * (1.0 - bias) + bias
+    chances = np.zeros(len(frequencies))
+    for i, (middle, half) in enumerate(zip(frequencies, half_widths, strict=True)):
+        near = np.abs(lines - middle) <= max(half, 2.0 * lines[1])
+        if near.any():
+            shape = 0.5 * n_inputs * max(2, int(near.sum()))
+            ratio = coherence[near].mean(axis=0) / bias
+            chances[i] = min(1.0, n_outputs * float(scipy.special.gammaincc(shape, shape * ratio).min()))
+    return chances
 
 
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:

@@ -161,9 +161,13 @@ def first_acts(records: Sequence[Record]) -> tuple[int, ...]:
 def _active_share(columns: Sequence[FloatArray]) -> float:
     """Share of the rows that hold most of an input's power above what it has at rest; 1 where rest is not seen.
 
-    Rows between two of them count too where they are few: a force that swings passes through zero without a rest.
+    Rows between two of them count too where they are few: a force that swings passes through zero without a rest. A row
+    without a number tells neither rest nor motion.
     """
-    each = [np.nan_to_num(np.square(values - np.nanmedian(values))) for values in columns]
+    measured = [values[np.isfinite(values)] for values in columns]
+    each = [np.square(values - np.median(values)) for values in measured if values.size]
+    if not each:
+        return 1.0
     squares = np.sort(np.concatenate(each))[::-1]
     rest = float(np.median(squares)) / NORMAL_MEDIAN
     excess = float(squares.sum()) - squares.size * rest
@@ -189,6 +193,7 @@ def _by_outputs(records: Sequence[Record]) -> KindFound:
     decays = [ratio >= FAR_ABOVE or (ratio >= ABOVE and fall) for ratio, fall in zip(ratios, falls, strict=True)]
     struck = any(starts)
     words = f"the outputs start with {least:.3g} times the power that they end with"
+    words = words if least > 0.0 else "the outputs move no more at their start than later"
     if all(decays):
         words = f"after a blow or a release that was not measured, {words}" if struck else words
         return _found("decay", f"{words}, and there is no input: they ring down", starts=starts)

@@ -17,16 +17,18 @@ from modal.estimation.cross_validation import (
     WITHIN,
     hankel_limits,
     markov_lags,
+    scaled_record,
     stretches_of,
 )
 from modal.estimation.free_run import ModalForm, free_runs, modal_form
+from okid.arrays import FloatArray
 from okid.gram import lag_gram
 from okid.least_squares import solve
 from okid.markov import MarkovParameters, recover_system
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-__all__ = ["QuickModel", "best_model", "observer_markov", "observer_order", "quick_model"]
+__all__ = ["QuickModel", "best_model", "left_alone_and_together", "observer_markov", "observer_order", "quick_model"]
 
 LONGEST_OBSERVER = 128
 """Look back no further than this many samples: longer memories do not decide what preparation asks."""
@@ -72,6 +74,30 @@ def quick_model(records: Sequence[Record]) -> QuickModel | None:
         if model is not None:
             return model
     return None
+
+
+def left_alone_and_together(records: Sequence[Record], left: Sequence[FloatArray]) -> tuple[float, float]:
+    """Shares of the outputs' power that a first model of each record alone leaves, and that the model of all does.
+
+    Args:
+        records: of one system with inputs.
+        left: (n_samples, n_outputs) a record: what the free run of the model of all leaves.
+
+    Returns:
+        Both nan for one record, missing samples, and inputs of which not all move in each record.
+    """
+    alone = together = power = 0.0
+    scaling = channel_scaling(records)
+    for record, errors in zip(records, left, strict=True):
+        scaled = scaled_record(record, scaling)
+        whole = len(records) > 1 and record.n_inputs > 0 and bool(record.complete_rows().all())
+        model = quick_model([scaled]) if whole else None
+        if model is None:
+            return float("nan"), float("nan")
+        alone += model.error**2 * scaled.outputs.size
+        together += float(np.square(errors / scaling.output_scale).sum())
+        power += float(np.square(scaled.outputs).sum())
+    return alone / power, together / power
 
 
 def observer_order(records: Sequence[Record]) -> int:

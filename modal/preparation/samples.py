@@ -189,13 +189,15 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
 
 
 def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
-    """Missing samples of one channel."""
-    if channel.n_missing == 0:
+    """Missing samples of one channel; a record of a set-up that did not measure it lacks none."""
+    measured = [number for number, part in enumerate(channel.parts) if np.isfinite(part).any()]
+    measured = measured or list(range(len(channel.parts)))
+    gaps = [(number, *run) for number in measured for run in runs_of(np.isnan(channel.parts[number]))]
+    if not gaps:
         return []
-    gaps = [(number, *run) for number, part in enumerate(channel.parts) for run in runs_of(np.isnan(part))]
     longest = max(stop - start for _, start, stop in gaps)
     spans = tuple(channel.span(*gap) for gap in gaps[:MOST_SPANS])
-    share = channel.n_missing / channel.n_samples
+    share = sum(stop - start for _, start, stop in gaps) / sum(channel.parts[number].size for number in measured)
     several = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "one gap of"
     return [
         Finding(
@@ -216,7 +218,9 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
     """Gaps of all channels together that leave few rows with a complete past."""
     n_usable = n_rows = 0
     for record in records:
-        complete = record.complete_rows()
+        there = np.isfinite(record.outputs)
+        whole = np.hstack([there | ~there.any(axis=0), np.isfinite(record.inputs)])
+        complete = np.asarray(whole.all(axis=1), dtype=np.bool_)
         order = min(OBSERVER_ORDER, record.n_samples // 4)
         n_usable += int(usable_rows(complete, order).sum())
         n_rows += record.n_samples - order

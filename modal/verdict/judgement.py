@@ -45,6 +45,7 @@ from modal.verdict.probability import (
     f_ratio,
     poor_fit_doubt,
     probability,
+    unanswered_doubt,
     unexcited_doubt,
 )
 from okid.arrays import BoolArray, FloatArray
@@ -192,13 +193,15 @@ def judge(
     lines: BetweenLines | None = None,
     n_values: int = 0,
     edge: float = np.inf,
+    chance: FloatArray | None = None,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
     Rules, in this order: a growing pole and a pole at half the sampling frequency are noise; a mode is "system" for p
     >= 0.8 where no kind of change leaves less than 0.42, "noise" for p < 0.05, else "doubtful". At most doubtful are:
     a second pole within 1 % of a mode's frequency and with its shape, and every mode with a doubt of
-    `modal.verdict.probability` or `modal.verdict.excitation`. Poles side by side that share one resonance are judged
+    `modal.verdict.probability` or `modal.verdict.excitation`; what is doubtful already is noise where nothing follows
+    the inputs. Poles side by side that share one resonance are judged
     together (`modal.verdict.judgement`). A real pole is judged like the others but named as what it is.
 
     Whether the damping of an oscillatory mode is resolved: see `modal.verdict.probability`.
@@ -218,6 +221,8 @@ def judge(
         lines: what inputs of a few lines tell of each mode; None where they are no lines.
         n_values: measured values, rows times outputs, that the gain was taken on.
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
+        chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
+            where unknown.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -249,10 +254,11 @@ def judge(
         ratio = float(np.fmin(ratio, beside))  # no more certain than the excitation at its frequency allows
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
+        unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))
         undriven = (
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
-            *unexcited_doubt(mode, excitation),
+            *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
@@ -269,6 +275,8 @@ def judge(
         )
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
+        elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
+            verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)
         if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing
             p = min(p, DOUBTED)
         doubt = damping_doubt(

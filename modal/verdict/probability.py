@@ -36,6 +36,7 @@ __all__ = [
     "f_ratio",
     "poor_fit_doubt",
     "probability",
+    "unanswered_doubt",
     "unexcited_doubt",
 ]
 
@@ -149,6 +150,17 @@ def unexcited_doubt(mode: Mode, excitation: Excitation | None) -> tuple[str, ...
     if any(low <= mode.frequency <= high for bands in excitation.excited_bands for low, high in bands):
         return ()
     return (f"no input moves at {mode.frequency:.4g} Hz: what is seen there is leakage or a disturbance",)
+
+
+FOLLOWS = 0.01
+"""Doubt a pole at whose frequency outputs that know nothing of the inputs follow them as well so often."""
+
+
+def unanswered_doubt(mode: Mode, chance: float) -> tuple[str, ...]:
+    """Nothing that the outputs do at the mode's frequency follows the inputs beyond chance."""
+    if not chance > FOLLOWS or mode.kind != "oscillatory":
+        return ()
+    return (f"nothing follows the inputs at {mode.frequency:.4g} Hz beyond chance: noise, leakage or a disturbance",)
 
 
 SPREAD = 0.1

@@ -318,8 +318,13 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
         Column(name=name, unit=unit, header=header)
         for name, (_, unit), header in zip(names, split, headers, strict=True)
     ]
-    if not headers[-1] and layout.headers and np.isnan(values[:, -1]).all():  # rows that end with a delimiter
-        columns, values = columns[:-1], values[:, :-1]
+    if not headers[-1] and layout.headers:
+        if not np.isnan(values[:, -1]).all():
+            raise UnreadableFileError(
+                f"{path.name} names {layout.n_columns - 1} columns, but its rows hold {layout.n_columns} numbers, so a "
+                "name may stand over the wrong column; give every column a name, the first one too."
+            )
+        columns, values = columns[:-1], values[:, :-1]  # rows that end with a delimiter
     return Table(path=path, format="text table", columns=tuple(columns), values=values)
 
 

@@ -28,6 +28,20 @@ def test_loops_are_found_all_that_are_strong_and_most_of_the_others():
     assert found.mean() > 0.8
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_force_that_fills_a_part_of_the_band_is_no_loop(seed):
+    """Its past foretells it as far as the noise of its sensor allows, which the outputs do not have."""
+    rng = np.random.default_rng(seed)
+    n, lines = 16384, np.fft.rfftfreq(16384)
+    force = np.fft.rfft(rng.standard_normal(n)) * ((lines > 0.02) & (lines < 0.37))
+    answers = [lines**2 / (lines**2 - f**2 - 2j * z * f * lines) for f, z in ((0.1, 0.004), (0.2, 0.003), (0.3, 0.02))]
+    outputs = np.fft.irfft(force * (rng.standard_normal((6, 3)) @ np.array(answers)), n).T
+    outputs += 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    force = np.fft.irfft(force, n)
+    force += 0.002 * force.std() * rng.standard_normal(n)
+    assert feedback_p_value([Record(force, outputs, 1e-3)]) > FALSE_ALARMS
+
+
 def biased(kind, system):
     """Errors of the modes' damping by output error from the truth, their deviations, and what feedback does to them."""
     case = noise_record(kind, system=system, record=0)

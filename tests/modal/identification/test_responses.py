@@ -108,3 +108,31 @@ def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):
 def test_what_is_for_records_alone_is_refused():
     with pytest.raises(InvalidDataError, match="is for records in time"):
         modal.identify(exact_table(), kind="driven")
+
+
+def plate_table(seed, *, relative=0.01, last=300.0):
+    """Accelerances as an analyser prints them: exact in continuous time, modes beyond the lines, noise like them."""
+    rng = np.random.default_rng(seed)
+    f = np.array([62.0, 118.0, 197.0, 200.0, 241.0, 730.0, 950.0])
+    zeta = np.array([0.01, 0.004, 0.003, 0.004, 0.02, 0.01, 0.01])
+    shapes = np.sin(np.outer([1.1, 2.0, 2.9, 3.7], np.arange(1, 8)) + np.arange(7))
+    lines = np.arange(50, 2 * last + 1) / 2
+    s, w = 2j * np.pi * lines[:, None, None], 2 * np.pi * f
+    response = (s**2 / (s**2 + 2 * zeta * w * s + w**2) * shapes * shapes[0]).sum(axis=2)
+    noise = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    return response * (1 + relative / np.sqrt(2) * noise), lines, f[:5], zeta[:5]
+
+
+def test_a_table_of_motion_between_samples_with_noise_like_itself_gives_its_damping():
+    """Such noise made a window that leaks the likeliest, and modes beyond the lines poles near the last one."""
+    response, lines, f, zeta = plate_table(4)
+    result = modal.identify(FrequencyResponse(response, lines, output_units=["m/s^2"] * 4, input_units=["N"]))
+    assert next(one.value for one in result.choices if one.what == "window") == "periodic"
+    found = result.modes.system
+    assert len(found) == 5
+    for mode, true, damping in zip(found, f, zeta, strict=True):
+        assert abs(mode.frequency - true) < 3.5 * mode.frequency_std < 1e-3 * true
+        assert abs(mode.damping_ratio - damping) < 3.5 * mode.damping_ratio_std < 0.05 * damping
+    beyond = [mode for mode in result.modes if mode.frequency > 320.0]
+    assert beyond
+    assert all(mode.verdict == "noise" and "outside the lines" in mode.reason for mode in beyond)

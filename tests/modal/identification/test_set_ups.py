@@ -1,6 +1,7 @@
 """Roving sensors and a roving hammer: one modal model over all set-ups, against a chain whose modes are known."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -149,3 +150,13 @@ def test_the_trigger_of_each_blow_leaves_modal_masses_alone():
     for mode, shape in zip(result.modes.system, roving.SHAPES.T, strict=True):
         residue = 2j * mode.pole.imag * continuous_residue(mode, roving.DT)
         np.testing.assert_allclose(residue, np.outer(shape[sensors], shape), atol=0.01)
+
+
+def test_blows_at_several_points_under_one_name_are_told():
+    """One mode of six was found, and nothing said why."""
+    blows = roving.hammer_blows((0, 0, 0), sensors=(0, 1, 2, 3))
+    given = {"observer_order": 20, "order": 8, "ridge": 0.0}
+    roved = modal.identify([replace(blow, input_names=("hammer",)) for blow in blows], **given)
+    assert any("name it after the point" in text for text in roved.warnings)
+    fixed = [replace(blows[0], outputs=blows[0].outputs * (1 + 1e-3 * k), name=f"{k}") for k in range(3)]
+    assert not any("belong together" in text for text in modal.identify(fixed, **given).warnings)

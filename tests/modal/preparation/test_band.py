@@ -3,7 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.preparation.band import COHERENT, coherent_band
+from modal.preparation.band import COHERENT, chance_of_following, coherent_band
 from okid.record import Record
 
 
@@ -134,3 +134,22 @@ def test_chance_coherence_is_taken_off():
     rng = np.random.default_rng(7)
     band = coherent_band([Record(rng.standard_normal((3000, 2)), rng.standard_normal((3000, 3)), 0.01)])
     assert 0.0 < band.coherence.mean() < 0.03
+
+
+def test_modes_buried_in_noise_follow_the_inputs_and_an_empty_band_does_not():
+    told = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        system = modal_system(rng, frequencies=[4.0, 11.0, 20.0], damping_ratios=[0.005, 0.02, 0.01])
+        inputs = random_inputs(rng, 20_000, system.n_inputs)
+        lines = np.fft.rfftfreq(len(inputs), system.dt)
+        inputs = np.fft.irfft(np.fft.rfft(inputs, axis=0) * (lines < 25.0)[:, None], len(inputs), axis=0)
+        inputs += 0.003 * rng.standard_normal(inputs.shape)
+        outputs = simulate(system, inputs)
+        outputs = outputs + 3.0 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        told.append(
+            chance_of_following([Record(inputs, outputs, system.dt)], [4.0, 11.0, 20.0, 40.0], [0.02, 0.1, 0.1, 1.0])
+        )
+    told = np.array(told)
+    assert (told[:, :3].min(axis=1) < 1e-4).all()
+    assert (told[:, 3] > 0.01).sum() >= 11

@@ -140,3 +140,19 @@ def test_a_decay_with_a_gap_is_a_decay(away):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert find_kind([Record(np.zeros((4000, 0)), outputs, 0.01)]).kind == "decay"
+
+
+def test_motion_that_goes_on_is_not_said_to_start_with_no_power():
+    found = find_kind([Record([], np.random.default_rng(3).standard_normal((6000, 3)), 0.01)])
+    assert found.kind == "ambient"
+    assert "0 times the power" not in found.choice.reason
+
+
+def test_rows_without_a_number_are_no_rest():
+    """Of 60 s of a shaker's force 5 s were logged, and it was called a blow."""
+    rng = np.random.default_rng(8)
+    force = rng.standard_normal(6000)
+    force[500:] = np.nan
+    found = find_kind([Record(force, rng.standard_normal((6000, 2)), 0.01)])
+    assert found.kind == "driven"
+    assert not found.warnings

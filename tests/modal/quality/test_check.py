@@ -1,16 +1,19 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_records import KINDS, clean_record, with_fault
+from roving import unknown_forces
 
 from modal.preparation.channel import Finding
 from modal.quality import check_quality
 from modal.quality.findings import DataQuality
 from okid.errors import InvalidDataError
 from okid.record import Record
+from okid.rows import join_setups
 
 WITHOUT_ORDER = [kind for kind in KINDS if kind != "sine"]
 """A single sine is clean and yet poor: it is told apart in test_inputs."""
@@ -163,3 +166,13 @@ def test_without_inputs_the_spectra_have_fine_lines():
     motion = np.convolve(force, np.hanning(9))[:3000]
     assert check_quality(Record([], motion, 0.01)).frequencies.size == 129
     assert check_quality(Record(force, motion, 0.01)).frequencies.size == 33
+
+
+def test_what_another_set_up_measured_is_not_missing():
+    """Nine channels of three clean set-ups were called bad, and the remedy was to leave them out."""
+    setups = join_setups([unknown_forces(1, (0, 1, 2)), unknown_forces(2, (0, 3))])
+    assert serious(check_quality(setups)) == []
+    outputs = setups[1].outputs.copy()
+    outputs[500:2500, 3] = np.nan
+    found = check_quality([setups[0], replace(setups[1], outputs=outputs)]).findings
+    assert {channel for one in found if one.what == "missing samples" for channel in one.channels} == {"y3"}

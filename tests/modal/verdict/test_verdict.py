@@ -438,3 +438,13 @@ def test_a_pole_that_dies_within_two_samples_is_not_certain():
     assert mode.reason.startswith("dies within two samples (18 % are left after one): may be a delay")
     slower = vibration(frequency=20.0, damping=0.7)
     assert judged(slower, reruns_of(("data", model_of(slower)))).verdict == "system"
+
+
+def test_a_pole_where_nothing_follows_the_inputs_is_no_mode_of_the_system():
+    """In the edge of an anti-alias filter a struck plate had a mode that came back in every half."""
+    assert judged(vibration(), found_with(), chance=np.array([1e-9])).verdict == "system"
+    mode = judged(vibration(), found_with(), chance=np.array([0.4]))
+    assert mode.verdict == "doubtful"
+    assert "nothing follows the inputs at 5 Hz beyond chance" in mode.reason
+    assert judged(vibration(), found_with(data=0.3), chance=np.array([1e-9])).verdict == "doubtful"
+    assert judged(vibration(), found_with(data=0.3), chance=np.array([0.4])).verdict == "noise"

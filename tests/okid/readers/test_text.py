@@ -190,3 +190,12 @@ def test_a_fault_far_down_is_found_at_its_line(table, monkeypatch):
     rows[15_000] = "15000,oops"
     with pytest.raises(UnreadableFileError, match=r"line 15002, column 'b' .* 'oops'"):
         table("a,b\n" + "\n".join(rows) + "\n")
+
+
+@pytest.mark.parametrize("header", ["time [s],force [N]", "force [N],tip [m],"])
+def test_a_header_one_name_short_is_refused(tmp_path, header):
+    """Which column lacks its name the file does not say: numbered rows shift every name by one."""
+    path = tmp_path / "short.csv"
+    path.write_text(header + "\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50)))
+    with pytest.raises(UnreadableFileError, match="names 2 columns, but its rows hold 3 numbers"):
+        read_record(path)
