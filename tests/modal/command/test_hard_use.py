@@ -107,6 +107,24 @@ def test_what_memory_cannot_hold_is_said_before_the_work(data, monkeypatch, caps
     assert not (data / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        ImportError("libXau.so.6: failed to map segment from shared object"),
+        OSError(12, "Cannot allocate memory"),
+        RuntimeError("can't start new thread"),
+    ],
+)
+def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, capsys, error):
+    def full(*_arguments, **_options):
+        raise error
+
+    monkeypatch.setattr("modal.command.run.write_report", full)
+    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
+    assert status(["run", "a.csv", "--inputs", "force", "-o", "out", *choices]) == 2
+    assert "there is not enough memory for this (" in capsys.readouterr().err
+
+
 def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, monkeypatch, capsys):
     choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
     run = ["run", "a.csv", "--inputs", "force", "-o", "out", *choices]
