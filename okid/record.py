@@ -157,13 +157,15 @@ def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -
     return tuple(str(label) for label in given)
 
 
-def own_names(values: object) -> tuple[str, ...]:
-    """The names that a data frame or one column of it gives its channels; none of numbers, or of an array.
+def own_names(values: object, given: Any) -> Any:
+    """What is given, else the names that a data frame or one column of it gives its channels; none of an array.
 
     Example:
-        >>> own_names([[1.0, 2.0]])
-        ()
+        >>> own_names([[1.0, 2.0]], ()), own_names([[1.0, 2.0]], ["a", "b"])
+        ((), ['a', 'b'])
     """
+    if given is not None and not (isinstance(given, tuple | list) and not given):
+        return given
     if hasattr(values, "to_frame"):  # one column of pandas or polars
         values = values.to_frame()
     names = tuple(getattr(values, "columns", ()))
@@ -238,10 +240,7 @@ class Record(Displayed):
     start_time: float = 0.0
 
     def __post_init__(self) -> None:
-        named = [
-            own_names(values) if isinstance(given, tuple | list | None) and not given else given
-            for given, values in ((self.input_names, self.inputs), (self.output_names, self.outputs))
-        ]
+        named = own_names(self.inputs, self.input_names), own_names(self.outputs, self.output_names)
         outputs = time_major(self.outputs, name="outputs")
         inputs = as_inputs(self.inputs, outputs.shape[0])
         check_lengths(inputs, outputs)

@@ -45,6 +45,7 @@ __all__ = [
     "predictor_data",
     "predictor_of_observer",
     "predictor_start",
+    "share_of",
 ]
 
 ROUNDS = 8
@@ -122,7 +123,7 @@ def likeliest(
                 least_gain=least,
                 weights=weights,
                 coordinates=coordinates,
-                progress=lambda share, number=number: progress((number + share) / rounds),
+                progress=share_of(progress, number / rounds, (number + 1) / rounds),
             )
         step = done[-1]
         weights, new = _weights(step, n_rows)
@@ -138,6 +139,16 @@ def likeliest(
         log_likelihood=size,
         n_numbers=n_free + step.layout.n_regressors * n_outputs,
     )
+
+
+def share_of(progress: Callable[[float], None], first: float, last: float) -> Callable[[float], None]:
+    """Tells the whole, from `first` to `last`, of what is behind of a part.
+
+    Example:
+        >>> share_of(print, 0.25, 0.75)(0.5)
+        0.5
+    """
+    return lambda share: progress(first + (last - first) * share)
 
 
 def leaves_rounding(step: RefinementStep, n_rows: int) -> bool:

@@ -30,6 +30,7 @@ from modal.estimation.prediction_error import (
     predictor_data,
     predictor_of_observer,
     predictor_start,
+    share_of,
 )
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
@@ -162,7 +163,7 @@ def _likeliest(
         before = (
             1 + 4 * number
         ) / 9  # output error, the model, and the model with states of noise: one to four to four
-        fit = likeliest(step, data, Sections(), progress=lambda share, before=before: progress(before + 4 / 9 * share))
+        fit = likeliest(step, data, Sections(), progress=share_of(progress, before, before + 4 / 9))
         white = whiteness(centred(errors_of(fit.step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
         if white.p_value > WHITE_AT:
             return fit, white.ratio
@@ -178,7 +179,7 @@ def _output_error(
     start = starting_parameters(model, data)
     if start is None:
         return None
-    return likeliest(start, data, PolesAndParticipations(), progress=lambda share: progress(share / 9))
+    return likeliest(start, data, PolesAndParticipations(), progress=share_of(progress, 0.0, 1 / 9))
 
 
 def _candidates(model: Realisation, reference: LikeliestFit | None) -> Iterator[Realisation]:

@@ -366,7 +366,7 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
         source = io.BytesIO(_LINE_ENDS.sub(b"", _BLANKS.sub(b" ", file.read())))
     keys = [str(index) for index in range(layout.n_columns)]
     blanks = [" " * width for width in range(1, 33)]
-    parts = []
+    parts: list[FloatArray] = []
     try:
         with csv.open_csv(
             source,
@@ -386,7 +386,7 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
         file.seek(start)
         _raise_fault(io.TextIOWrapper(file, encoding="latin-1"), layout, names, path)
         raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({first_line(error)}).") from error
-    values = np.empty((sum(map(len, parts)), layout.n_columns))
+    values = np.empty((sum(len(part) for part in parts), layout.n_columns))
     last = len(values)
     while parts:  # each is let go once it is copied, so that the table never stands twice
         part = parts.pop()
