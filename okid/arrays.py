@@ -180,7 +180,7 @@ def _as_float(values: npt.ArrayLike, name: str) -> FloatArray:
             )
         if given.dtype.kind not in "biuf":
             given = given.astype(np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InvalidDataError):
             raise
         raise InvalidDataError(f"{name} must be an array of real numbers ({error}).") from error

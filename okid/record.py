@@ -157,6 +157,21 @@ def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -
     return tuple(str(label) for label in given)
 
 
+def own_names(values: object, given: Any) -> Any:
+    """What is given, else the names that a data frame or one column of it gives its channels; none of an array.
+
+    Example:
+        >>> own_names([[1.0, 2.0]], ()), own_names([[1.0, 2.0]], ["a", "b"])
+        ((), ['a', 'b'])
+    """
+    if given is not None and not (isinstance(given, tuple | list) and not given):
+        return given
+    if hasattr(values, "to_frame"):  # one column of pandas or polars
+        values = values.to_frame()
+    names = tuple(getattr(values, "columns", ()))
+    return names if all(isinstance(name, str) and name for name in names) else ()
+
+
 def check_names(names: tuple[str, ...]) -> None:
     """Raise if a channel name stands more than once."""
     double = sorted(name for name, count in Counter(names).items() if count > 1)
@@ -195,8 +210,8 @@ class Record(Displayed):
         inputs: (n_samples, n_inputs); n_inputs may be 0. One-dimensional values are one channel.
         outputs: (n_samples, n_outputs); NaN marks a missing sample, NaN throughout a channel that another record has.
         dt: time step [s].
-        input_names: one a channel, unique over inputs and outputs; "input_0", ... unless given.
-        output_names: "output_0", ... unless given.
+        input_names: one a channel, unique over inputs and outputs; by default those of a frame, else "input_0" ...
+        output_names: likewise, else "output_0" ...
         input_units: one a channel, "" where unknown.
         output_units: likewise.
         input_hold: "zero_order" (a DAC held it), "linear", or "band_limited" (measured through an anti-alias filter).
@@ -225,6 +240,7 @@ class Record(Displayed):
     start_time: float = 0.0
 
     def __post_init__(self) -> None:
+        named = own_names(self.inputs, self.input_names), own_names(self.outputs, self.output_names)
         outputs = time_major(self.outputs, name="outputs")
         inputs = as_inputs(self.inputs, outputs.shape[0])
         check_lengths(inputs, outputs)
@@ -239,8 +255,8 @@ class Record(Displayed):
         set_(self, "outputs", outputs)
         set_(self, "dt", dt)
         set_(self, "start_time", float(self.start_time))
-        set_(self, "input_names", labels(self.input_names, inputs.shape[1], "input", named=True))
-        set_(self, "output_names", labels(self.output_names, outputs.shape[1], "output", named=True))
+        set_(self, "input_names", labels(named[0], inputs.shape[1], "input", named=True))
+        set_(self, "output_names", labels(named[1], outputs.shape[1], "output", named=True))
         set_(self, "input_units", labels(self.input_units, inputs.shape[1], "input", named=False))
         set_(self, "output_units", labels(self.output_units, outputs.shape[1], "output", named=False))
         check_names(self.input_names + self.output_names)

@@ -14,10 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
-from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources
-from modal.command.terminal import listing, plain
+from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources, sizes
+from modal.command.terminal import listing, plain, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
-from modal.quality.check import check_quality
+from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
 from modal.wording.names import shorten
 from modal.wording.numbers import whole_percent
@@ -156,6 +156,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
     with progress_bar() as tell, own_warnings() as heard:
         tell("reading", 0.0)
         records, remarks = source.read()
+        say_beforehand(*sizes(records), *expected_check(records))
         tell("looking at the data", 0.5)
         quality = check_quality(records)
         if json is not None:

@@ -21,9 +21,10 @@ from modal.command.run import (
     refuse_other_report,
     refuse_pdf,
     refuse_sources,
+    sizes,
 )
-from modal.command.terminal import listing, plain, show_paths
-from modal.discrepancy.diagnosis import diagnose
+from modal.command.terminal import listing, plain, say_beforehand, show_paths
+from modal.discrepancy.diagnosis import diagnose, expected_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
@@ -203,6 +204,9 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
         tell("reading the records", READ / 2)
         fit, held_out, remarks = read_sides(job, model)
         files_read = fingerprints((job.model, *job.fit, *job.held_out))
+        (least, most), n_bytes = expected_work(model, fit, held_out)
+        end = most if job.budget is None else job.budget
+        say_beforehand(*sizes((*fit, *held_out)), (min(least, end), min(most, end)), n_bytes)
         found = diagnose(
             model,
             fit,

@@ -92,20 +92,26 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
         raise typer.Exit(2) from error
     except (typer.Exit, typer.Abort):
         raise
-    except MemoryError as error:
-        if show:
-            raise
-        complain(
-            f"there is not enough memory for this ({first_line(error)}); give shorter records or fewer channels, or a "
-            "machine with more."
-        )
-        raise typer.Exit(2) from error
     except Exception as error:
         if show:
             raise
+        if _wants_memory(error):
+            complain(
+                f"there is not enough memory for this ({first_line(error)}); give shorter records or fewer channels, "
+                "or a machine with more."
+            )
+            raise typer.Exit(2) from error
         kind = type(error).__name__
         complain(f"a fault in modal-report stopped the work ({kind}: {error}); add --traceback to see where.")
         raise typer.Exit(3) from error
+
+
+def _wants_memory(error: Exception) -> bool:
+    """Whether memory ran out: a library that cannot be mapped or a thread that cannot begin says so in its own way."""
+    said = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+    return isinstance(error, MemoryError) or (
+        isinstance(error, ImportError | OSError | RuntimeError) and any(words in str(error).lower() for words in said)
+    )
 
 
 def complain(sentence: str) -> None:

@@ -6,7 +6,7 @@ What would stop the work is looked at before it begins: a report that is there, 
 import contextlib
 import shlex
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -33,11 +33,11 @@ from modal.command.options import (
     plain_name,
     whole_or_auto,
 )
-from modal.command.terminal import Progress, live_view, progress_bar, show_files, show_result
+from modal.command.terminal import Progress, live_view, progress_bar, say_beforehand, show_files, show_result
 from modal.examples.demo import demo_record
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry
-from modal.identification.pipeline import identify
+from modal.identification.pipeline import expected_work, identify
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
 from modal.preparation.kind import GivenKind
@@ -72,6 +72,7 @@ __all__ = [
     "refuse_pdf",
     "refuse_sources",
     "run",
+    "sizes",
     "unknown_sensors",
 ]
 
@@ -330,6 +331,9 @@ def carry_out(
         if viewer is not None and not isinstance(records, FrequencyResponse):
             log_records(records, viewer)
 
+        if not isinstance(records, FrequencyResponse):
+            say_beforehand(*sizes(records), *expected_work(records))
+
         def progress(what: str, share: float) -> None:
             tell(what, READ + (IDENTIFIED - READ) * share)
             if viewer is not None:
@@ -377,6 +381,16 @@ def own_warnings() -> Iterator[list[str]]:
         warnings.simplefilter("always", IdentificationWarning)
         warnings.showwarning = lambda message, *_args, **_options: texts.append(str(message))
         yield texts
+
+
+def sizes(records: Sequence[Record]) -> tuple[int, int]:
+    """Samples of all records, and channels of each.
+
+    Example:
+        >>> sizes(read_demo()[0])
+        (9000, 8)
+    """
+    return sum(record.n_samples for record in records), records[0].n_inputs + records[0].n_outputs
 
 
 EXAMPLES = examples(

@@ -43,6 +43,7 @@ __all__ = [
     "plain",
     "plain_streams",
     "progress_bar",
+    "say_beforehand",
     "show_comparison",
     "show_files",
     "show_limits",
@@ -252,6 +253,9 @@ Progress = Callable[[str, float], None]
 LEAST_SHARE = 0.05
 """Say nothing of the time left before this share of the work: the start says little about the rest."""
 
+LONG = 60.0
+"""Say beforehand what work may take that may last longer [s]."""
+
 LEAST_SECONDS = 1.5
 """Say nothing of it before this time either."""
 
@@ -269,9 +273,27 @@ def progress_bar() -> Iterator[Progress]:
 
         def tell(what: str, share: float) -> None:
             Requests.check()
-            bar.update(task, description=what, completed=share)
+            bar.update(task, description=what, completed=max(share, bar.tasks[0].completed))
 
         yield tell
+
+
+def say_beforehand(n_samples: int, n_channels: int, seconds: tuple[float, float], n_bytes: float) -> None:
+    """One line on stderr, with or without a terminal, of what a long piece of work will take; nothing of a short one.
+
+    Args:
+        n_samples: of all records.
+        n_channels: of each.
+        seconds: CPU seconds, least and most.
+        n_bytes: of memory, most.
+    """
+    least, most = (math.ceil(bound / 60.0) for bound in seconds)
+    if seconds[1] < LONG:
+        return
+    time = f"{least} to {most}" if least < most else f"{most}"
+    memory = f"{n_bytes / 2**30:.1f} GiB of memory"
+    text = f"{n_samples} samples of {n_channels} channels: expect {time} min of one processor and up to {memory}."
+    Console(stderr=True, highlight=False).print(plain(text), soft_wrap=True)
 
 
 def time_left_text(share: float, elapsed: float) -> str:

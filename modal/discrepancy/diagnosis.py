@@ -14,6 +14,7 @@ from modal.discrepancy.setup import (
     Progress,
     Setup,
     check_records,
+    expected_search,
     fewest_samples,
     locate_gap,
     prepare_setup,
@@ -39,11 +40,21 @@ from modal.structure.given import given_model
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["Progress", "diagnose"]
+__all__ = ["Progress", "diagnose", "expected_work"]
+
+UNKNOWN_STATES = 6
+"""Take a callable, of which nobody knows how many states it has, for three degrees of freedom."""
 
 
 def _silent(what: str, share: float) -> None:
     del what, share
+
+
+def expected_work(model: Any, fit: Sequence[Record], held_out: Sequence[Record]) -> tuple[tuple[float, float], float]:
+    """CPU seconds, least and most, and bytes that `diagnose` will take without a budget, about."""
+    black_box = callable(model) and not hasattr(model, "A")
+    n_states = UNKNOWN_STATES if black_box else given_model(model, fit).plant.n_states
+    return expected_search(fit, held_out, n_states)
 
 
 def diagnose(
@@ -127,8 +138,7 @@ def _diagnosed(
     fits, helds, notes = check_records(fit, held_out)
     black_box = callable(model) and not hasattr(model, "A")
     given = None if black_box else given_model(model, fits, sensor_kind=sensor_kind)
-    # nobody knows how many states a callable has: as three degrees of freedom
-    fits, helds, more = searched_parts(fits, helds, 6 if given is None else given.plant.n_states)
+    fits, helds, more = searched_parts(fits, helds, UNKNOWN_STATES if given is None else given.plant.n_states)
     notes += more
     if given is None:
         return diagnose_callable(

@@ -36,6 +36,7 @@ __all__ = [
     "check_plant",
     "check_records",
     "circumstances_of",
+    "expected_search",
     "fewest_samples",
     "locate_gap",
     "prepare_setup",
@@ -56,8 +57,11 @@ FEWEST_SAMPLES, FEWEST_PER_STATE = 64, 10
 """Refuse a record of fewer samples, in all or for each state: its initial state alone fits it."""
 MOST_STATES = 40_000
 """Look at so many states in all rows to fit, and as many held out: each of a thousand candidates is simulated there."""
-BYTES_A_STATE = 24_000
-"""Expect a peak of so many: 13 to 24 kB were seen with three degrees of freedom."""
+BYTES_A_STATE, BEFORE_RECORDS = 20_000, 0.25 * 2**30
+"""Expect a peak of so many for each state in each row, and so many beside them: 9 kB were seen at 27 000 and 11 kB at
+80 000 states; with what stands beside them it looks like 31 kB in short records."""
+SECONDS_A_STATE = (5e-4, 1e-2)
+"""Expect so many CPU seconds for each: 36 s were seen at 27 000 and 81 s at 80 000; slow laws take ten times that."""
 
 
 def check_records(
@@ -127,6 +131,22 @@ def searched_parts(
         "as many held out, would take hours and gigabytes; give the stretch that matters"
     )
     return kept[0], kept[1], (note,) if named else ()
+
+
+def expected_search(
+    fits: Sequence[Record], helds: Sequence[Record], n_states: int
+) -> tuple[tuple[float, float], float]:
+    """CPU seconds, least and most, and bytes that a diagnosis will take, about; stretches of what is too long.
+
+    Example:
+        >>> record = Record(np.zeros((500, 1)), np.zeros((500, 1)), 0.01)
+        >>> seconds, n_bytes = expected_search([record], [record], 2)
+        >>> seconds, f"{n_bytes / 2**30:.2f} GiB"
+        ((1.0, 20.0), '0.29 GiB')
+    """
+    most = MOST_STATES // min(max(n_states, 1), 6)
+    work = n_states * sum(min(most, sum(record.n_samples for record in side)) for side in (fits, helds))
+    return (SECONDS_A_STATE[0] * work, SECONDS_A_STATE[1] * work), BEFORE_RECORDS + BYTES_A_STATE * work
 
 
 def _strong_part(record: Record, side: Sequence[Record], most: int) -> Record:

@@ -12,7 +12,7 @@ so that one Gram matrix of states and sensitivities gives shapes, gradient and J
 that b and c share is fixed by leaving the largest entry of each b alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -153,6 +153,7 @@ def refine(
     least_gain: float = SMALLEST_GAIN,
     weights: FloatArray | None = None,
     coordinates: "Coordinates | None" = None,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> list[RefinementStep]:
     """Models after 0, 1, ... at most `n_steps` accepted Levenberg-Marquardt steps.
 
@@ -164,6 +165,7 @@ def refine(
         least_gain: relative decrease of the error by a step below which it is the last.
         weights: (n_outputs, n_outputs) W of the squared error e'We; the unit matrix unless given.
         coordinates: that steps are made in; poles and participations unless given.
+        progress: called with the share of the most steps that is behind, before each that is tried.
 
     References:
         Golub, Pereyra, SIAM Journal on Numerical Analysis 10(2), 1973, 413-432, doi 10.1137/0710036 (variable
@@ -179,6 +181,7 @@ def refine(
         normal = step_equations(current, data, held_out=held_out, weights=weights, coordinates=coordinates)
         diagonal = np.maximum(np.diag(normal.matrix), 0.0)
         while damping < LARGEST_DAMPING:
+            progress((len(done) - 1) / n_steps)
             size = diagonal + ROUND_OFF * diagonal.max(initial=0.0) + np.finfo(np.float64).tiny
             step = _solve(normal.matrix, normal.gradient, damping * size)
             predicted = float(step @ (normal.gradient + damping * size * step))

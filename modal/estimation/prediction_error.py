@@ -18,7 +18,7 @@ References:
     doi 10.1214/aos/1176344136 (criterion).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,7 @@ __all__ = [
     "predictor_data",
     "predictor_of_observer",
     "predictor_start",
+    "share_of",
 ]
 
 ROUNDS = 8
@@ -101,18 +102,31 @@ def n_rows_of(data: OutputError) -> int:
 
 
 def likeliest(
-    start: RefinementStep, data: OutputError, coordinates: Coordinates, *, rounds: int = ROUNDS
+    start: RefinementStep,
+    data: OutputError,
+    coordinates: Coordinates,
+    *,
+    rounds: int = ROUNDS,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> LikeliestFit:
     """Refined with the inverse covariance of the errors as their weights, until neither moves."""
     n_rows, n_outputs = n_rows_of(data), start.layout.n_outputs
     step = start
     weights, size = _weights(step, n_rows)
-    for _ in range(rounds):
+    for number in range(rounds):
         if leaves_rounding(step, n_rows):
             break
         least = STILL / (n_rows * n_outputs)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a pole that the data do not show
-            done = refine(step, data, n_steps=STEPS_A_ROUND, least_gain=least, weights=weights, coordinates=coordinates)
+            done = refine(
+                step,
+                data,
+                n_steps=STEPS_A_ROUND,
+                least_gain=least,
+                weights=weights,
+                coordinates=coordinates,
+                progress=share_of(progress, number / rounds, (number + 1) / rounds),
+            )
         step = done[-1]
         weights, new = _weights(step, n_rows)
         gain, size = size - new, new
@@ -127,6 +141,16 @@ def likeliest(
         log_likelihood=size,
         n_numbers=n_free + step.layout.n_regressors * n_outputs,
     )
+
+
+def share_of(progress: Callable[[float], None], first: float, last: float) -> Callable[[float], None]:
+    """Tells the whole, from `first` to `last`, of what is behind of a part.
+
+    Example:
+        >>> share_of(print, 0.25, 0.75)(0.5)
+        0.5
+    """
+    return lambda share: progress(first + (last - first) * share)
 
 
 def leaves_rounding(step: RefinementStep, n_rows: int) -> bool:

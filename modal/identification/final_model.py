@@ -4,7 +4,7 @@ Every candidate was stable on each fold, but a pole at the edge (an integrator, 
 side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -74,6 +74,7 @@ def fit_all_rows(
     n_rest: int = 0,
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
 
@@ -83,6 +84,7 @@ def fit_all_rows(
         n_rest: rows of rest among theirs, which hold no noise.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs are fed back into the inputs.
+        progress: called with the share that is behind at most, before each step.
 
     Returns:
         The search with the trial that was taken as its chosen one, and the model.
@@ -103,10 +105,10 @@ def fit_all_rows(
             continue
         made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
         if refinement == "auto":
-            made = (
-                made[0],
-                _refined(records, fitted, model, trial, n_rest=n_rest, by=found.ground.by, feedback=feedback),
+            refined = _refined(
+                records, fitted, model, trial, n_rest=n_rest, by=found.ground.by, feedback=feedback, progress=progress
             )
+            made = made[0], refined
         if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
             return made
         fallback = fallback or made
@@ -166,6 +168,7 @@ def _refined(
     n_rest: int,
     by: Folds,
     feedback: bool,
+    progress: Callable[[float], None],
 ) -> FinalModel:
     refined = None
     if model.n_inputs:
@@ -190,7 +193,9 @@ def _refined(
     if n_rest:
         return replace(made, why="rows of rest, which hold no noise, stand before the record")
     evidence = base if base.factors is not None else model
-    noise, why = noise_model(records, base, evidence=evidence, promised=1.0 - trial.error, feedback=feedback)
+    noise, why = noise_model(
+        records, base, evidence=evidence, promised=1.0 - trial.error, feedback=feedback, progress=progress
+    )
     if noise is None:
         return replace(made, why=why)
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)

@@ -9,7 +9,7 @@ where no candidate leaves white errors none is taken.
 The states of the noise alone are no modes of the system: they serve the estimate and are then left out.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from modal.estimation.prediction_error import (
     predictor_data,
     predictor_of_observer,
     predictor_start,
+    share_of,
 )
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
@@ -84,7 +85,13 @@ class NoiseModel:
 
 
 def noise_model(
-    records: Sequence[Record], start: Realisation, *, evidence: Realisation, promised: float, feedback: bool = False
+    records: Sequence[Record],
+    start: Realisation,
+    *,
+    evidence: Realisation,
+    promised: float,
+    feedback: bool = False,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[NoiseModel | None, str]:
     """The innovation form where it is the likelier one, and in words why, or why not.
 
@@ -94,6 +101,7 @@ def noise_model(
         evidence: whose Hankel factors the result keeps.
         promised: fit of the free run on held-out rows.
         feedback: the outputs are fed back into the inputs, so that output error is not offered.
+        progress: called with the share that is behind at most, before each step.
     """
     if not all(record.complete_rows().all() for record in records):
         return None, "outputs are missing, and a predictor needs every one of them"
@@ -101,12 +109,12 @@ def noise_model(
     scaled = tuple(scaled_record(record, scaling) for record in records)
     rows = tuple(record.complete_rows() for record in records)
     first = scaled_model(start, scaling)
-    reference = _output_error(first, scaled, rows)
+    reference = _output_error(first, scaled, rows, progress)
     data = predictor_data(scaled, rows)
     found = reference.step if reference is not None else None if start.n_inputs else predictor_start(first, data)
     if found is None or leaves_rounding(found, n_rows_of(data)):
         return None, "the model explains the outputs to rounding, or cannot run"
-    fit, ratio = _likeliest(first, reference, data)
+    fit, ratio = _likeliest(first, reference, data, progress)
     if fit is None:
         return None, "no model of the noise that was tried leaves white errors"
     gained = np.inf if reference is None else reference.criterion - fit.criterion
@@ -144,27 +152,34 @@ def _explains(model: Realisation, records: Sequence[Record], least: float) -> bo
 
 
 def _likeliest(
-    model: Realisation, reference: LikeliestFit | None, data: OutputError
+    model: Realisation, reference: LikeliestFit | None, data: OutputError, progress: Callable[[float], None]
 ) -> tuple[LikeliestFit | None, float]:
     """The first candidate that leaves white errors, and its whiteness ratio."""
     n_values = n_rows_of(data) * model.n_outputs
-    for candidate in _candidates(model, reference):
+    for number, candidate in enumerate(_candidates(model, reference)):
         step = predictor_start(candidate, data)
         if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
             continue
-        fit = likeliest(step, data, Sections())
+        before = (
+            1 + 4 * number
+        ) / 9  # output error, the model, and the model with states of noise: one to four to four
+        fit = likeliest(step, data, Sections(), progress=share_of(progress, before, before + 4 / 9))
         white = whiteness(centred(errors_of(fit.step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
         if white.p_value > WHITE_AT:
             return fit, white.ratio
     return None, np.nan
 
 
-def _output_error(model: Realisation, scaled: Sequence[Record], rows: Sequence[BoolArray]) -> LikeliestFit | None:
+def _output_error(
+    model: Realisation, scaled: Sequence[Record], rows: Sequence[BoolArray], progress: Callable[[float], None]
+) -> LikeliestFit | None:
     if not model.n_inputs:
         return None
     data = OutputError(records=tuple(scaled), rows=tuple(rows), blocks=blocks_of(scaled, [[[] for _ in scaled]]))
     start = starting_parameters(model, data)
-    return None if start is None else likeliest(start, data, PolesAndParticipations())
+    if start is None:
+        return None
+    return likeliest(start, data, PolesAndParticipations(), progress=share_of(progress, 0.0, 1 / 9))
 
 
 def _candidates(model: Realisation, reference: LikeliestFit | None) -> Iterator[Realisation]:

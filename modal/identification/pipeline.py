@@ -56,12 +56,34 @@ from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records, spread_stretches
 
-__all__ = ["identify"]
+__all__ = ["expected_work", "identify"]
 
-COPIES = 14
-"""Expect a peak of so many copies of the records: a whole run took 14.4 on 1e7 samples of 8 channels."""
+ITEM = np.dtype(float).itemsize
+COPIES, FIRST_LOOK = 14, 2
+"""Expect a peak of so many copies of the records used (a whole run took 14.4 on 1e7 samples of 8 channels), or of all
+records while all rows are looked at: half a copy beside a mapped file at 1e7 x 8."""
+BEFORE_RECORDS = 0.6 * 2**30
+"""Add so many bytes of libraries and report: 0.62 GiB in all at 1e5 x 8, 1.28 at 1e6 x 8."""
+SECONDS_A_VALUE = (4e-6, 8e-5)
+"""Expect so many CPU seconds a value used: 26 s at 1e6 x 8 in white noise, 1041 s at 1.6e6 x 8 with states of noise."""
+FITTING, FITTED = 0.4, 0.8
+"""Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record."""
 MOST_MEMORY = 1.5e9
 """Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
+
+
+def expected_work(records: Sequence[Record]) -> tuple[tuple[float, float], float]:
+    """CPU seconds, least and most, and bytes that `identify` will take, about.
+
+    Example:
+        >>> seconds, n_bytes = expected_work([Record([], np.zeros((4000, 2)), 0.01)])
+        >>> seconds[1] < 1.0, f"{n_bytes / 2**30:.2f} GiB"
+        (True, '0.60 GiB')
+    """
+    a_copy = sum(one.n_samples for one in records) * (records[0].n_inputs + records[0].n_outputs) * ITEM
+    used = min(a_copy, MOST_MEMORY / COPIES)
+    least, most = (seconds * used / ITEM for seconds in SECONDS_A_VALUE)
+    return (least, most), BEFORE_RECORDS + max(COPIES * used, FIRST_LOOK * a_copy)
 
 
 def identify(
@@ -183,15 +205,20 @@ def identify(
             ridge=ridge,
             order=order,
             folds=_folds(kind_found),
-            progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.3 * done),
+            progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.2 * done),
         ).evidence
         if refinement == "auto" and several[0].n_inputs:
-            found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.35 + 0.35 * done))
-        tell("fitting all rows", 0.7)
+            found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
+        tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
         fed_back = kind_found.kind == "driven" and feedback_p_value(several) < FALSE_ALARMS
         taken, final = fit_all_rows(
-            preparation.records, found, n_rest=sum(preparation.n_rest), refinement=refinement, feedback=fed_back
+            preparation.records,
+            found,
+            n_rest=sum(preparation.n_rest),
+            refinement=refinement,
+            feedback=fed_back,
+            progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
         result = _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, fed_back=fed_back, tell=tell
@@ -234,7 +261,7 @@ def _identified(
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
     fit = measure_fit(found.chosen, found.power, runs)
-    tell("identifying again with other halves, orders and ridges", 0.8)
+    tell("identifying again with other halves, orders and ridges", FITTED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     reruns = repeat(
         prepared,
@@ -390,10 +417,9 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
         InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed; or as `find_kind` says.
     """
     n_samples, n_channels = sum(one.n_samples for one in records), records[0].n_inputs + records[0].n_outputs
-    a_copy = n_channels * n_samples * np.dtype(float).itemsize
+    a_copy = n_channels * n_samples * ITEM
     need = COPIES * a_copy
-    # the first look, at all rows, takes three copies
-    _refuse_beyond(min(need, max(MOST_MEMORY, 3 * a_copy)), n_samples, n_channels)
+    _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
     kind = find_kind(records, given)
     if kind.kind not in ("driven", "ambient"):
         _refuse_beyond(need, n_samples, n_channels)

@@ -40,7 +40,12 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["check_quality"]
+__all__ = ["check_quality", "expected_check"]
+
+SECONDS_A_VALUE = (4e-7, 1.5e-6)
+"""Expect so many CPU seconds a value: 5 s at 1e6 x 8, 31 s at 1e7 x 8."""
+COPIES, BEFORE_RECORDS = 1.5, 0.25 * 2**30
+"""Expect so many copies of the records, and so many bytes beside them: 0.9 GiB at 1e7 x 8."""
 
 AVERAGES = 32
 """Make the coherence of so many segments without overlap, about: chance then gives 2 % an input."""
@@ -80,6 +85,19 @@ class _Inputs:
     sharp: tuple[BoolArray, ...]
     lines: list[HumLines]
     steady: list[bool]
+
+
+def expected_check(records: Sequence[Record]) -> tuple[tuple[float, float], float]:
+    """CPU seconds, least and most, and bytes that `check_quality` will take, about.
+
+    Example:
+        >>> seconds, n_bytes = expected_check([Record([], np.zeros((4000, 2)), 0.01)])
+        >>> seconds[1] < 0.1, f"{n_bytes / 2**30:.2f} GiB"
+        (True, '0.25 GiB')
+    """
+    values = sum(one.n_samples for one in records) * (records[0].n_inputs + records[0].n_outputs)
+    least, most = (seconds * values for seconds in SECONDS_A_VALUE)
+    return (least, most), BEFORE_RECORDS + COPIES * values * np.dtype(float).itemsize
 
 
 def check_quality(records: Record | Sequence[Record]) -> DataQuality:

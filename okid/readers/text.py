@@ -263,8 +263,8 @@ SAMPLE_BYTES = 1 << 20
 """How much of a file is looked at to find its layout; no line may be longer."""
 
 BLOCK_BYTES = 8 << 20
-MEMORY_A_BYTE = 4.0
-"""Memory needed for one byte of text, about: the text, pyarrow's columns and the table of float64."""
+COPIES_OF_TEXT, COPIES_OF_TABLE = 3.0, 1.25
+"""Expect so many: of a text that is changed before it is read, and of the table of float64 while it is put together."""
 
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _BLANKS = re.compile(rb"[ \t]+")
@@ -277,10 +277,10 @@ def read_text(path: Path) -> Table:
     Raises:
         UnreadableFileError: binary data, rows of different lengths, or text where a number is expected.
     """
-    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
     with path.open("rb") as file:
         head = file.read(SAMPLE_BYTES)
     if head.startswith(_UTF16):
+        check_memory(path, COPIES_OF_TEXT * path.stat().st_size)
         text = _decoded(path.read_bytes(), "utf-16", path)
         data = io.BytesIO(text.encode())
         head = data.getbuffer()[:SAMPLE_BYTES].tobytes()
@@ -294,7 +294,9 @@ def read_text(path: Path) -> Table:
 
 
 def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
+    size = file.seek(0, io.SEEK_END)
     if (clocked := _seconds(head, path)) != head:
+        check_memory(path, COPIES_OF_TEXT * size)
         file.seek(0)
         file = io.BytesIO(_seconds(file.read(), path))
         head = clocked
@@ -312,6 +314,10 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
     headers = layout.headers or ("",) * layout.n_columns
     split = [split_header(header) for header in headers]
     names = unique_names([name for name, _ in split], headers)
+    rows = raw_lines[layout.first_line :]
+    text = COPIES_OF_TEXT * size if layout.dialect.delimiter == " " else 0.0
+    table = size / max(1, sum(map(len, rows))) * len(rows) * layout.n_columns * np.dtype(float).itemsize
+    check_memory(path, text + COPIES_OF_TABLE * table)
     file.seek(sum(map(len, raw_lines[: layout.first_line])))
     values = _numbers(file, layout, names, path)
     columns = [
@@ -365,8 +371,9 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
         source = io.BytesIO(_LINE_ENDS.sub(b"", _BLANKS.sub(b" ", file.read())))
     keys = [str(index) for index in range(layout.n_columns)]
     blanks = [" " * width for width in range(1, 33)]
+    parts: list[FloatArray] = []
     try:
-        table = csv.read_csv(
+        with csv.open_csv(
             source,
             read_options=csv.ReadOptions(column_names=keys, block_size=BLOCK_BYTES),
             parse_options=csv.ParseOptions(delimiter=delimiter),
@@ -376,14 +383,20 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
                 quoted_strings_can_be_null=True,
                 decimal_point=layout.dialect.decimal,
             ),
-        )
+        ) as reader:
+            parts.extend(
+                np.column_stack([column.to_numpy(zero_copy_only=False) for column in batch.columns]) for batch in reader
+            )
     except (pa.ArrowException, ValueError) as error:
         file.seek(start)
         _raise_fault(io.TextIOWrapper(file, encoding="latin-1"), layout, names, path)
         raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({first_line(error)}).") from error
-    values = np.empty((table.num_rows, layout.n_columns))
-    for index, column in enumerate(table.itercolumns()):
-        values[:, index] = column.to_numpy()
+    values = np.empty((sum(len(part) for part in parts), layout.n_columns))
+    last = len(values)
+    while parts:  # each is let go once it is copied, so that the table never stands twice
+        part = parts.pop()
+        values[last - len(part) : last] = part
+        last -= len(part)
     return values
 
 

@@ -207,11 +207,14 @@ def _removed(folder, target, rng, longest, within):
     parent.mkdir(parents=True)
     process = begun(folder, "first", out=parent / "out")
     time.sleep(rng.uniform(0.2, 0.9) * longest)
-    ended = process.poll()
+    ended, written = process.poll(), (parent / "out").exists()
     shutil.rmtree(target, ignore_errors=True)
     try:
         if ended is not None:
             return f"the run had ended, status {ended}"
+        if written:
+            process.communicate()
+            return f"the result had been written, status {process.returncode}"
         return refused(process, target, [])
     finally:
         shutil.rmtree(target, ignore_errors=True)

@@ -161,6 +161,18 @@ def test_double_names(tmp_path):
     refused(tmp_path / "a.csv", "more than one column called 'y'")
 
 
+def test_a_text_is_read_where_its_table_fits_though_the_text_would_not(tmp_path, monkeypatch):
+    """Eighteen figures a number: the text weighs three tables, and never stands in memory."""
+    values = np.random.default_rng(2).standard_normal((40_000, 3))
+    np.savetxt(tmp_path / "a.csv", values, delimiter=",")
+    size, table = (tmp_path / "a.csv").stat().st_size, values.nbytes
+    assert size > 3 * table
+    monkeypatch.setattr(guard, "_machine", lambda: 1.7 * table)
+    np.testing.assert_array_equal(read_record(tmp_path / "a.csv", dt=1.0).outputs, values)
+    monkeypatch.setattr(guard, "_machine", lambda: 1.4 * table)
+    refused(tmp_path / "a.csv", "needs about .* GiB, more than 80% .* save it as one .npy array")
+
+
 def test_a_file_larger_than_memory_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(guard, "_machine", lambda: 10_000.0)
     np.savetxt(tmp_path / "a.csv", VALUES, delimiter=",")

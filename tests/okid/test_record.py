@@ -309,3 +309,33 @@ def test_an_endless_stretch_of_time_ends_with_the_record():
         record.seconds(0.0, np.nan)
     with pytest.raises(InvalidDataError, match="shares must be positive"):
         record.split(np.nan)
+
+
+class Frame:
+    """What a data frame of pandas and polars has in common here: columns with names, and an array of their numbers."""
+
+    def __init__(self, columns, values):
+        self.columns, self.values = columns, values
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.values, dtype=dtype)
+
+
+class Series(Frame):
+    def to_frame(self):
+        return Frame(self.columns, np.array(self.values)[:, np.newaxis])
+
+
+def test_frames_keep_the_names_of_their_columns():
+    force, tips = Series(["force"], [1.0, 2.0, 3.0]), Frame(["a", "b"], np.eye(3)[:, :2])
+    record = Record(force, tips, 0.01)
+    assert (record.input_names, record.output_names) == (("force",), ("a", "b"))
+    assert Record(force, tips, 0.01, output_names=["x", "y"]).output_names == ("x", "y")
+    assert Record([], Frame([0, 1], np.eye(3)[:, :2]), 0.01).output_names == ("output_0", "output_1")
+    with pytest.raises(InvalidDataError, match="'a' stand more than once; rename them"):
+        Record(force, Frame(["a", "a"], np.eye(3)[:, :2]), 0.01)
+
+
+def test_a_whole_number_beyond_all_floats_is_one_of_our_errors():
+    with pytest.raises(InvalidDataError, match="outputs must be an array of real numbers"):
+        Record([], [1, 10**400], 0.01)

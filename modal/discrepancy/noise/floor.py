@@ -448,7 +448,8 @@ def _repeated(
     if ((ratio > _NO_NOISE) | (coloured & (scatter.memory > _NARROW))).any():
         why = f"{words}, but the responses differ by up to {ratio.max():.2g} times the level of the quiet band: "
         return _of_spectrum(record, spectrum, why=why)
-    error = np.where(coloured, np.maximum(scatter.standard_error, 1.0 - 1.0 / ratio), scatter.standard_error)
+    away = np.where(coloured, 1.0 - 1.0 / np.maximum(ratio, 1.0), 0.0)  # exact repeats have a ratio of zero
+    error = np.maximum(scatter.standard_error, away)
     dropped = f" after a transient of {scatter.n_dropped} samples" if scatter.n_dropped else ""
     more = (
         f"; that is up to {ratio.max():.2g} times the level of the quiet band, so it is not white, or not only noise"

@@ -126,6 +126,15 @@ def test_a_good_run_writes_everything_and_says_where(data, quick, capsys):
     StructuralModel.load(data / "out" / "model.json")
 
 
+def test_a_long_search_is_said_beforehand_and_a_budget_shortens_it(data, quick, capsys, monkeypatch):
+    monkeypatch.setattr("modal.command.terminal.LONG", 0.0)
+    monkeypatch.setattr("modal.discrepancy.setup.SECONDS_A_STATE", (0.1, 1.0))  # 600 rows of four states at most
+    rows = 200 * (1 + GOOD.count("b.csv") + GOOD.count("c.csv"))
+    said = f"{rows} samples of 3 channels: expect {{}} min of one processor and up to 0.3 GiB of memory.\n"
+    assert gap(capsys, *GOOD)[1].err == said.format(f"{-(-rows * 4 // 600)} to {-(-rows * 4 // 60)}")
+    assert gap(capsys, *GOOD, "--budget", "90", "--overwrite")[1].err == said.format(2)
+
+
 def test_records_have_the_channels_of_the_model_in_its_order(data, quick, capsys):
     status, captured = gap(capsys, "frame.toml", "--fit", "a.csv", "b.csv", "--held-out", "c.csv", "-o", "out")
     assert status == 0, captured

@@ -107,6 +107,66 @@ def test_what_memory_cannot_hold_is_said_before_the_work(data, monkeypatch, caps
     assert not (data / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        ImportError("libXau.so.6: failed to map segment from shared object"),
+        OSError(12, "Cannot allocate memory"),
+        RuntimeError("can't start new thread"),
+    ],
+)
+def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, capsys, error):
+    def full(*_arguments, **_options):
+        raise error
+
+    monkeypatch.setattr("modal.command.run.write_report", full)
+    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
+    assert status(["run", "a.csv", "--inputs", "force", "-o", "out", *choices]) == 2
+    assert "there is not enough memory for this (" in capsys.readouterr().err
+
+
+def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, monkeypatch, capsys):
+    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
+    run = ["run", "a.csv", "--inputs", "force", "-o", "out", *choices]
+    for arguments, memory in ((run, 0.6), (["check", "a.csv"], 0.3)):
+        monkeypatch.setattr("modal.command.terminal.LONG", 60.0)
+        status(arguments)
+        assert capsys.readouterr().err == ""
+        monkeypatch.setattr("modal.command.terminal.LONG", 0.0)
+        status([*arguments, *["--overwrite"] * (arguments[0] == "run")])
+        said = capsys.readouterr().err
+        assert said == f"400 samples of 2 channels: expect 1 min of one processor and up to {memory} GiB of memory.\n"
+
+
+def test_what_is_expected_holds_what_was_measured():
+    """CPU seconds and peak of whole runs of other sizes, on this machine."""
+    for n_samples, seconds, peak in ((100_000, 13.5, 0.62), (1_000_000, 63.0, 1.28)):
+        record = Record(np.empty((n_samples, 2)), np.zeros((n_samples, 6)), 0.001)
+        (least, most), n_bytes = pipeline.expected_work([record])
+        assert least < seconds < most
+        assert peak <= n_bytes / 2**30 < 2 * peak
+
+
+def test_the_fit_to_all_rows_tells_of_each_step_and_never_steps_back(data):
+    told = []
+    rng = np.random.default_rng(8)
+    force = rng.standard_normal(2000)
+    tip = np.zeros(2000)
+    for k in range(2, 2000):
+        tip[k] = 1.8 * tip[k - 1] - 0.97 * tip[k - 2] + force[k - 1]
+    pipeline.identify(
+        Record(force, tip + 0.1 * rng.standard_normal(2000), 0.01),
+        observer_order=8,
+        ridge=0.0,
+        order=2,
+        progress=lambda what, share: told.append((what, share)),
+    )
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    fitting = [share for what, share in told if what == "fitting all rows"]
+    assert any(pipeline.FITTING < share < pipeline.FITTED for share in fitting)
+
+
 def test_stretches_stand_for_a_record_that_is_too_long(monkeypatch):
     """Ten, spread evenly, without the one in which the sensor was off; what was struck is never cut."""
     rng = np.random.default_rng(8)

@@ -1,7 +1,8 @@
-"""Four identifications at once give what one after the other gives, and leave the caller's world as it was."""
+"""Identifications at once, in threads or processes, give what one after the other gives, and change nothing else."""
 
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import scipy
@@ -37,3 +38,10 @@ def test_four_threads_give_the_same_results(tmp_path):
     assert list(warnings.filters) == filters
     assert np.geterr() == errors
     np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
+
+
+def test_processes_of_their_own_give_the_same_bytes():
+    records = [record(seed) for seed in range(2)]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        at_once = [numbers(one) for one in pool.map(identify, records)]
+    assert at_once == [numbers(identify(one)) for one in records]

@@ -418,3 +418,15 @@ def test_print_the_distribution_of_estimate_over_truth():
         if sensor == "displacement":
             assert ((ratio > 0.85) & (ratio < 1.15)).mean() > 0.95
         assert (ratio[error < 0.15] > 1.3).mean() < 0.04
+
+
+def test_exact_repeats_on_one_channel_beside_noisy_ones_divide_by_nothing():
+    """A channel that repeats to the last bit has no scatter; no bare warning of a library comes of it."""
+    rng = np.random.default_rng(3)
+    period = rng.standard_normal(256)
+    force = np.tile(period, 8)
+    exact = np.tile(np.convolve(np.tile(period, 2), [0.5, 0.3, -0.2])[256:512], 8)
+    floor = noise_floor(Record(force, np.column_stack([exact, exact + 0.01 * rng.standard_normal(2048)]), 0.01))
+    assert floor.method == ("repeated periods",)
+    assert floor.variance[0, 1] == pytest.approx(1e-4, rel=0.2)
+    assert floor.variance[0, 0] < 1e-12
