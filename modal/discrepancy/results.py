@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from modal.effects.catalogue import effects_at
+from modal.simulation.plant import MASS
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
@@ -36,6 +37,7 @@ __all__ = [
     "explained_shares",
     "explained_words",
     "in_words",
+    "other_masses",
     "unexplained_outputs",
 ]
 
@@ -84,6 +86,14 @@ def explained_words(diagnosis: "Diagnosis") -> str:
         f"the simulation explains nothing of {names} ({most} of the variance on held-out data): {it} noise, or "
         f"unrelated to the inputs, or {channel} dead or wrong{proof}"
     )
+
+
+def other_masses(diagnosis: "Diagnosis") -> str:
+    """ "another mass of dof_0" where other masses explain the records and no effect is found; "" elsewhere."""
+    if diagnosis.findings or not diagnosis.steps[-1].held_out_level <= NEAR_FLOOR:
+        return ""
+    changed = [one.name for one in diagnosis.calibrated if one.name.startswith(MASS) and one.value != one.nominal]
+    return f"another {listed(changed)}" if changed else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -156,7 +166,7 @@ class LackOfFit(Displayed):
         where: Name of the place, the input or the output.
         p_value: Probability that noise alone leaves as much, all tests of the diagnosis counted.
         share: Size of what is left as a share of the least named effect's force, both by what they do to the outputs
-            beyond all that the model can make up for; nan where nothing is named.
+            beyond all that the model can make up for; infinite where that is all, nan where nothing is named.
         size: Size of what is left as a share of the measured outputs, root mean square.
     """
 
@@ -366,7 +376,7 @@ class Diagnosis(Displayed):
     def verdict(self) -> str:
         """The result in one sentence."""
         told = in_words(self)
-        names = effects_at([(finding.effect, finding.where) for finding in told.findings])
+        names = effects_at([(finding.effect, finding.where) for finding in told.findings]) or other_masses(told)
         left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
         blind = unexplained_outputs(self)
         if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
@@ -376,7 +386,7 @@ class Diagnosis(Displayed):
             return f"No effect is missing that these data could show{but}: {left}."
         if self.status == "named":
             return f"Missing: {names}; {left}."
-        if not self.findings:
+        if not names:
             return f"Something is missing, but no effect of the catalogue explains it: {left}."
         if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
             return f"Unresolved: the best guess is {names}; {left}, but {told.warnings[-1]}."

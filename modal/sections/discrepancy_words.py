@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, unexplained_outputs
+from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, other_masses, unexplained_outputs
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
@@ -55,7 +55,8 @@ MOST_NAMED = 3
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:
     """The result in one short sentence."""
-    names = effects_text([(finding.effect, finding.where) for finding in diagnosis.findings])
+    found = [(finding.effect, finding.where) for finding in diagnosis.findings]
+    names = effects_text(found) if found else other_masses(diagnosis)
     blind = unexplained_outputs(diagnosis)
     if diagnosis.status == "none" and _all(blind, diagnosis):
         return f"These data tell nothing of the simulation: it explains nothing of {_few(blind)}."
@@ -63,7 +64,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         return f"The simulation lacks no effect that these data could show, but explains nothing of {_few(blind)}."
     if diagnosis.status == "none":
         return "The simulation lacks no effect that these data could show."
-    if not diagnosis.findings:
+    if not names:
         return "Something is missing, but no effect of the catalogue explains it."
     if diagnosis.status == "named":
         return f"The simulation lacks {names}."
@@ -195,6 +196,8 @@ def next_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
         )
     elif diagnosis.findings:
         first = "Do not build on the named effect yet: measure first what would settle it."
+    elif masses := other_masses(diagnosis):
+        first = f"Check the model's masses first: with {masses} it explains the records."
     else:
         first = "Keep the model as it is: no effect explains enough to be added."
     return (first, *diagnosis.advice)

@@ -178,8 +178,9 @@ class _Left:
         return _log_f_tail(ratio, rank, freedom), fall, rank
 
     def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
-        """Square of one response, the common unknowns but those `held` free to make up for it."""
-        return float(max(self._reduced(columns, held=held)[0][0, 0], 0.0))
+        """Square of one response, the common unknowns but those `held` free to make up for it; 0 where they do."""
+        left, whole, _ = self._reduced(columns, held=held)
+        return float(left[0, 0]) if left[0, 0] > ROUNDING * whole[0, 0] else 0.0
 
     def _reduced(
         self, columns: Sequence[FloatArray], *, held: Sequence[int]
@@ -238,7 +239,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
             kind=kind,
             where=where,
             p_value=float(min(np.exp(min(log_p + np.log(len(found)), 0.0)), 1.0)),
-            share=float(np.sqrt(fall / max(named, TINY))) if named is not None else np.nan,
+            share=np.nan if named is None else float(np.sqrt(fall / named)) if named > 0.0 else np.inf,
             size=float(np.sqrt(fall / max(signal, TINY))),
         )
         for kind, where, log_p, fall in sorted(found, key=lambda one: (one[2], -one[3]))
@@ -512,12 +513,22 @@ def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[li
     if worst is None or not worst.share > SLIGHT:
         return [], []
     known = len(root.effects)
-    names = effects_at(best.effects[known:])
-    what = f"{something(worst)} is left, {percent(worst.share)} of the force of {names}"
     found = best.coarse.assembly.placements[known:]
+    what = f"{something(worst)} is left, {_how_much(worst, found)}"
     if worst.share > MUCH or any(_same_motion(worst, item) for item in found):
         return [f"{what}: the law is another one, or has company"], []
     return [], [f"besides, {what}"]
+
+
+def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
+    """The size of what is left, in words: by the least of the effects where the rest of the model cannot replace it."""
+    if not np.isfinite(test.share):
+        return f"{percent(test.size)} of the outputs"
+    least = {1: "", 2: "the weaker of "}.get(len(found), "the weakest of ")
+    names = effects_at([(item.effect.key, item.where) for item in found])
+    forces = all(isinstance(item.effect, ForceEffect) and item.channel < 0 for item in found)
+    does = f"the force of {least}{names}" if forces else f"what {least}{names} does to the outputs"
+    return f"{percent(test.share)} of {does}"
 
 
 def something(test: LackOfFit) -> str:

@@ -37,6 +37,20 @@ def test_the_headline_says_no_more_than_the_status(diagnosis_of, status, n_effec
     assert words.diagnosis_headline(diagnosis_of(status, n_effects)) == start
 
 
+def test_masses_that_explain_the_records_are_the_best_guess(diagnosis_of):
+    found = diagnosis_of("unresolved", 0)
+    mass = replace(found.calibrated[0], name="mass of dof_0", nominal=1.0, value=1.2)
+    found = replace(
+        found,
+        calibrated=(*found.calibrated, mass),
+        steps=(*found.steps[:-1], replace(found.steps[-1], held_out_level=1.01)),
+        warnings=("missing mode at dof_0 explains the data as well as mass of dof_0",),
+    )
+    assert words.diagnosis_headline(found) == "Not settled: the best guess is another mass of dof_0."
+    assert found.verdict.startswith("Unresolved: the best guess is another mass of lower; ")
+    assert "mass of dof_0" in words.next_sentences(found)[0]
+
+
 @pytest.mark.parametrize(
     ("status", "n_effects", "trust", "label"),
     [
