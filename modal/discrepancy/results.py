@@ -34,6 +34,7 @@ __all__ = [
     "Parameter",
     "ResidualKind",
     "Step",
+    "changed_masses",
     "explained_shares",
     "explained_words",
     "in_words",
@@ -88,12 +89,16 @@ def explained_words(diagnosis: "Diagnosis") -> str:
     )
 
 
+def changed_masses(diagnosis: "Diagnosis") -> tuple[str, ...]:
+    """Names of the masses that the records ask to be others than those given."""
+    return tuple(one.name for one in diagnosis.calibrated if one.name.startswith(MASS) and one.value != one.nominal)
+
+
 def other_masses(diagnosis: "Diagnosis") -> str:
-    """ "another mass of dof_0" where other masses explain the records and no effect is found; "" elsewhere."""
-    if diagnosis.findings or not diagnosis.steps[-1].held_out_level <= NEAR_FLOOR:
-        return ""
-    changed = [one.name for one in diagnosis.calibrated if one.name.startswith(MASS) and one.value != one.nominal]
-    return f"another {listed(changed)}" if changed else ""
+    """What explains the records where other masses do and no effect is found: "another mass of dof_0"; else ""."""
+    changed = changed_masses(diagnosis)
+    explains = not diagnosis.findings and diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
+    return f"another {listed(list(changed))}" if changed and explains else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -127,12 +132,14 @@ class Hypothesis(Displayed):
         fit_level: Mean square of the residual on the records to fit, in units of the noise floor.
         held_out_level: Likewise on the held-out records.
         log_likelihood: 2 ln L of all records against the calibrated linear model.
+        masses: Names of the masses that are not those of the model as given.
     """
 
     effects: tuple[tuple[str, str], ...]
     fit_level: float
     held_out_level: float
     log_likelihood: float
+    masses: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -382,7 +389,8 @@ class Diagnosis(Displayed):
         if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
             return f"These data tell nothing of the model, which explains nothing of {listed(list(blind))}: {left}."
         if self.status == "none":
-            but = f", but the model explains nothing of {listed(list(blind))}" if blind else ""
+            but = f", with {names}" if names else ""
+            but += f", but the model explains nothing of {listed(list(blind))}" if blind else ""
             return f"No effect is missing that these data could show{but}: {left}."
         if self.status == "named":
             return f"Missing: {names}; {left}."

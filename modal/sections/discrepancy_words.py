@@ -17,6 +17,7 @@ from modal.sections.discrepancy_values import (
     closed_share,
     effect_text,
     effects_text,
+    hypothesis_text,
     levels_in_words,
     parameters_text,
     times_floor,
@@ -63,7 +64,8 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
     if diagnosis.status == "none" and blind:
         return f"The simulation lacks no effect that these data could show, but explains nothing of {_few(blind)}."
     if diagnosis.status == "none":
-        return "The simulation lacks no effect that these data could show."
+        why = f": {names} explains them" if other_masses(diagnosis) else ""
+        return f"The simulation lacks no effect that these data could show{why}."
     if not names:
         return "Something is missing, but no effect of the catalogue explains it."
     if diagnosis.status == "named":
@@ -104,7 +106,8 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     if not math.isfinite(diagnosis.closed) or first <= NAMED_WITHIN:
         return ""
     effects = "effect" if len(diagnosis.findings) == 1 else "effects"
-    what = f"Calibration and the {effects} found" if diagnosis.findings else "Calibration alone"
+    alone = f"Calibration with {masses}" if (masses := other_masses(diagnosis)) else "Calibration alone"
+    what = f"Calibration and the {effects} found" if diagnosis.findings else alone
     took = "takes" if not diagnosis.findings else "take"
     if diagnosis.closed <= 0.0:
         return f"{what} {took} nothing of it away."
@@ -123,7 +126,7 @@ def runner_up_sentence(finding: Finding) -> str:
     """Which other hypothesis came nearest, and by how much the finding leads it."""
     if finding.runner_up is None:
         return "No other hypothesis was worth a fit in its place."
-    other = effects_text(finding.runner_up.effects)
+    other = hypothesis_text(finding.runner_up)
     margin = finding.evidence.margin
     if not math.isfinite(margin):
         return f"Runner-up: {other}, which {levels_in_words(finding.runner_up)}."
@@ -253,7 +256,7 @@ def _milestones(diagnosis: Diagnosis) -> Sequence[Step]:
 def _left(step: Step, effects: str) -> str:
     size = times_floor(step.held_out_level)
     plain = {"as given": "with the model as given", "calibrated": "after calibration"}
-    name = plain.get(step.name, effects or step.name)
+    name = plain.get(step.name, effects or f"with another {step.name}")
     return f"{times_text(size)} {name}" if math.isfinite(size) else f"unbounded {name}"
 
 

@@ -1,6 +1,7 @@
 """A mass that is wrong in the model: found as that mass, or left open, never an effect."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from outside_laws import outside_case
 import modal
 import okid
 from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.results import Calibrated
+from modal.discrepancy.validation.summary import _mass_words
 from modal.structure.structural_plant import structural_plant
 
 
@@ -83,3 +86,9 @@ def test_a_rigid_mass_is_no_rival_of_itself_on_a_stiff_spring():
     assert (found.status, found.findings) == ("none", ())
     heavier = next(one for one in found.calibrated if one.name == "mass of dof_0")
     assert abs(heavier.value - case.true_masses[0]) < 4 * heavier.std
+
+
+def test_a_mass_that_hardly_differs_is_told_to_the_digits_that_differ():
+    one = Calibrated(name="mass of dof_0", unit="kg", nominal=3.0, value=2.9984, std=1e-4, at_bound=False)
+    (words,) = _mass_words([one], SimpleNamespace(masses=("mass of dof_0",)))
+    assert words.startswith("the mass of dof_0 is 2.998 kg, not the 3.000 kg")
