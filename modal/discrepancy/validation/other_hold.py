@@ -20,7 +20,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, UNLIKELY
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
@@ -116,10 +116,14 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
 
 def _leaves_an_input(found: Diagnosis) -> bool:
-    """Whether nothing is found, and what the calibrated model leaves at the floor is most likely made by an input."""
-    if found.findings or found.status != "unresolved" or not _explains(found):
-        return False
-    return any(one.kind == "input" for one in found.lack_of_fit[:1])
+    """Whether nothing is found, and what the calibrated model leaves at the floor is made by an input."""
+    return not found.findings and found.status == "unresolved" and _explains(found) and _made_by_input(found)
+
+
+def _made_by_input(found: Diagnosis) -> bool:
+    """Whether what is left is no noise, and most likely depends on an input."""
+    worst = found.lack_of_fit[:1]
+    return any(one.kind == "input" and one.p_value < UNLIKELY and one.size > FOLLOWED for one in worst)
 
 
 def _better(other: Diagnosis, found: Diagnosis) -> bool:
@@ -173,7 +177,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
         return ""
     frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
     shift = np.pi * frequency * first.dt
-    unexplained = _gap_remains(diagnosis) and not _left_over(diagnosis) > shift
+    unexplained = (_gap_remains(diagnosis) or _made_by_input(diagnosis)) and not _left_over(diagnosis) > shift
     if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
         return ""
     other = other_hold(first.input_hold)

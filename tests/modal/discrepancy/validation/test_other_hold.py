@@ -1,11 +1,14 @@
 """A wrongly declared hold, with records that a simulation loop wrote down, as people do."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.results import LackOfFit
+from modal.discrepancy.validation.other_hold import hold_words
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
@@ -90,3 +93,6 @@ def test_a_hold_that_leaves_less_than_any_effect_is_taken_back_too():
     assert (diagnosis.status, diagnosis.findings) == ("none", ())
     assert 'declare input_hold="linear"' in diagnosis.warnings[0]
     assert diagnosis.detection_limits
+    assert not any(words.startswith("Check the hold") for words in diagnosis.advice)
+    left = LackOfFit(kind="input", where="force", p_value=1e-9, share=0.02, size=0.002)
+    assert hold_words(replace(diagnosis, lack_of_fit=(left,))).startswith("Check the hold")
