@@ -250,7 +250,8 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         if rival is not None:
             margin = log_likelihood_gain(rival, best, task)
             other = effects_at(rival.effects) or listed(list(rival.masses))
-            reasons.append(f"{other} explains the data as well (2 ln L lower by {margin:.0f})")
+            well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
+            reasons.append(f"{other} explains the data {well} by {abs(margin):.0f})")
     tests = lack_of_fit(best, task, known=len(root.effects))
     refused, notes = what_is_left(tests, best, root)
     if best.held_out_level > NEAR_FLOOR:
