@@ -147,7 +147,7 @@ class GapJob:
         folder: for the report.
         existing: "refuse" to touch a report that is there, or "replace" it.
         printed: print the report into a file too.
-        budget: CPU seconds after which the search begins nothing new; no end unless given.
+        budget: CPU seconds after which the search begins nothing new; unless given, its work is bounded.
     """
 
     model: Path
@@ -329,7 +329,9 @@ def gap(
     budget: Annotated[
         float | None,
         typer.Option(
-            metavar="S", help="CPU seconds after which nothing new is tried; what is open then is unresolved, and said."
+            metavar="S",
+            help="CPU seconds after which nothing new is tried, one to two minutes unless given; what is open then is "
+            "unresolved, and said.",
         ),
     ] = None,
     folder: Annotated[

@@ -82,7 +82,8 @@ def diagnose(
         progress: Called with a sentence and the share that is done.
         budget: CPU seconds after which nothing new is begun; what was found by then is told, unresolved where
             something was left untried. A fit that runs is ended at its next iteration. With one, the same records may
-            give another diagnosis on another machine.
+            give another diagnosis on another machine. Without, the work of a search is bounded: it ends after one to
+            two minutes of CPU time.
 
     Returns:
         What is missing, where, how sure that is, and the updated model.

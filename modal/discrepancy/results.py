@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from modal.effects.catalogue import effects_at
+from modal.simulation.plant import MASS
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
@@ -33,9 +34,11 @@ __all__ = [
     "Parameter",
     "ResidualKind",
     "Step",
+    "changed_masses",
     "explained_shares",
     "explained_words",
     "in_words",
+    "other_masses",
     "unexplained_outputs",
 ]
 
@@ -86,6 +89,18 @@ def explained_words(diagnosis: "Diagnosis") -> str:
     )
 
 
+def changed_masses(diagnosis: "Diagnosis") -> tuple[str, ...]:
+    """Names of the masses that the records ask to be others than those given."""
+    return tuple(one.name for one in diagnosis.calibrated if one.name.startswith(MASS) and one.value != one.nominal)
+
+
+def other_masses(diagnosis: "Diagnosis") -> str:
+    """What explains the records where other masses do and no effect is found: "another mass of dof_0"; else ""."""
+    changed = changed_masses(diagnosis)
+    explains = not diagnosis.findings and diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
+    return f"another {listed(list(changed))}" if changed and explains else ""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Parameter(Displayed):
     """A parameter of an effect, as found.
@@ -117,12 +132,14 @@ class Hypothesis(Displayed):
         fit_level: Mean square of the residual on the records to fit, in units of the noise floor.
         held_out_level: Likewise on the held-out records.
         log_likelihood: 2 ln L of all records against the calibrated linear model.
+        masses: Names of the masses that are not those of the model as given.
     """
 
     effects: tuple[tuple[str, str], ...]
     fit_level: float
     held_out_level: float
     log_likelihood: float
+    masses: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -156,7 +173,7 @@ class LackOfFit(Displayed):
         where: Name of the place, the input or the output.
         p_value: Probability that noise alone leaves as much, all tests of the diagnosis counted.
         share: Size of what is left as a share of the least named effect's force, both by what they do to the outputs
-            beyond all that the model can make up for; nan where nothing is named.
+            beyond all that the model can make up for; infinite where that is all, nan where nothing is named.
         size: Size of what is left as a share of the measured outputs, root mean square.
     """
 
@@ -366,17 +383,18 @@ class Diagnosis(Displayed):
     def verdict(self) -> str:
         """The result in one sentence."""
         told = in_words(self)
-        names = effects_at([(finding.effect, finding.where) for finding in told.findings])
+        names = effects_at([(finding.effect, finding.where) for finding in told.findings]) or other_masses(told)
         left = f"{times_floor_text(self.steps[-1].held_out_level)} times the noise floor remain on held-out data"
         blind = unexplained_outputs(self)
         if self.status == "none" and len(blind) == len(self.held_out[0].output_names):
             return f"These data tell nothing of the model, which explains nothing of {listed(list(blind))}: {left}."
         if self.status == "none":
-            but = f", but the model explains nothing of {listed(list(blind))}" if blind else ""
+            but = f", with {names}" if names else ""
+            but += f", but the model explains nothing of {listed(list(blind))}" if blind else ""
             return f"No effect is missing that these data could show{but}: {left}."
         if self.status == "named":
             return f"Missing: {names}; {left}."
-        if not self.findings:
+        if not names:
             return f"Something is missing, but no effect of the catalogue explains it: {left}."
         if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
             return f"Unresolved: the best guess is {names}; {left}, but {told.warnings[-1]}."

@@ -20,7 +20,7 @@ from modal.localisation.levels import LevelModes, level_modes
 from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
-from modal.simulation.scheme import Budget, simulation_work
+from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from okid.arrays import TINY, FloatArray
@@ -280,9 +280,8 @@ def _plain(unit: str) -> str:
     return unit.replace(" ", "").replace("^", "").replace("**", "").replace("²", "2").replace("*", "")
 
 
-MOST_WORK = 4000.0
-"""End a search that has cost so many simulations along the records to fit: two effects were seen to take 200 to
-1600."""
+MOST_WORK = 3.2e8
+"""End a search that has cost so much work, about 70 CPU seconds whatever the model."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done (0 to 1)."""
@@ -351,7 +350,7 @@ def prepare_setup(
         form_free=free,
         report=report,
         whole=whole,
-        budget=Budget(MOST_WORK * simulation_work(drive.n_times, given.plant.n_states)) if budget is None else budget,
+        budget=Budget(MOST_WORK) if budget is None else budget,
     )
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 

@@ -15,7 +15,7 @@ from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage,
 from modal.sections.discrepancy_values import (
     NAMED_WITHIN,
     effect_text,
-    effects_text,
+    hypothesis_text,
     law_against,
     law_gives,
     times_floor,
@@ -190,7 +190,7 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
         text = times_text(float(size)) if np.isfinite(size) else "did not run through"
         panel.word(end, place, text, "ink", shift=(STYLE.gap, STYLE.tick / 3))
     panel.x.log, panel.x.limits = True, (start, highest * 2.2)
-    panel.y.ticks = [(float(place), plot_label(effects_text(one.effects), limit=64)) for place, one in enumerate(shown)]
+    panel.y.ticks = [(float(place), plot_label(hypothesis_text(one), limit=64)) for place, one in enumerate(shown)]
     panel.y.limits, panel.y.grid = (len(shown) - 0.5, -0.5), False
     panel.upright(1.0, "muted", dash="dashed", label="noise floor")
     panel.upright(NAMED_WITHIN, "doubtful", dash="dotted", label=f"named only within {NAMED_WITHIN:.2f}")

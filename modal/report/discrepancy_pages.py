@@ -18,10 +18,10 @@ from modal.sections.discrepancy_values import (
     beside_text,
     closed_share,
     effect_text,
-    effects_text,
     found_hypothesis,
     found_value,
     found_word,
+    hypothesis_text,
     interval_text,
     signed_change,
     size_text,
@@ -178,7 +178,7 @@ def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:
     best = max((one.log_likelihood for one in diagnosis.hypotheses), default=0.0)
     return [
         {
-            "effects": effects_text(one.effects),
+            "effects": hypothesis_text(one),
             "found": one is found,
             "fit": times_text(times_floor(one.fit_level)),
             "held_out": times_text(times_floor(one.held_out_level)),

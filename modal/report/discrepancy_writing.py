@@ -14,7 +14,7 @@ from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, d
 from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json, number_cell, record_document
 from modal.sections.discrepancy_stages import rows_of, stages_of
-from modal.sections.discrepancy_values import effects_text, times_floor
+from modal.sections.discrepancy_values import hypothesis_text, times_floor
 from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
 from modal.sections.provenance import Provenance, installed_version
 from modal.structure.plant_model import PlantModel
@@ -99,7 +99,7 @@ def _rows(number: int, finding: Finding, status: str) -> list[list[object]]:
         csv_cell(finding.law),
         status,
         *(number_cell(value) for value in (evidence.closed, evidence.log_likelihood, evidence.margin)),
-        csv_cell(effects_text(other.effects)) if other else "",
+        csv_cell(hypothesis_text(other)) if other else "",
         number_cell(times_floor(other.held_out_level)) if other else "",
         csv_cell(", ".join(finding.ambiguous_with)),
     ]

@@ -10,8 +10,11 @@ from typing import Literal
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Step
+from modal.effects.catalogue import CATALOGUE
+from modal.effects.effect import InputEffect
 from modal.localisation.gap import Gap, measure_gap
 from modal.localisation.levels import LevelMode, LevelModes
+from modal.simulation.assembly import MOST
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -92,11 +95,24 @@ def ran_through(step: Step) -> bool:
 
 
 def gap_of(diagnosis: Diagnosis, step: Step) -> Gap:
-    """The held-out gap of a step."""
+    """The held-out gap of a step, where the drive that the outputs answer lies within the record."""
     simulated = [
         replace(record, outputs=values) for record, values in zip(diagnosis.held_out, step.simulated, strict=True)
     ]
-    return measure_gap(diagnosis.held_out, simulated, held_out_floor(diagnosis))
+    return measure_gap([_heard(diagnosis, one) for one in diagnosis.held_out], simulated, held_out_floor(diagnosis))
+
+
+def _heard(diagnosis: Diagnosis, record: Record) -> Record:
+    """The record without the outputs that answer a drive before its start or after its end, for what delays it."""
+    outputs, n = record.outputs.copy(), record.n_samples
+    for one in diagnosis.findings:
+        effect = CATALOGUE.get(one.effect)
+        if isinstance(effect, InputEffect):
+            early, late = (
+                min(count, n // MOST) for count in effect.unheard([p.value for p in one.parameters], record.dt)
+            )
+            outputs[:early] = outputs[n - late :] = np.nan
+    return replace(record, outputs=outputs)
 
 
 def worst_outputs(gap: Gap, most: int) -> list[int]:

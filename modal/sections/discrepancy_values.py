@@ -5,7 +5,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.results import Calibrated, DetectionLimit, Diagnosis, Finding, Hypothesis, LawCurve, Parameter
+from modal.discrepancy.results import (
+    Calibrated,
+    DetectionLimit,
+    Diagnosis,
+    Finding,
+    Hypothesis,
+    LawCurve,
+    Parameter,
+    changed_masses,
+)
 from modal.effects.catalogue import effect_name
 from modal.wording.numbers import NINETY_FIVE, listed, number
 
@@ -18,6 +27,7 @@ __all__ = [
     "found_hypothesis",
     "found_value",
     "found_word",
+    "hypothesis_text",
     "interval_text",
     "law_against",
     "law_gives",
@@ -38,6 +48,14 @@ MOST_DECIMALS = 6
 """More of them stand after a power of ten."""
 
 effect_text = effect_name
+
+
+def hypothesis_text(hypothesis: Hypothesis) -> str:
+    """What a hypothesis has that the calibrated model has not: effects and other masses, or "no effect"."""
+    masses = f"another {listed(list(hypothesis.masses))}" if hypothesis.masses else ""
+    if not hypothesis.effects:
+        return masses or effects_text(())
+    return f"{effects_text(hypothesis.effects)}{f' and {masses}' if masses else ''}"
 
 
 def effects_text(effects: Sequence[tuple[str, str]]) -> str:
@@ -195,7 +213,9 @@ def found_hypothesis(diagnosis: Diagnosis) -> Hypothesis | None:
         return None
     known = min((one.effects for one in diagnosis.hypotheses), key=len, default=())
     found = sorted([*known, *((finding.effect, finding.where) for finding in diagnosis.findings)])
-    return next((one for one in diagnosis.hypotheses if sorted(one.effects) == found), None)
+    masses = sorted(changed_masses(diagnosis))
+    alike = [one for one in diagnosis.hypotheses if sorted(one.effects) == found]
+    return next((one for one in alike if sorted(one.masses) == masses), None)
 
 
 def found_word(diagnosis: Diagnosis) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, unexplained_outputs
+from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, other_masses, unexplained_outputs
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
@@ -17,6 +17,7 @@ from modal.sections.discrepancy_values import (
     closed_share,
     effect_text,
     effects_text,
+    hypothesis_text,
     levels_in_words,
     parameters_text,
     times_floor,
@@ -55,15 +56,17 @@ MOST_NAMED = 3
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:
     """The result in one short sentence."""
-    names = effects_text([(finding.effect, finding.where) for finding in diagnosis.findings])
+    found = [(finding.effect, finding.where) for finding in diagnosis.findings]
+    names = effects_text(found) if found else other_masses(diagnosis)
     blind = unexplained_outputs(diagnosis)
     if diagnosis.status == "none" and _all(blind, diagnosis):
         return f"These data tell nothing of the simulation: it explains nothing of {_few(blind)}."
     if diagnosis.status == "none" and blind:
         return f"The simulation lacks no effect that these data could show, but explains nothing of {_few(blind)}."
     if diagnosis.status == "none":
-        return "The simulation lacks no effect that these data could show."
-    if not diagnosis.findings:
+        why = f": {names} explains them" if other_masses(diagnosis) else ""
+        return f"The simulation lacks no effect that these data could show{why}."
+    if not names:
         return "Something is missing, but no effect of the catalogue explains it."
     if diagnosis.status == "named":
         return f"The simulation lacks {names}."
@@ -103,7 +106,8 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     if not math.isfinite(diagnosis.closed) or first <= NAMED_WITHIN:
         return ""
     effects = "effect" if len(diagnosis.findings) == 1 else "effects"
-    what = f"Calibration and the {effects} found" if diagnosis.findings else "Calibration alone"
+    alone = f"Calibration with {masses}" if (masses := other_masses(diagnosis)) else "Calibration alone"
+    what = f"Calibration and the {effects} found" if diagnosis.findings else alone
     took = "takes" if not diagnosis.findings else "take"
     if diagnosis.closed <= 0.0:
         return f"{what} {took} nothing of it away."
@@ -122,7 +126,7 @@ def runner_up_sentence(finding: Finding) -> str:
     """Which other hypothesis came nearest, and by how much the finding leads it."""
     if finding.runner_up is None:
         return "No other hypothesis was worth a fit in its place."
-    other = effects_text(finding.runner_up.effects)
+    other = hypothesis_text(finding.runner_up)
     margin = finding.evidence.margin
     if not math.isfinite(margin):
         return f"Runner-up: {other}, which {levels_in_words(finding.runner_up)}."
@@ -195,6 +199,8 @@ def next_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
         )
     elif diagnosis.findings:
         first = "Do not build on the named effect yet: measure first what would settle it."
+    elif masses := other_masses(diagnosis):
+        first = f"Check the model's masses first: with {masses} it explains the records."
     else:
         first = "Keep the model as it is: no effect explains enough to be added."
     return (first, *diagnosis.advice)
@@ -250,7 +256,7 @@ def _milestones(diagnosis: Diagnosis) -> Sequence[Step]:
 def _left(step: Step, effects: str) -> str:
     size = times_floor(step.held_out_level)
     plain = {"as given": "with the model as given", "calibrated": "after calibration"}
-    name = plain.get(step.name, effects or step.name)
+    name = plain.get(step.name, effects or f"with another {step.name}")
     return f"{times_text(size)} {name}" if math.isfinite(size) else f"unbounded {name}"
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from modal.simulation.assembly import Assembly, Unknowns, per_row
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import ActingForce, Heard, acting_forces
-from modal.simulation.scheme import Scheme
+from modal.simulation.scheme import Scheme, add_work
 from okid.arrays import FloatArray
 
 __all__ = ["Linearisation", "OutputDependence", "StepDependence", "linearise"]
@@ -250,6 +250,8 @@ def linearise(
         numpy.linalg.LinAlgError: Where a step has no unique end.
     """
     n, n_all, n_times = assembly.plant.n_states, states.shape[1], drive.n_times
+    for i in assembly.forces:
+        add_work(n_times, 2 + assembly.placements[i].n_memory)
     acting = acting_forces(assembly, unknowns, drive, scheme, states, smoothing=smoothing)
     lasts = np.array(drive.firsts[1:]) - 1
     heard = tuple(one.heard(lasts if gain is None else None) for one in acting)

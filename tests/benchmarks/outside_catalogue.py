@@ -4,7 +4,8 @@
 
 Cases come from `tests/reference/outside_laws.py` (an integrator of its own); model and records go in through public
 names only. One line of JSON a case in FILE; lines that are there are not made again. "Firm": named, no finding with
-`ambiguous_with`. "Firm and wrong": a firm finding that is not the truth's, or a surplus one. "Curve right": a form-free
+`ambiguous_with`. "Firm and wrong": a firm finding that is not the truth's, or a surplus one, or "none" where the truth
+is no wrong mass that was found and no step of a converter. "Curve right": a form-free
 law of the right motion at the right place whose force, with the calibrated stiffness or damping beside it, lies in its
 95 % band over at least 90 % of the motion visited, or within 3 % of the largest force everywhere. The bound is the
 largest rate of firm and wrong ones that the count allows at 95 % (Clopper and Pearson).
@@ -67,6 +68,7 @@ def diagnosed(kind, seed):
     smooth = [law for law in found.laws if law.effect.startswith("smooth_")]
     curve = bool(smooth) and len(names) == 1 and case.law is not None and curve_right(case, smooth[0], found)
     right = bool(names) and (curve or all(key in case.effects for key, _ in names))
+    right = right or (found.status == "none" and nothing_right(case, found))
     held = case.effects == () or any(
         key in case.effects for one in found.findings for key in (one.effect, *one.ambiguous_with)
     )
@@ -77,13 +79,20 @@ def diagnosed(kind, seed):
         "even": [list(one.ambiguous_with) for one in found.findings],
         "firm": firm,
         "right": bool(right),
-        "wrong": bool((firm and not right) or found.status == "none"),
+        "wrong": bool((firm or found.status == "none") and not right),
         "class_holds": bool(held),
         "curve": curve,
         "level": float(found.steps[-1].held_out_level),
         "left": [[one.kind, one.where, one.p_value, one.share, one.size] for one in found.lack_of_fit[:2]],
         "seconds": time.process_time() - start,
     }
+
+
+def nothing_right(case, found):
+    """Whether no effect is the truth: wrong masses that were found, or steps of a converter, which are noise."""
+    masses = {one.name: one.value for one in found.calibrated if one.name.startswith("mass of")}
+    off = [abs(masses.get(f"mass of dof_{i}", np.nan) - mass) / mass for i, mass in enumerate(case.true_masses)]
+    return case.kind == "quantised" or (case.kind == "wrong_mass" and max(off) < 0.02)
 
 
 def curve_right(case, law, found):

@@ -43,6 +43,7 @@ class OutsideCase:
     kind: str
     seed: int
     masses: np.ndarray
+    true_masses: np.ndarray
     stiffnesses: np.ndarray
     dampings: np.ndarray
     sensor_kind: str
@@ -264,8 +265,9 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
         for r in range(len(LEVELS))
     )  # fmt: skip
     return OutsideCase(
-        kind=kind, seed=seed, masses=masses, stiffnesses=stiffnesses * rng.uniform(0.95, 1.05, n),
-        dampings=dampings * rng.uniform(0.7, 1.3, n), sensor_kind="displacement", rotary=False, fit=records[:-1],
+        kind=kind, seed=seed, masses=masses, true_masses=true_masses,
+        stiffnesses=stiffnesses * rng.uniform(0.95, 1.05, n), dampings=dampings * rng.uniform(0.7, 1.3, n),
+        sensor_kind="displacement", rotary=False, fit=records[:-1],
         held_out=records[-1:], effects=RIGHT.get(kind, ()),
         law=None if kind in ("stribeck", "one_sided_friction") else hidden,
         motion=motion, stiffness=stiffnesses[0], damping=dampings[0],
@@ -318,7 +320,7 @@ def _motor(rng, kind, seed):
         for r in range(len(level))
     )  # fmt: skip
     return OutsideCase(
-        kind=kind, seed=seed, masses=np.array([J]), stiffnesses=np.array([0.0]),
+        kind=kind, seed=seed, masses=np.array([J]), true_masses=np.array([J]), stiffnesses=np.array([0.0]),
         dampings=np.array([b * rng.uniform(0.7, 1.3)]),
         sensor_kind="velocity", rotary=True, fit=records[:-1], held_out=records[-1:], effects=RIGHT[kind], law=None,
         motion="velocity", stiffness=0.0, damping=b,

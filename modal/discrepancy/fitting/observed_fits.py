@@ -101,9 +101,9 @@ model."""
 MUCH_WEAKER = 0.1
 """Try this share of an observer gain for what the whole one hides, and of a law's strength where no step leads on from
 the whole."""
-FIRST_WORK, BEHIND = 40.0, 3.0
+FIRST_WORK, BEHIND = 120.0, 3.0
 """Let a fit wait for the others after so many simulations, and end it where it costs so many times as much as the best
-one: those that go astray take longest, and a good one was seen to take eight to sixty."""
+one: those that go astray take longest, and a good one was seen to take 25 to 180."""
 CLEAR, MUCH_LESS = 0.05, 0.5
 """Where a fit leaves less than the first share of what is above the floor, fit another only if the screen promised at
 least the second share of what it promised of that one."""

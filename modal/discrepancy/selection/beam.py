@@ -39,7 +39,7 @@ from modal.discrepancy.fitting.observed_fits import (
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run
 from modal.discrepancy.selection.lack_of_fit import only_noise
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.selection.smaller_models import Law, is_limit, simple_first
+from modal.discrepancy.selection.smaller_models import Law, is_limit, merged, simple_first
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.tolerances import AT_FLOOR
@@ -418,6 +418,8 @@ def search_effects(
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
             part = task.budget.part(SHARE_OF_ONE)
             beside = expand(node, replace(task, budget=part))
+            simpler = (merged(child, task) for child in beside if counts(node, child, task))
+            beside += [one for one in simpler if one is not None]
             everything += beside
             children += [child for child in beside if counts(node, child, task)]
             hopeful += [child for child in beside if _hopeful(node, child)]

@@ -250,7 +250,8 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         if rival is not None:
             margin = log_likelihood_gain(rival, best, task)
             other = effects_at(rival.effects) or listed(list(rival.masses))
-            reasons.append(f"{other} explains the data as well (2 ln L lower by {margin:.0f})")
+            well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
+            reasons.append(f"{other} explains the data {well} by {abs(margin):.0f})")
     tests = lack_of_fit(best, task, known=len(root.effects))
     refused, notes = what_is_left(tests, best, root)
     if best.held_out_level > NEAR_FLOOR:
@@ -277,6 +278,9 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
     best = needed_masses(best, task) if best.held_out_level <= NEAR_FLOOR else best
     most = criterion(best, root, task) + EVEN
     near = [node for node in nodes if _size(node) <= _size(best) and criterion(node, root, task) < most]
+    near = [
+        node for node in near if not _hung(node, best, root) or log_likelihood_gain(best, node, task) > SMALLEST_GAIN
+    ]
     rivals = sorted({effects_at(node.effects) for node in near if len(node.effects) > len(root.effects)})
     reasons = [f"{rival} explains the data as well as {listed(list(best.masses))}" for rival in rivals]
     tests = lack_of_fit(best, task, known=len(root.effects))
@@ -298,6 +302,24 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
         margins=(float("inf"),) * before,
         reasons=tuple(reasons),
         lack_of_fit=tests,
+    )
+
+
+def _hung(node: Node, best: Node, root: Node) -> bool:
+    """Whether a model has only masses on springs where the best one has other masses: these are its limit.
+
+    Like any richer law it always fits about as well.
+    """
+    plant = best.coarse.assembly.plant
+    if plant.inertia is None or not best.masses:
+        return False
+    moved = plant.inertia[-len(best.masses) :].any(axis=(0, 1))
+    return all(
+        item.effect.key == "missing_mode"
+        and item.port is not None
+        and item.port.velocity is not None
+        and not item.port.velocity[: len(moved)][~moved].any()
+        for item in _found(node, root)
     )
 
 

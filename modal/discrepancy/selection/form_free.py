@@ -19,14 +19,14 @@ from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
 from modal.simulation.assembly import Unknowns
-from modal.simulation.scheme import Budget, simulation_work
+from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import NEAR_FLOOR
 from okid.arrays import FloatArray
 
 __all__ = ["curves_beside", "unsettled"]
 
-MOST_WORK = 600.0
-"""End the search for curves beside one model after so many simulations along the records to fit."""
+MOST_WORK = 5e7
+"""End the search for curves beside one model after so much work, about ten CPU seconds."""
 
 
 def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
@@ -37,8 +37,7 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
         root: The calibrated model.
         task: Records, and the laws of unknown form.
     """
-    drive, n_states = task.fit.drive, parent.coarse.assembly.plant.n_states
-    budget = Budget(MOST_WORK * simulation_work(drive.n_times, n_states))
+    budget = Budget(MOST_WORK)
     if not budget.allows():  # the CPU time is spent
         return []
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))

@@ -65,6 +65,7 @@ class _Whitened:
         filters: Of each output, 1 and the autoregression with its sign turned, over the noise's deviation.
         valid: Of each output, which rows have all that the filter reads.
         own: (n, n_local) orthonormal, what the record's own unknowns do.
+        local: (n_local, n) what each of them does.
         shared: (n_common, n) what the common unknowns do.
         residual: (n,).
         held_out: Whether the record is held out.
@@ -74,6 +75,7 @@ class _Whitened:
     filters: tuple[FloatArray, ...]
     valid: tuple[BoolArray, ...]
     own: FloatArray
+    local: FloatArray
     shared: FloatArray
     residual: FloatArray
     held_out: bool
@@ -178,8 +180,9 @@ class _Left:
         return _log_f_tail(ratio, rank, freedom), fall, rank
 
     def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
-        """Square of one response, the common unknowns but those `held` free to make up for it."""
-        return float(max(self._reduced(columns, held=held)[0][0, 0], 0.0))
+        """Square of one response, the common unknowns but those `held` free to make up for it; 0 where they do."""
+        left, whole, _ = self._reduced(columns, held=held)
+        return float(left[0, 0]) if left[0, 0] > ROUNDING * whole[0, 0] else 0.0
 
     def _reduced(
         self, columns: Sequence[FloatArray], *, held: Sequence[int]
@@ -238,7 +241,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
             kind=kind,
             where=where,
             p_value=float(min(np.exp(min(log_p + np.log(len(found)), 0.0)), 1.0)),
-            share=float(np.sqrt(fall / max(named, TINY))) if named is not None else np.nan,
+            share=np.nan if named is None else float(np.sqrt(fall / named)) if named > 0.0 else np.inf,
             size=float(np.sqrt(fall / max(signal, TINY))),
         )
         for kind, where, log_p, fall in sorted(found, key=lambda one: (one[2], -one[3]))
@@ -287,9 +290,7 @@ def _records(run: Estimate, problem: Problem, *, held_out: bool) -> Iterator[_Wh
         fitted = [_filter_of(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
         filters, valid = tuple(one[0] for one in fitted), tuple(one[1] for one in fitted)
         own = _flat(slopes.local[:, rows], filters, valid)
-        size = np.sqrt(np.sum(own**2, axis=1))
-        basis, sizes, _ = np.linalg.svd((own / np.maximum(size, TINY)[:, None]).T, full_matrices=False)
-        basis = basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)]
+        basis = _basis(own)
         shared, error = _flat(slopes.common[:, rows], filters, valid), _flat(residual[None, rows], filters, valid)[0]
         if len(error) <= basis.shape[1] + MOST_ORDER:
             continue
@@ -298,10 +299,18 @@ def _records(run: Estimate, problem: Problem, *, held_out: bool) -> Iterator[_Wh
             filters=filters,
             valid=valid,
             own=basis,
+            local=own,
             shared=shared - (shared @ basis) @ basis.T,
             residual=error - basis @ (basis.T @ error),
             held_out=held_out,
         )
+
+
+def _basis(rows: FloatArray) -> FloatArray:
+    """(n, rank) orthonormal, of the space of rows (n_rows, n)."""
+    size = np.sqrt(np.sum(rows**2, axis=1))
+    basis, sizes, _ = np.linalg.svd((rows / np.maximum(size, TINY)[:, None]).T, full_matrices=False)
+    return np.asarray(basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)])
 
 
 def _filter_of(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
@@ -484,8 +493,23 @@ def _effect_weight(left: _Left, placement: int) -> float | None:
         if off is None or not np.isfinite(off.trajectory.outputs).all():
             return None
         changes.append((run.trajectory.outputs - off.trajectory.outputs)[None])
-    own = left.parts[0].run.assembly.common_of(placement)
+    assembly = left.parts[0].run.assembly
+    mine = assembly.local_of(placement)
+    if mine.stop > mine.start:
+        return _own_weight(left, changes, mine)
+    own = assembly.common_of(placement)
     return left.weight(changes, held=range(own.start, own.stop))
+
+
+def _own_weight(left: _Left, changes: Sequence[FloatArray], mine: slice) -> float:
+    """Likewise of an effect with unknowns of each record: the record's others alone are free to make up for it."""
+    total = 0.0
+    for part, change in zip(left.parts, changes, strict=True):
+        for one in part.records:
+            flat = _flat(change[:, one.rows], one.filters, one.valid)
+            others = _basis(np.delete(one.local, np.r_[mine], axis=0))
+            total += float(np.sum((flat - (flat @ others) @ others.T) ** 2))
+    return total
 
 
 SLIGHT, MUCH = 0.01, 0.1
@@ -512,12 +536,22 @@ def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[li
     if worst is None or not worst.share > SLIGHT:
         return [], []
     known = len(root.effects)
-    names = effects_at(best.effects[known:])
-    what = f"{something(worst)} is left, {percent(worst.share)} of the force of {names}"
     found = best.coarse.assembly.placements[known:]
+    what = f"{something(worst)} is left, {_how_much(worst, found)}"
     if worst.share > MUCH or any(_same_motion(worst, item) for item in found):
         return [f"{what}: the law is another one, or has company"], []
     return [], [f"besides, {what}"]
+
+
+def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
+    """The size of what is left, in words: by the least of the effects where the rest of the model cannot replace it."""
+    if not np.isfinite(test.share):
+        return f"{percent(test.size)} of the outputs"
+    least = {1: "", 2: "the weaker of "}.get(len(found), "the weakest of ")
+    names = effects_at([(item.effect.key, item.where) for item in found])
+    forces = all(isinstance(item.effect, ForceEffect) and item.channel < 0 for item in found)
+    does = f"the force of {least}{names}" if forces else f"what {least}{names} does to the outputs"
+    return f"{percent(test.share)} of {does}"
 
 
 def something(test: LackOfFit) -> str:

@@ -27,6 +27,7 @@ __all__ = [
     "has_limit",
     "instead",
     "is_limit",
+    "merged",
     "run_without",
     "simple_first",
     "with_limits",
@@ -66,6 +67,37 @@ def _other_states(fitted: Estimate, placement: int) -> FloatArray:
 def without(node: Node, placement: int, task: Task) -> Node:
     """The model refitted without one of its effects."""
     return _compared(run_without(node.coarse, placement, task.fit, smoothing=SHARP), node, task)
+
+
+def merged(node: Node, task: Task) -> Node | None:
+    """The model refitted with a law and a limit of it at one place as one law; None where there are no two such.
+
+    What is one law was found in two steps, the limit first: amplitudes of one name add up to the richer law's.
+    """
+    fitted = node.coarse
+    items = fitted.assembly.placements
+    for i, rich in enumerate(items):
+        for j, simple in enumerate(items):
+            if i == j or not is_limit((simple.effect.key, simple.where), (rich.effect.key, rich.where)):
+                continue
+            assembly, unknowns = dropped(fitted, j)
+            here, there = assembly.common_of(i - (j < i)).start, fitted.assembly.common_of(j).start
+            of_rich, of_simple = _amplitudes(rich), _amplitudes(simple)
+            shared = of_rich.keys() & of_simple.keys()
+            for name in shared:
+                unknowns.common[here + of_rich[name]] += fitted.unknowns.common[there + of_simple[name]]
+            if shared:
+                states = _other_states(fitted, j)
+                start = simulate_at(assembly, unknowns, task.fit, states=states, smoothing=fitted.smoothing)
+                found = _compared(start, node, task)
+                return None if found.held_out is None else found
+    return None
+
+
+def _amplitudes(item: EffectPlacement) -> dict[str, int]:
+    """Where each amplitude of an effect stands among its common unknowns."""
+    kinds = item.effect.parameters
+    return {kinds[k].name: at for at, k in enumerate(item.common) if kinds[k].role == "amplitude"}
 
 
 def instead(node: Node, placement: int, law: EffectPlacement, values: Sequence[float], task: Task) -> Node:

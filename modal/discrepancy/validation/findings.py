@@ -27,6 +27,7 @@ def hypothesis_of(node: Node, root: Node, task: Task) -> Hypothesis:
         fit_level=node.fit_level,
         held_out_level=node.held_out_level,
         log_likelihood=0.0 if node is root else log_likelihood_gain(root, node, task),
+        masses=node.masses,
     )
 
 

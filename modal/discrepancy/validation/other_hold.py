@@ -2,7 +2,8 @@
 
 A delay that is off by about half a sample may be a wrong hold: then the records are taken the other way too. With many
 samples a period the two cannot be told apart, and what was declared stands. With few, or hardly any noise, a wrong hold
-leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough. Between a
+leaves a gap that no delay closes: further effects are found that only stand in for it, or none is enough. Where it is
+too small for any effect, the test of what is left still sees it: then the holds are compared by that. Between a
 held and a straight input lies half a sample, pi f dt in phase at the frequency f: that share of the motion at most.
 
 Hard springs under a strong drive, and stops, part neighbouring motions exponentially: from the initial state to the end
@@ -12,13 +13,14 @@ of a long record no simulation, of the true model either, stays with the measure
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, UNLIKELY
 from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
@@ -79,15 +81,26 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
 
     One of the two, the other hold's with a warning that says so.
     """
-    if not has_half_a_sample(found):
-        return found
     declared = found.fit[0].input_hold
     hold = other_hold(declared)
 
-    def diagnosed(tried: Mapping[str, Effect]) -> Diagnosis:
+    def diagnosed(tried: Mapping[str, Effect], hold: InputHold = hold) -> Diagnosis:
         fit, held_out = ([replace(one, input_hold=hold) for one in some] for some in (found.fit, found.held_out))
         return diagnose(fit, held_out, tried)
 
+    if _leaves_an_input(found):
+        others = [one for one in get_args(InputHold) if one != declared]
+        better = next((one for one in others if diagnosed({}, one).status == "none"), None)
+        if better is None:
+            return found
+        words = (
+            f"the inputs are declared {declared}, and then the model leaves something that depends on them; as "
+            f'{better} it leaves noise, so that is what was taken; declare input_hold="{better}"'
+        )
+        other = diagnosed(catalogue, better)
+        return replace(other, warnings=(words, *other.warnings)) if other.status == "none" else found
+    if not has_half_a_sample(found):
+        return found
     if _explains(found):
         keys = {one.effect for one in found.findings}
         if not _better(diagnosed({key: effect for key, effect in catalogue.items() if key in keys}), found):
@@ -100,6 +113,17 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
         f'{_named(found)}, so that is what was taken; declare input_hold="{hold}"'
     )
     return replace(other, warnings=(words, *other.warnings))
+
+
+def _leaves_an_input(found: Diagnosis) -> bool:
+    """Whether nothing is found, and what the calibrated model leaves at the floor is made by an input."""
+    return not found.findings and found.status == "unresolved" and _explains(found) and _made_by_input(found)
+
+
+def _made_by_input(found: Diagnosis) -> bool:
+    """Whether what is left is no noise, and most likely depends on an input."""
+    worst = found.lack_of_fit[:1]
+    return any(one.kind == "input" and one.p_value < UNLIKELY and one.size > FOLLOWED for one in worst)
 
 
 def _better(other: Diagnosis, found: Diagnosis) -> bool:
@@ -153,7 +177,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
         return ""
     frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
     shift = np.pi * frequency * first.dt
-    unexplained = _gap_remains(diagnosis) and not _left_over(diagnosis) > shift
+    unexplained = (_gap_remains(diagnosis) or _made_by_input(diagnosis)) and not _left_over(diagnosis) > shift
     if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
         return ""
     other = other_hold(first.input_hold)

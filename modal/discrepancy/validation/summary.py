@@ -32,7 +32,7 @@ from modal.effects.effect import is_form_free
 from modal.localisation.evidence import Location
 from modal.simulation.plant import Plant, with_masses
 from modal.structure.given import returned_model
-from modal.wording.numbers import listed, quantity
+from modal.wording.numbers import listed, number, quantity
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -163,13 +163,15 @@ def _beyond_words(calibrated: Sequence[Calibrated], plant: Plant) -> tuple[str, 
 
 
 def _mass_words(calibrated: Sequence[Calibrated], best: Node) -> tuple[str, ...]:
-    """Masses that the records say are wrong."""
-    return tuple(
-        f"the {one.name} is {quantity(one.value, one.unit)}, not the {quantity(one.nominal, one.unit)} of the model "
-        "that was given"
-        for one in calibrated
-        if one.name in best.masses
-    )
+    """Masses that the records say are wrong, to as many digits as it takes to see it."""
+    words = []
+    for one in calibrated:
+        if one.name in best.masses:
+            alike = (digits for digits in range(3, 9) if number(one.value, digits) != number(one.nominal, digits))
+            digits = next(alike, 3)
+            found, given = (f"{number(value, digits)} {one.unit}".rstrip() for value in (one.value, one.nominal))
+            words.append(f"the {one.name} is {found}, not the {given} of the model that was given")
+    return tuple(words)
 
 
 def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:

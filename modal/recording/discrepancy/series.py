@@ -19,7 +19,7 @@ from modal.recording.plan import SHOWN_OUTPUTS, name_with_unit, path_parts
 from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
-from modal.sections.discrepancy_values import effects_text, times_floor
+from modal.sections.discrepancy_values import hypothesis_text, times_floor
 
 if TYPE_CHECKING:
     import rerun
@@ -274,7 +274,7 @@ def _evidence(diagnosis: Diagnosis) -> Columns:
         "closed": [one.evidence.closed for one in found],
         "log_likelihood": [one.evidence.log_likelihood for one in found],
         "margin": [one.evidence.margin for one in found],
-        "runner_up": [effects_text(other.effects) if other else "none" for other in others],
+        "runner_up": [hypothesis_text(other) if other else "none" for other in others],
         "ambiguous_with": [", ".join(one.ambiguous_with) or "nothing" for one in found],
     }
 
@@ -282,7 +282,7 @@ def _evidence(diagnosis: Diagnosis) -> Columns:
 def _hypotheses(diagnosis: Diagnosis) -> Columns:
     tried = diagnosis.hypotheses
     return {
-        "effects": [effects_text(one.effects) for one in tried],
+        "effects": [hypothesis_text(one) for one in tried],
         "fit_level": [one.fit_level for one in tried],
         "held_out_level": [one.held_out_level for one in tried],
         "fit_times_floor": [times_floor(one.fit_level) for one in tried],

@@ -10,7 +10,8 @@ import okid
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.setup import prepare_setup, roots
-from modal.simulation.scheme import cpu_seconds, work_done
+from modal.simulation import trajectory
+from modal.simulation.scheme import OVERHEAD, cpu_seconds, work_done
 from modal.structure.given import given_model
 from okid.errors import InvalidDataError
 
@@ -48,3 +49,22 @@ def test_a_budget_is_a_positive_number():
     road, catalogue = given()
     with pytest.raises(InvalidDataError, match="positive number of CPU seconds"):
         diagnose(*road, catalogue=catalogue, budget=0.0)
+
+
+def test_every_look_at_a_force_along_the_records_is_counted(monkeypatch):
+    """It costs more than the solve that it leads to, and trials that are taken back lead to none."""
+    looks = []
+
+    def counted(*args, **options):
+        looks.append(len(args[4]))
+        return linearise(*args, **options)
+
+    linearise = trajectory.linearise
+    monkeypatch.setattr(trajectory, "linearise", counted)
+    road, _ = given()
+    stiff = road[0].with_effect("cubic_stiffness", "element_0", k3=1e6)
+    before = work_done()
+    modal.simulate(stiff, road[2].inputs, dt=road[2].dt)
+    solves = work_done() - before - sum(2 * rows + OVERHEAD for rows in looks)
+    assert len(looks) > 2
+    assert solves >= (len(looks) - 1) * (2 * looks[0] + OVERHEAD) / 2  # half of the looks at most were taken back

@@ -1,14 +1,18 @@
 """A mass that is wrong in the model: found as that mass, or left open, never an effect."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from everyday_mistakes import mistake
+from outside_laws import outside_case
 
 import modal
 import okid
-from modal.discrepancy import diagnose
+from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.results import Calibrated
+from modal.discrepancy.validation.summary import _mass_words
 from modal.structure.structural_plant import structural_plant
 
 
@@ -67,3 +71,24 @@ def test_an_inertia_whose_tolerance_is_given_is_found_although_a_gain_looks_the_
     inertia = next(one for one in found.calibrated if one.name == "mass of dof_0")
     assert abs(inertia.value - 1.6 * case.masses[0]) < 4 * inertia.std
     assert not found.findings
+
+
+def test_a_rigid_mass_is_no_rival_of_itself_on_a_stiff_spring():
+    """By chance the hung mass fits better by 2 ln L of 10, at a frequency that the samples cannot show."""
+    case = outside_case("wrong_mass", 4101)
+    model = modal.StructuralModel.chain(
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[0], sensor_dofs=[0, 1], sensor_kind="displacement"
+    )
+    fit, held_out = (
+        [okid.Record(one.inputs, one.outputs, one.dt) for one in records] for records in (case.fit, case.held_out)
+    )
+    found = diagnose(model, fit, held_out, catalogue={"missing_mode": CATALOGUE["missing_mode"]})
+    assert (found.status, found.findings) == ("none", ())
+    heavier = next(one for one in found.calibrated if one.name == "mass of dof_0")
+    assert abs(heavier.value - case.true_masses[0]) < 4 * heavier.std
+
+
+def test_a_mass_that_hardly_differs_is_told_to_the_digits_that_differ():
+    one = Calibrated(name="mass of dof_0", unit="kg", nominal=3.0, value=2.9984, std=1e-4, at_bound=False)
+    (words,) = _mass_words([one], SimpleNamespace(masses=("mass of dof_0",)))
+    assert words.startswith("the mass of dof_0 is 2.998 kg, not the 3.000 kg")

@@ -52,6 +52,19 @@ def test_sizes_are_those_of_a_plain_loop(diagnosis):
         )
 
 
+def test_outputs_that_answer_a_drive_before_the_record_are_no_gap(diagnosis_of):
+    """As in the fit, to which they are missing: with feedthrough they would be the largest of all."""
+    found = diagnosis_of("named", 1)
+    tau = replace(found.findings[0].parameters[0], name="tau", value=2 * found.held_out[0].dt, unit="s")
+    late = replace(found.findings[0], effect="input_delay", where="input_0", parameters=(tau,))
+    off = tuple(values + 0.0 for values in found.steps[-1].simulated)
+    for values in off:
+        values[:2] += 1e3
+    wrong = replace(found, findings=(late,), steps=(*found.steps[:-1], replace(found.steps[-1], simulated=off)))
+    here, there = (rows_of(stages_of(one))[0].sizes[-1] for one in (wrong, found))
+    assert here == pytest.approx(there, rel=0.05)
+
+
 def test_what_is_noise_has_size_one_in_every_band(diagnosis):
     rows = [row for row in rows_of(stages_of(diagnosis)) if row.part == "band"]
     assert len(rows) > 3

@@ -37,6 +37,41 @@ def test_the_headline_says_no_more_than_the_status(diagnosis_of, status, n_effec
     assert words.diagnosis_headline(diagnosis_of(status, n_effects)) == start
 
 
+def test_masses_that_explain_the_records_are_the_best_guess(diagnosis_of):
+    found = diagnosis_of("unresolved", 0)
+    mass = replace(found.calibrated[0], name="mass of dof_0", nominal=1.0, value=1.2)
+    found = replace(
+        found,
+        calibrated=(*found.calibrated, mass),
+        steps=(*found.steps[:-1], replace(found.steps[-1], held_out_level=1.01)),
+        warnings=("missing mode at dof_0 explains the data as well as mass of dof_0",),
+    )
+    assert words.diagnosis_headline(found) == "Not settled: the best guess is another mass of dof_0."
+    assert found.verdict.startswith("Unresolved: the best guess is another mass of lower; ")
+    assert "mass of dof_0" in words.next_sentences(found)[0]
+
+
+def test_masses_are_told_wherever_they_were_changed(diagnosis_of):
+    """Not as calibration alone, nor as no effect."""
+    found = diagnosis_of("none", 0)
+    mass = replace(found.calibrated[0], name="mass of dof_0", nominal=1.0, value=1.2)
+    last = replace(found.steps[-1], name="mass of dof_0", held_out_level=1.0)
+    heavier = replace(diagnosis_of("named", 1).hypotheses[0], effects=(), masses=("mass of dof_0",))
+    found = replace(
+        found,
+        calibrated=(*found.calibrated, mass),
+        steps=(*found.steps, last),
+        hypotheses=(replace(heavier, masses=()), heavier),
+    )
+    assert words.diagnosis_headline(found).endswith("could show: another mass of dof_0 explains them.")
+    assert "with another mass of" in found.verdict
+    assert "1.00 with another mass of dof_0, which is noise" in words.remaining_sentence(found)
+    assert words.closed_sentence(found).startswith("Calibration with another mass of dof_0 takes")
+    assert found_hypothesis(found) is heavier
+    finding = replace(diagnosis_of("named", 1).findings[0], runner_up=heavier)
+    assert words.runner_up_sentence(finding).startswith("Runner-up: another mass of dof_0, which leaves")
+
+
 @pytest.mark.parametrize(
     ("status", "n_effects", "trust", "label"),
     [

@@ -9,7 +9,12 @@ from everyday_mistakes import mistake
 
 import modal
 import okid
-from modal.discrepancy import diagnose
+from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.fitting.estimation import estimate, simulate_at
+from modal.discrepancy.fitting.nodes import node_of
+from modal.discrepancy.selection.smaller_models import merged
+from modal.discrepancy.setup import prepare_setup
+from modal.structure.given import given_model, placed_assembly
 
 
 def diagnosed(case):
@@ -29,9 +34,31 @@ def test_the_mistake_is_named(kind):
     assert found.status == "named"
     assert [(one.effect, one.where) for one in found.findings] == [(kind, case.where)]
     assert found.steps[-1].held_out_level < 1.2
+    assert all(one.share < 0.1 for one in found.lack_of_fit)  # of the mistake, not of what else a record may adjust
     if kind != "record_offset":
         tau = found.findings[0].parameters[0]
         assert abs(tau.value - case.size * case.dt) < max(4 * tau.std, 0.02 * tau.value)
+
+
+def test_friction_found_in_two_steps_is_one_law():
+    """First dry friction, then the excess beside it: together they are the law that has both."""
+    case = mistake("stribeck_friction", 4101)
+    model = modal.StructuralModel.chain(
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[case.force_dof], sensor_dofs=case.sensor_dofs
+    )
+    model = model.with_effect("coulomb_friction", "element_0", Fc=0.32)
+    model = model.with_effect("stribeck_friction", "element_0", Fc=0.0, excess=0.24, stribeck_velocity=0.18)
+    *fits, held_out = (okid.Record(u[:300], y[:300], case.dt) for u, y in case.records)
+    setup = prepare_setup(given := given_model(model, fits), fits, (held_out,), CATALOGUE, lambda *_: None)
+    drive = setup.task.fit.drive
+    start = simulate_at(*placed_assembly(given.plant, given.linear, given.effects, drive, CATALOGUE), setup.task.fit)
+    two = node_of(estimate(start, setup.task.fit, iterations=6), setup.task)
+    one = merged(two, setup.task)
+    assert one.effects == (("stribeck_friction", "element_0"),)
+    assert one.held_out_level < 1.05 * max(two.held_out_level, 1.0)
+    sliding, excess, _ = one.coarse.unknowns.common[one.coarse.assembly.common_of(0)]
+    assert abs(sliding + excess - case.size) < 0.05 * case.size
+    assert merged(one, setup.task) is None
 
 
 def test_a_lagging_sensor_of_a_model_is_that_of_the_exact_system():

@@ -1,6 +1,7 @@
 """What a model leaves: seen where a law is wrong, by its motion and place, and not where it is right."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import scipy
 from engine_records import experiment, nominal
 
 from modal.discrepancy import CATALOGUE, decide, diagnose
+from modal.discrepancy.results import LackOfFit
+from modal.discrepancy.selection.lack_of_fit import what_is_left
 from modal.simulation.tolerances import UNLIKELY
 
 CUBIC_ALONE = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
@@ -93,3 +96,28 @@ def test_coloured_noise_is_no_lack_of_fit():
     assert found.status == "named", found.warnings
     assert [one.effect for one in found.findings] == ["cubic_stiffness"]
     assert found.steps[-1].held_out_level < 1.2
+
+
+@pytest.mark.parametrize(
+    ("effects", "share", "words"),
+    [
+        (["cubic_stiffness"], 0.2, "20 % of the force of cubic stiffness at element_0"),
+        (["cubic_stiffness", "coulomb_friction"], 3.1, "310 % of the force of the weaker of cubic stiffness"),
+        (["input_gain"], 0.2, "20 % of what input gain at element_0 does to the outputs"),
+        (["missing_mode"], np.inf, "0.5 % of the outputs"),
+    ],
+)
+def test_what_is_left_is_measured_by_what_it_is_said_to_be_measured_by(effects, share, words):
+    """The share is that of the least effect; one that the rest of the model makes up for wholly is no measure."""
+    found = [SimpleNamespace(effect=CATALOGUE[key], where="element_0", channel=-1) for key in effects]
+    best, root = (
+        SimpleNamespace(
+            effects=tuple((item.effect.key, item.where) for item in items),
+            coarse=SimpleNamespace(assembly=SimpleNamespace(placements=tuple(items))),
+        )
+        for items in (found, [])
+    )
+    test = LackOfFit(kind="time", where="element_1", p_value=1e-9, share=share, size=0.005)
+    refused, _ = what_is_left([test], best, root)
+    assert len(refused) == 1
+    assert words in refused[0]

@@ -1,11 +1,14 @@
 """A wrongly declared hold, with records that a simulation loop wrote down, as people do."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.results import LackOfFit
+from modal.discrepancy.validation.other_hold import hold_words
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
@@ -58,3 +61,38 @@ def test_a_wrong_hold_is_taken_back_instead_of_a_mode_that_stands_in_for_it():
     assert {one.effect for one in found.findings} == {"coulomb_friction", "input_delay"}
     assert 'declare input_hold="zero_order"' in found.warnings[1]
     assert all(record.input_hold == "zero_order" for record in (*found.fit, *found.held_out))
+
+
+def test_a_hold_that_leaves_less_than_any_effect_is_taken_back_too():
+    """Straight lines between samples, declared band limited: 0.2 % of the outputs at 250 samples a second."""
+    rng, dt, steps = np.random.default_rng(1), 0.004, 4
+    spectrum = np.fft.rfft(rng.standard_normal((3, 4000)))
+    spectrum[:, np.fft.rfftfreq(4000, dt) > 18.0] = 0.0
+    force = np.fft.irfft(spectrum, 4000)[:, :1500]
+    force *= np.array([[20.0], [60.0], [40.0]]) / force.std(axis=1, keepdims=True)
+
+    def slope(x, u):
+        d, v = x.reshape(2, -1)
+        return np.concatenate([v, (u - 4.0 * v - 4000.0 * d) / 3.0])
+
+    x, found = np.zeros(6), np.empty((3, 1500))
+    for k in range(1500):
+        found[:, k] = slope(x, force[:, k])[3:]
+        for i in range(steps if k < 1499 else 0):
+            at = [force[:, k] + (i + part) / steps * (force[:, k + 1] - force[:, k]) for part in (0.0, 0.5, 1.0)]
+            h = dt / steps
+            a = slope(x, at[0])
+            b = slope(x + h / 2 * a, at[1])
+            c = slope(x + h / 2 * b, at[1])
+            x = x + h / 6 * (a + 2 * b + 2 * c + slope(x + h * c, at[2]))
+    found += 0.002 * found.std(axis=1, keepdims=True) * rng.standard_normal(found.shape)
+    *fit, held_out = (Record(u, y, dt, input_hold="band_limited") for u, y in zip(force, found, strict=True))
+    model = StructuralModel.chain([3.0], [4100.0], [3.5], force_dofs=[0], sensor_dofs=[0], sensor_kind="acceleration")
+    few = {key: CATALOGUE[key] for key in ("cubic_stiffness", "input_delay")}
+    diagnosis = diagnose(model, fit, held_out, catalogue=few)
+    assert (diagnosis.status, diagnosis.findings) == ("none", ())
+    assert 'declare input_hold="linear"' in diagnosis.warnings[0]
+    assert diagnosis.detection_limits
+    assert not any(words.startswith("Check the hold") for words in diagnosis.advice)
+    left = LackOfFit(kind="input", where="force", p_value=1e-9, share=0.02, size=0.002)
+    assert hold_words(replace(diagnosis, lack_of_fit=(left,))).startswith("Check the hold")
