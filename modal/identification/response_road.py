@@ -54,8 +54,8 @@ LARGEST_ORDER = 64
 LONGEST = 2048
 """Realise at most so many lags: they only give the start, and more cost without moving it."""
 BETWEEN = 4
-"""Describe a table by so many steps a half period of its last line, unless one, exact for a sampled system, is likelier:
-an analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
+"""Describe a table by so many steps a half period of its last line, unless one, as of a sampled system, is likelier: an
+analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
 WITHOUT_GAIN = 4
@@ -514,8 +514,7 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
         from_model = refined(half, found.fit, weight, n_steps=QUICK)
         again = min((own, from_model), key=lambda fit: fit.error)
         modes = extract_modes(realised(again, table))
-        unseen = halves[1 - number].values - (half.values - again.left)
-        unseen = np.where(table.known, unseen, 0.0)
+        unseen = np.where(table.known, halves[1 - number].values - (half.values - again.left), 0.0)
         errors.append(unseen)
         gain = _gains(modes, unseen, weight, table)
         runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
