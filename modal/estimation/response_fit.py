@@ -28,6 +28,7 @@ __all__ = [
     "fit_at",
     "noise_of",
     "pole_deviations",
+    "powers_of",
     "realised",
     "refined",
     "start_of",
@@ -331,6 +332,17 @@ def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
         row = own.stop
     into, out = table.input_scale, table.output_scale[:, np.newaxis]
     return Realisation(A, B / into, C * out, fit.feedthrough * out / into, table.dt)
+
+
+def powers_of(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
+    """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
+    plus, minus = table.basis(fit.poles)[0], table.basis(fit.poles.conj())[0] * fit.is_pair
+    powers = []
+    for r, (c, b) in enumerate(zip(fit.shapes.T, fit.inputs, strict=True)):
+        part = plus[:, r, np.newaxis, np.newaxis] * np.outer(c, b)
+        part += minus[:, r, np.newaxis, np.newaxis] * np.outer(c, b).conj()
+        powers.append(float(np.square(np.abs(weight * part)).sum()))
+    return np.array(powers)
 
 
 # --- the noise of a table --------------------------------------------------------------------------------------------

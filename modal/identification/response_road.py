@@ -23,6 +23,7 @@ from modal.estimation.response_fit import (
     fit_at,
     noise_of,
     pole_deviations,
+    powers_of,
     realised,
     refined,
     start_of,
@@ -53,9 +54,8 @@ LARGEST_ORDER = 64
 LONGEST = 2048
 """Realise at most so many lags: they only give the start, and more cost without moving it."""
 BETWEEN = 4
-"""Describe a table by so many steps a half period of its last line, unless one is likelier, which is exact for a
-sampled system with lines up to half its sampling frequency: an analyser behind a filter sees the motion between
-samples, from which four steps differ by less than 1 % at the last line, and modes beyond it have room."""
+"""Describe a table by so many steps a half period of its last line, unless one, as of a sampled system, is likelier: an
+analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
 WITHOUT_GAIN = 4
@@ -230,7 +230,7 @@ def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respo
     evidence, gained = _evidence(table, fit), True
     while gained and fit.poles.size > 1:
         gained = False
-        for weakest in np.argsort(_powers(table, fit, weight))[:WEAKEST]:
+        for weakest in np.argsort(powers_of(table, fit, weight))[:WEAKEST]:
             kept = np.arange(fit.poles.size) != weakest
             trial = fit_at(table, fit.poles[kept], fit.is_pair[kept], fit.inputs[kept], weight)
             trial = refined(table, trial, weight, n_steps=QUICK)
@@ -238,17 +238,6 @@ def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respo
                 fit, evidence, gained = trial, _evidence(table, trial), True
                 break
     return fit
-
-
-def _powers(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
-    """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
-    plus, minus = table.basis(fit.poles)[0], table.basis(fit.poles.conj())[0] * fit.is_pair
-    powers = []
-    for r, (c, b) in enumerate(zip(fit.shapes.T, fit.inputs, strict=True)):
-        part = plus[:, r, np.newaxis, np.newaxis] * np.outer(c, b)
-        part += minus[:, r, np.newaxis, np.newaxis] * np.outer(c, b).conj()
-        powers.append(float(np.square(np.abs(weight * part)).sum()))
-    return np.array(powers)
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -400,7 +389,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         n_values=int(2 * table.known.sum() / _lines_joined(table)),
         fit=measured.mean,
     )
-    modes = _in_these_words(_within(found.response, modes))
+    modes = _named(_in_these_words(_within(found.response, modes)), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
@@ -451,7 +440,7 @@ def _with_deviations(
 
 
 def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
-    """Poles whose resonance lies outside the lines are no modes that the table shows: they stand for all beyond it."""
+    """Poles whose resonance lies outside the lines called noise: they stand for all that lies there."""
     first, last = response.frequencies[[0, -1]]
     judged = []
     for mode in modes.modes:
@@ -475,6 +464,18 @@ def _in_these_words(modes: ModalModel) -> ModalModel:
         reappears = tuple((WORDS.get(what, what), overlap) for what, overlap in mode.reappears)
         said.append(replace(mode, reason=reason, reappears=reappears))
     return replace(modes, modes=tuple(said))
+
+
+def _named(modes: ModalModel, response: FrequencyResponse) -> ModalModel:
+    """With the channels of the table; at its pole a mode answers as in the table, as to a band-limited input."""
+    return replace(
+        modes,
+        output_names=response.output_names,
+        output_units=response.output_units,
+        input_names=response.input_names,
+        input_units=response.input_units,
+        input_hold="band_limited",
+    )
 
 
 def _seen(modes: ModalModel, table: ResponseLines) -> ComplexArray:
@@ -513,8 +514,7 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
         from_model = refined(half, found.fit, weight, n_steps=QUICK)
         again = min((own, from_model), key=lambda fit: fit.error)
         modes = extract_modes(realised(again, table))
-        unseen = halves[1 - number].values - (half.values - again.left)
-        unseen = np.where(table.known, unseen, 0.0)
+        unseen = np.where(table.known, halves[1 - number].values - (half.values - again.left), 0.0)
         errors.append(unseen)
         gain = _gains(modes, unseen, weight, table)
         runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
@@ -555,7 +555,7 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
         shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
         reason = f"least Schwarz criterion of {len(found.fits)} orders; others differ by {shown or 'nothing'}"
     choices.append(Choice(what="model order", value=str(found.order), reason=reason))
-    known = [name for name, there in (("coherence", table.noise is not None),) if there]
+    known = table.noise is not None
     value = "coherence and scatter" if known else "scatter"
     reason = (
         "its course over the lines from the coherence, its level from the scatter about the model"

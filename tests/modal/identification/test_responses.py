@@ -136,3 +136,15 @@ def test_a_table_of_motion_between_samples_with_noise_like_itself_gives_its_damp
     beyond = [mode for mode in result.modes if mode.frequency > 320.0]
     assert beyond
     assert all(mode.verdict == "noise" and "outside the lines" in mode.reason for mode in beyond)
+
+
+def test_a_driving_point_in_a_table_gives_modal_mass():
+    """A result of responses had no channels at its modes, so that the force was said to be missing."""
+    response, lines, *_ = plate_table(5, relative=1e-3)
+    table = FrequencyResponse(response, lines, window="periodic", output_units=["m/s^2"] * 4, input_units=["N"])
+    result = modal.identify(table, order=14)
+    assert result.modes.input_names == ("input_0",)
+    shapes = np.sin(np.outer([1.1, 2.0, 2.9, 3.7], np.arange(1, 8)) + np.arange(7))[:, :5]
+    scaled = modal.normalise_shapes(result.modes, driving_point=("output_0", "input_0"))
+    # mass-normalised shapes in; where the largest component is 1, a mode's mass is one over its square
+    np.testing.assert_allclose(scaled.modal_mass[:5], 1 / np.abs(shapes).max(axis=0) ** 2, rtol=5e-3)
