@@ -57,7 +57,7 @@ from modal.simulation.sensitivity import Sensitivity
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
 from modal.structure.placed import possible_places
 from modal.wording.numbers import listed, number, percent, times_floor_text
-from okid.arrays import TINY, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 from okid.record import Record
 
@@ -313,7 +313,7 @@ def _hung(node: Node, best: Node, root: Node) -> bool:
     plant = best.coarse.assembly.plant
     if plant.inertia is None or not best.masses:
         return False
-    moved = plant.inertia[-len(best.masses) :].any(axis=(0, 1))
+    moved: BoolArray = np.asarray(plant.inertia[-len(best.masses) :].any(axis=(0, 1)))
     return all(
         item.effect.key == "missing_mode"
         and item.port is not None
