@@ -33,7 +33,7 @@ from modal.estimation.prediction_error import (
 )
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import IdentificationError, NumericalError
+from okid.errors import IdentificationError, NumericalError, quiet
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, centred, whiteness
@@ -128,7 +128,7 @@ def noise_model(
         gained=gained,
     )
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
-    reason = "the outputs are fed back into the inputs" if feedback else reason
+    reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
 
 
@@ -197,7 +197,8 @@ def _noise_of(left: Sequence[Record]) -> Realisation | None:
     n_rows = sum(record.n_samples for record in left)
     order = max(2, min(NOISE_OBSERVER, n_rows // (ROWS_A_NUMBER * left[0].n_outputs)))
     try:
-        observer = fit_observer(left, order=order, ridge=0.0)
+        with quiet():  # what the free run leaves may have a rank of its own
+            observer = fit_observer(left, order=order, ridge=0.0)
     except IdentificationError:
         return None
     data = predictor_data(left, tuple(record.complete_rows() for record in left))
