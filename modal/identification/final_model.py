@@ -118,7 +118,16 @@ def fit_all_rows(
         if refinement == "auto":
             made = (
                 made[0],
-                _refined(records, fitted, model, trial, n_rest=n_rest, by=found.ground.by, feedback=feedback),
+                _refined(
+                    records,
+                    fitted,
+                    model,
+                    trial,
+                    n_rest=n_rest,
+                    by=found.ground.by,
+                    feedback=feedback,
+                    order_given=len(found.limits.model_orders) == 1,
+                ),
             )
         if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
             return made
@@ -179,6 +188,7 @@ def _refined(
     n_rest: int,
     by: Folds,
     feedback: bool,
+    order_given: bool,
 ) -> FinalModel:
     refined = None
     if model.n_inputs:
@@ -203,7 +213,14 @@ def _refined(
     if n_rest:
         return replace(made, why="rows of rest, which hold no noise, stand before the record")
     evidence = base if base.factors is not None else model
-    noise, why = noise_model(records, base, evidence=evidence, promised=1.0 - trial.error, feedback=found == "biasing")
+    noise, why = noise_model(
+        records,
+        base,
+        evidence=evidence,
+        promised=1.0 - trial.error,
+        feedback=found == "biasing",
+        order_given=order_given,
+    )
     if noise is None:
         return replace(made, why=why)
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)

@@ -239,6 +239,7 @@ def _identified(
         refinement_steps=0 if final.refined is None else found.chosen.refinement_steps,
         folds=_folds(kind),
         refined=final.realisation,
+        past=0 if final.noise is None else final.noise.past,
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
     left = runs.left
