@@ -26,6 +26,7 @@ from modal.identification.noise_model import NoiseModel, noise_model
 from modal.identification.order_search import Search
 from modal.identification.refined_search import RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
+from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import FloatArray
@@ -274,6 +275,7 @@ def with_deviations(
         )
     else:
         known = _propagated(model, final, records)
+    known = _no_finer_than_rounding(known, model, final.realisation)
     modes = tuple(
         replace(
             mode,
@@ -285,6 +287,18 @@ def with_deviations(
         for i, mode in enumerate(model.modes)
     )
     return replace(model, modes=modes), known, inflation, moved
+
+
+def _no_finer_than_rounding(known: Uncertainty, model: ModalModel, realisation: Realisation) -> Uncertainty:
+    """With what rounding leaves of a pole: an eigenvalue of n states is known to n eps, and s dt = ln of it as well."""
+    poles, _ = discrete_poles(model.modes, realisation.dt)
+    rounding = realisation.order * np.finfo(np.float64).eps / np.abs(poles)
+    moves = (poles.imag != 0.0) | (poles.real < 0.0)  # the damping ratio of a real pole is one
+    return replace(
+        known,
+        frequency_std=np.hypot(known.frequency_std, rounding / (2 * np.pi * realisation.dt)),
+        damping_ratio_std=np.where(moves, np.hypot(known.damping_ratio_std, rounding / np.abs(np.log(poles))), 0.0),
+    )
 
 
 def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:
