@@ -132,7 +132,7 @@ def test_a_fit_that_leaves_less_than_nothing_by_rounding_has_the_same_delay(monk
 
     monkeypatch.setattr(modal.preparation.delay, "solve", exact)
     rng = np.random.default_rng(0)
-    assert choose_input_delay([record_of(rng, two_modes(rng, 1), (3,))]).samples == (3,)
+    assert choose_input_delay([record_of(rng, two_modes(rng, 1), (3,), noise=0.0)]).samples == (3,)
 
 
 def _turned(delays, taken, *, seed=None):
