@@ -99,7 +99,7 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
     return Uncertainty(
         method="output error",
         frequency_std=frequency[owner],
-        damping_ratio_std=damping[owner],
+        damping_ratio_std=np.where(np.angle(parameters.poles) != 0.0, damping, 0.0)[owner],
         shape_std=shapes[owner],
         markov_std=_markov_deviations(loadings, model, n_lags) * scale,
         degrees_of_freedom=loadings.degrees_of_freedom,

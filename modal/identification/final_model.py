@@ -293,7 +293,7 @@ def _no_finer_than_rounding(known: Uncertainty, model: ModalModel, realisation: 
     """With what rounding leaves of a pole: an eigenvalue of n states is known to n eps, and s dt = ln of it as well."""
     poles, _ = discrete_poles(model.modes, realisation.dt)
     rounding = realisation.order * np.finfo(np.float64).eps / np.abs(poles)
-    moves = (poles.imag != 0.0) | (poles.real < 0.0)  # the damping ratio of a real pole is one
+    moves = np.angle(poles) != 0.0  # else a real pole, whose damping ratio is one
     return replace(
         known,
         frequency_std=np.hypot(known.frequency_std, rounding / (2 * np.pi * realisation.dt)),
