@@ -22,20 +22,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from era.balanced import decompose, realise_from
 from era.realisation import Realisation
 from modal.estimation.free_run import driven_by_outputs, one_step_predictor
 from modal.estimation.modal_parameters import real_modal_form, starting_parameters
 from modal.estimation.modal_states import ModalParameters, blocks_of
 from modal.estimation.output_error import Coordinates, OutputError, RefinementStep, refine
 from okid.arrays import BoolArray, ComplexArray, FloatArray
-from okid.markov import MarkovParameters
-from okid.observer import ObserverFit
+from okid.errors import InsufficientDataError
+from okid.gram import LagGram, lag_gram
 from okid.record import Record
+from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = [
+    "ROWS_A_NUMBER",
     "STILL",
+    "CanonicalVariates",
     "LikeliestFit",
     "Sections",
     "innovation_form",
@@ -43,7 +46,6 @@ __all__ = [
     "likeliest",
     "n_rows_of",
     "predictor_data",
-    "predictor_of_observer",
     "predictor_start",
     "share_of",
 ]
@@ -58,6 +60,10 @@ SMALLEST_NOISE = 1e-3
 """Weight no combination of outputs as if it had less than this share of the noisiest output's noise."""
 NOISE_FREE = 1e-7
 """Stop where the errors are smaller than this, relative to the outputs: they are rounding, and have no covariance."""
+SHORTEST_PAST = 4
+"""Try so many samples of the outputs' past first, then twice as many as long as a regression on them gains."""
+ROWS_A_NUMBER = 10
+"""Fit no more numbers than a tenth of the rows or values."""
 EDGE = 1.0 - 1e-9
 """Take no predictor with a pole beyond: it never forgets what it started from."""
 
@@ -183,24 +189,141 @@ def predictor_start(model: Realisation, data: OutputError) -> RefinementStep | N
     return starting_parameters(one_step_predictor(model), data)
 
 
-def predictor_of_observer(observer: ObserverFit, order: int) -> Realisation | None:
-    """The model of scaled channels with this many states whose predictor has the observer's own pulse response.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CanonicalVariates:
+    """Combinations of the past outputs that tell most about the future ones, the most telling first: where to start.
 
-    An observer is a predictor of finite memory: y = D u + sum of alpha_i u(k-i) + beta_i y(k-i).
+    With the past z(k) = [y(k-1) .. y(k-p)], its covariance P = L L' and the predictions H z of the next p outputs by
+    regression on z, weighted by their innovations' R^(-1/2), the states are V' L^-1 z with V of the singular vectors of
+    R^(-1/2) H L. Regressions of y(k) and of the next states on them give C and the predictor. n states leave
+    S - c'c of the outputs' covariance S; the least N ln det(S - c'c) + 2 n n_outputs ln N says how many.
+
+    Attributes:
+        states: (n_most, n_outputs p) V' L^-1.
+        outputs: (n_most, n_outputs) c, covariance of states and outputs.
+        now: (n_outputs, n_outputs) S.
+        next_of_states: (n_most, n_most) covariance of the states with the next ones.
+        next_of_outputs: (n_outputs, n_most) of the outputs with the next states.
+        past: p.
+        n_rows: N.
+        scaling: of the channels.
+        dt: time step [s].
+
+    References:
+        Larimore, Proceedings of the 29th IEEE Conference on Decision and Control, 1990, 596-604,
+        doi 10.1109/CDC.1990.203665; Schwarz's criterion as above.
+
+    Example:
+        >>> rng, y = np.random.default_rng(1), np.zeros(4000)
+        >>> for k in range(2, 4000):
+        ...     y[k] = 1.6 * y[k - 1] - 0.9 * y[k - 2] + rng.standard_normal()
+        >>> found = CanonicalVariates.of([Record([], y, 0.01)])
+        >>> found.order, np.abs(np.linalg.eigvals(found.predictor(2).A)).round(2).tolist()
+        (2, [0.95, 0.95])
     """
-    into, out = observer.input_scale, observer.output_scale[:, np.newaxis]
-    n_outputs, m = observer.n_outputs, observer.n_inputs
-    pulse = np.zeros((observer.order + 1, n_outputs, m + n_outputs))
-    pulse[0, :, :m] = observer.feedthrough * into / out
-    pulse[1:, :, :m] = observer.input_coefficients * into / out
-    pulse[1:, :, m:] = observer.output_coefficients * observer.output_scale / out
-    if observer.order < 2:
-        return None
-    found = decompose(MarkovParameters(system=pulse, dt=observer.dt))
-    if order > min(found.rank, found.max_order):
-        return None
-    predictor = realise_from(found, order)
-    return _model(predictor.A, predictor.B, predictor.C, predictor.D[:, :m], observer.dt)
+
+    states: FloatArray
+    outputs: FloatArray
+    now: FloatArray
+    next_of_states: FloatArray
+    next_of_outputs: FloatArray
+    past: int
+    n_rows: int
+    scaling: ChannelScaling
+    dt: float
+
+    @classmethod
+    def of(cls, records: Sequence[Record]) -> "CanonicalVariates | None":
+        """Of records without inputs; None where they are too short, or channels repeat each other.
+
+        The past is twice as long as Akaike's criterion of a regression on it asks for.
+        """
+        q, scaling = records[0].n_outputs, channel_scaling(records)
+        longest = sum(record.n_samples for record in records) // (ROWS_A_NUMBER * q)
+        best, least, p = 0, np.inf, SHORTEST_PAST
+        try:
+            while p <= longest:
+                S, P, cross, n_rows = _regression(lag_gram(records, p, scaling=scaling))
+                left = S - cross.T @ scipy.linalg.solve(P, cross, assume_a="pos")
+                criterion = n_rows * np.linalg.slogdet(left)[1] + 2 * p * q * q
+                if not criterion < least:
+                    break
+                best, least, p = p, criterion, 2 * p
+            gram = lag_gram(records, min(2 * best, longest), scaling=scaling) if best else None
+        except (np.linalg.LinAlgError, InsufficientDataError):
+            return None
+        return None if gram is None else cls.of_gram(gram, scaling, records[0].dt)
+
+    @classmethod
+    def of_gram(cls, gram: LagGram, scaling: ChannelScaling, dt: float) -> "CanonicalVariates | None":
+        """With the past of all its lags; None where channels repeat each other.
+
+        Args:
+            gram: of records without inputs.
+            scaling: of its channels.
+            dt: time step [s].
+        """
+        S, P, cross, n_rows = _regression(gram)
+        q, p = gram.n_outputs, gram.order
+        try:
+            regression = scipy.linalg.solve(P, cross, assume_a="pos").T
+            whitened = np.linalg.solve(np.linalg.cholesky(S - regression @ cross), regression)
+            L = np.linalg.cholesky(P)
+        except np.linalg.LinAlgError:
+            return None
+        H = np.zeros((p * q, p * q))
+        for i in range(p):
+            H[i * q : (i + 1) * q, : (p - i) * q] = whitened[:, i * q :]
+        _, values, V = np.linalg.svd(H @ L)
+        states = scipy.linalg.solve_triangular(L, V[values > NOISE_FREE * values[0]].T, lower=True, trans=1).T
+        lags = _covariance(gram)
+        return cls(
+            states=states,
+            outputs=states @ cross,
+            now=S,
+            next_of_states=states @ lags[q:, :-q] @ states.T,
+            next_of_outputs=lags[:q, :-q] @ states.T,
+            past=p,
+            n_rows=n_rows,
+            scaling=scaling,
+            dt=dt,
+        )
+
+    @property
+    def order(self) -> int:
+        """Number of states of least criterion."""
+        q = self.now.shape[0]
+        left, criteria = self.now.copy(), []
+        for n, own in enumerate(self.outputs, 1):
+            left -= np.outer(own, own)
+            sign, size = np.linalg.slogdet(left)
+            criteria.append(self.n_rows * size + 2 * n * q * np.log(self.n_rows) if sign > 0 else np.inf)
+        return 1 + int(np.argmin(criteria))
+
+    def predictor(self, order: int) -> Realisation | None:
+        """The model with so many states, in the units of the records; None where there are not so many."""
+        if order > len(self.states):
+            return None
+        c = self.outputs[:order]
+        own = np.block([[np.eye(order), c], [c.T, self.now]])
+        after = np.vstack([self.next_of_states[:order, :order], self.next_of_outputs[:, :order]])
+        closed = np.linalg.solve(own, after).T
+        size = self.scaling.output_scale
+        C, nothing = c.T * size[:, np.newaxis], np.zeros((size.size, 0))
+        return _model(closed[:, :order], closed[:, order:] / size, C, nothing, self.dt)
+
+
+def _covariance(gram: LagGram) -> FloatArray:
+    """((p + 1) n_outputs, same) of y(k), y(k-1) .. y(k-p)."""
+    level = gram.matrix[1:, 0] / gram.n_rows
+    covariance: FloatArray = gram.matrix[1:, 1:] / gram.n_rows - np.outer(level, level)
+    return covariance
+
+
+def _regression(gram: LagGram) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    """Covariances of y(k), of its past, and of the past with it; number of rows."""
+    covariance, q = _covariance(gram), gram.n_outputs
+    return covariance[:q, :q], covariance[q:, q:], covariance[q:, :q], gram.n_rows
 
 
 def innovation_form(step: RefinementStep, dt: float) -> Realisation:

@@ -8,8 +8,6 @@ white noise:  from (J'WJ)^-1 (J'W S W J) (J'WJ)^-1, S the variance of each outpu
               W = S^-1
 any colour:   from the score J'W e of each of the blocks of rows, which are nearly independent of each other when they
               are long against the memory of noise and modes (batch means; known to sqrt(1 / (2 n_blocks)), about 11 %)
-
-Standard deviations of the modes of an identification: of its refinement, else propagated through OKID and ERA.
 """
 
 from collections.abc import Sequence
@@ -20,19 +18,18 @@ import numpy as np
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import signal_grams
 from modal.estimation.output_error import NONE, LinearPart, PolesAndParticipations, gram_of_training, step_equations
-from modal.estimation.propagation import propagated
 from modal.identification.feedback import inputs_made_by
-from modal.identification.final_model import FinalModel
-from modal.identification.information import innovation_uncertainty
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import ModalModel, Mode, Uncertainty
+from modal.modes.mode import Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
-from okid.errors import InsufficientDataError
-from okid.record import Record
 
-__all__ = ["feedback_bias", "output_error_uncertainty", "with_deviations"]
+__all__ = ["NOT_UNDERSTOOD", "NO_INTERVAL", "feedback_bias", "judged_deviations", "output_error_uncertainty"]
 
+NOT_UNDERSTOOD = 1.3
+"""Say that the noise is not understood where its colour moves a deviation by more: thrice the scatter of the blocks."""
+NO_INTERVAL = 3.0
+"""Give no interval beyond: what the blocks do not see of the colour may be as much again."""
 LEAST_CURVATURE = 1e-12
 """Relative curvature below which a direction of the parameters is not in the data."""
 
@@ -102,7 +99,7 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
     return Uncertainty(
         method="output error",
         frequency_std=frequency[owner],
-        damping_ratio_std=np.where(parameters.is_pair, damping, 0.0)[owner],
+        damping_ratio_std=np.where(np.angle(parameters.poles) != 0.0, damping, 0.0)[owner],
         shape_std=shapes[owner],
         markov_std=_markov_deviations(loadings, model, n_lags) * scale,
         degrees_of_freedom=loadings.degrees_of_freedom,
@@ -151,6 +148,9 @@ def _of_feedback(model: RefinedModel) -> _Loadings:
     parameters = replace(step.parameters, states=np.zeros_like(step.parameters.states))
     layout, grams = signal_grams(parameters, records, data.rows, data.blocks, n_direct=step.layout.n_direct)
     products = gram_of_training(layout, grams, data.blocks, NONE)[:, layout.outputs]
+    own = layout.n_poles * layout.n_records
+    for part, of_no_input in ((layout.regressors, layout.n_records), (layout.real, own), (layout.imaginary, own)):
+        products[part.stop - of_no_input : part.stop] = 0.0  # no error makes a level or an initial state
     return _pulled(model, products[np.newaxis], float("inf"))
 
 
@@ -325,53 +325,20 @@ def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) ->
     return deviations
 
 
-NOT_UNDERSTOOD = 1.3
-"""Say that the noise is not understood where its colour moves a deviation by more: thrice the scatter of the blocks."""
-NO_INTERVAL = 3.0
-"""Give no interval beyond: what the blocks do not see of the colour may be as much again."""
-
-
-def with_deviations(
-    model: ModalModel, final: FinalModel, records: Sequence[Record], *, fed_back: bool
-) -> tuple[ModalModel, Uncertainty, FloatArray, FloatArray]:
-    """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
-
-    Args:
-        model: modes of the final model's realisation.
-        final: the final model.
-        records: that it was fitted to.
-        fed_back: the outputs are fed back into the inputs.
-
-    Returns:
-        The modes, their deviations, (n_modes,) how many times larger those of a mode are than under white noise, and
-        (n_modes,) how many of the stated ones feedback moves it by: none where the model is that of a predictor.
-    """
-    inflation, moved = np.ones(len(model)), np.zeros(len(model))
-    if final.noise is not None:
-        known = innovation_uncertainty(final.noise, model.modes, n_lags=final.markov.n_lags)
-    elif final.refined is not None:
-        known, inflation, moved = _judged(final.refined, model.modes, n_lags=final.markov.n_lags, fed_back=fed_back)
-    else:
-        known = _propagated(model, final, records)
-    modes = tuple(
-        replace(
-            mode,
-            frequency_std=float(known.frequency_std[i]),
-            damping_ratio_std=float(known.damping_ratio_std[i]),
-            shape_std=known.shape_std[i],
-            mass_std=None if known.mass_std is None else known.mass_std[i],
-        )
-        for i, mode in enumerate(model.modes)
-    )
-    return replace(model, modes=modes), known, inflation, moved
-
-
-def _judged(
+def judged_deviations(
     model: RefinedModel, modes: Sequence[Mode], *, n_lags: int, fed_back: bool
 ) -> tuple[Uncertainty, FloatArray, FloatArray]:
     """What the colour that is left does to the deviations: the larger ones, nan where it does too much.
 
-    The bias of a feedback stands beside them in quadrature.
+    Args:
+        model: from `refined_model`.
+        modes: of its realisation.
+        n_lags: Markov parameters asked for.
+        fed_back: the outputs seem to be fed back: the bias by that stands beside the deviations in quadrature.
+
+    Returns:
+        The deviations, (n_modes,) how many times larger they are than under white noise, and (n_modes,) how many of
+        them feedback moves each mode by.
     """
     known = plain = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
     inflation, moved = np.ones(len(modes)), np.zeros(len(modes))
@@ -404,23 +371,3 @@ def _times(one: Uncertainty, other: Uncertainty) -> FloatArray:
             one.frequency_std / other.frequency_std, one.damping_ratio_std / other.damping_ratio_std
         )
     return times
-
-
-def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:
-    try:
-        return propagated(
-            records, observer=final.observer, markov=final.markov, realisation=final.cut, modes=model.modes
-        )
-    except InsufficientDataError:  # too short for two blocks
-        return _unknown(model, final)
-
-
-def _unknown(model: ModalModel, final: FinalModel) -> Uncertainty:
-    n_modes, n_outputs = len(model), final.cut.n_outputs
-    return Uncertainty(
-        method="propagation",
-        frequency_std=np.full(n_modes, np.nan),
-        damping_ratio_std=np.full(n_modes, np.nan),
-        shape_std=np.full((n_modes, n_outputs), np.nan),
-        markov_std=np.full((final.markov.n_lags + 1, n_outputs, final.cut.n_inputs), np.nan),
-    )

@@ -49,6 +49,8 @@ SEGMENT = 256
 EMPTY, LEAST_EMPTY = 1e-3, 0.05
 """Call a part of the band empty where an input has 30 dB less than its mean density there, from 5 % of the lines on:
 its sensor's noise fills it; no controller of the tests' 15 loops leaves so little."""
+LONGEST_MADE = 0.999
+"""Let what errors make of the inputs live on by this a sample at most, a thousand samples."""
 FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
@@ -91,7 +93,10 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
 
         u(k) = sum of a_i u(k - i) + sum of f_i e(k - i) + what comes from outside,
 
-    by least squares, with the same lags as the test; run from rest on the errors alone.
+    by least squares, with the same lags as the test; run from rest on the errors alone. A loop that was recorded is
+    stable. Where the recursion grows e-fold within its own past the inputs have made the errors and least squares has
+    found the inverse of that (a smooth force, whose motion between its samples a model does not see): nothing is made
+    by the errors then. One that grows less is drawn into the unit circle.
 
     Args:
         errors: (n_samples, n_outputs) a record, NaN where there is none.
@@ -103,6 +108,10 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
     m, q = told.n_inputs, told.n_outputs
     later = np.linalg.lstsq(told.left[m:, m:], told.left[m:, :m], rcond=1e-12)[0]
     own = (told.weights[1:, :m] - told.weights[1:, m:] @ later).reshape(told.own, m, m).transpose(0, 2, 1)
+    radius = _radius(own)
+    if radius > 1.0 + 1.0 / told.own:
+        return [np.zeros_like(record.inputs) for record in records]
+    own *= min(1.0, LONGEST_MADE / radius) ** np.arange(1, told.own + 1)[:, np.newaxis, np.newaxis]
     made = []
     size, level = told.scaling.output_scale, told.scaling.output_mean
     for error in errors:
@@ -112,6 +121,14 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
             forcing[i + 1 :] += scaled[: -i - 1] @ later[i * q : (i + 1) * q]
         made.append(solve_recursion(own, forcing[..., np.newaxis])[..., 0] * told.scaling.input_scale)
     return made
+
+
+def _radius(own: FloatArray) -> float:
+    """Growth a sample of u(k) = sum of own[i] u(k - 1 - i)."""
+    n_lags, m, _ = own.shape
+    companion = np.eye(n_lags * m, k=-m)
+    companion[:m] = own.transpose(1, 0, 2).reshape(m, -1)
+    return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -2,6 +2,9 @@
 
 Every candidate was stable on each fold, but a pole at the edge (an integrator, an undamped line) may fall on either
 side of the unit circle when all rows are used. An unstable model cannot run freely, so it is never the answer.
+
+Standard deviations of its modes: of the model of its noise, else of its refinement, else propagated through OKID and
+ERA.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,16 +19,25 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import Folds, Trial, hankel_limits, markov_lags
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
+from modal.estimation.propagation import propagated
+from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
+from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
 from modal.identification.order_search import Search
 from modal.identification.refined_search import RefinedModel, refined_model
+from modal.modes.extraction import extract_modes
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel, Uncertainty
 from modal.verdict.repeatability import ORDER_SHARES
-from okid.errors import NumericalError, quiet
+from okid.arrays import FloatArray
+from okid.errors import InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
 
-__all__ = ["FinalModel", "fit_all_rows"]
+__all__ = ["FinalModel", "fit_all_rows", "with_deviations"]
+
+Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
@@ -49,6 +61,7 @@ class FinalModel:
         why: in words, why there is a model of the noise or none.
         gain: of the model, from its innovations; None where the model has the gain that it was cut with.
         realisation: the likeliest, the refined one, its gain estimated from its innovations, or the one that was cut.
+        feedback: of the outputs into the inputs; harmless where it moves no mode of the refined model noticeably.
     """
 
     observer: ObserverFit
@@ -60,6 +73,7 @@ class FinalModel:
     why: str
     gain: GainEstimate | None
     realisation: Realisation
+    feedback: Feedback = "none"
 
     @property
     def leaves_white_noise(self) -> bool:
@@ -83,7 +97,7 @@ def fit_all_rows(
         found: by the search.
         n_rest: rows of rest among theirs, which hold no noise.
         refinement: "none" leaves the model as OKID and ERA give it.
-        feedback: the outputs are fed back into the inputs.
+        feedback: the outputs seem to be fed back into the inputs.
         progress: called with the share that is behind at most, before each step.
 
     Returns:
@@ -106,7 +120,15 @@ def fit_all_rows(
         made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
         if refinement == "auto":
             refined = _refined(
-                records, fitted, model, trial, n_rest=n_rest, by=found.ground.by, feedback=feedback, progress=progress
+                records,
+                fitted,
+                model,
+                trial,
+                n_rest=n_rest,
+                by=found.ground.by,
+                feedback=feedback,
+                order_given=len(found.limits.model_orders) == 1,
+                progress=progress,
             )
             made = made[0], refined
         if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
@@ -168,6 +190,7 @@ def _refined(
     n_rest: int,
     by: Folds,
     feedback: bool,
+    order_given: bool,
     progress: Callable[[float], None],
 ) -> FinalModel:
     refined = None
@@ -187,20 +210,39 @@ def _refined(
     driven = model if refined is None else refined.realisation
     gain = estimate_gain(driven, records) if model.n_inputs else None
     base = model if gain is None else replace(driven, K=gain.gain)
-    made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base)
+    harmless = feedback and refined is not None and not _biased(refined)
+    found: Feedback = "none" if not feedback else "harmless" if harmless else "biasing"
+    made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
     if n_rest:
         return replace(made, why="rows of rest, which hold no noise, stand before the record")
     evidence = base if base.factors is not None else model
     noise, why = noise_model(
-        records, base, evidence=evidence, promised=1.0 - trial.error, feedback=feedback, progress=progress
+        records,
+        base,
+        evidence=evidence,
+        promised=1.0 - trial.error,
+        feedback=found == "biasing",
+        order_given=order_given,
+        progress=progress,
     )
     if noise is None:
         return replace(made, why=why)
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)
     likeliest = noise.realisation if gain is None else replace(noise.realisation, K=gain.gain)
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
+
+
+def _biased(model: RefinedModel) -> bool:
+    """Whether what seems to be feedback moves a mode by more than its interval should bear without a word.
+
+    That the past of the outputs foretells an input is no feedback yet: a smooth force moves between its samples, which
+    outputs see, and a steep low-pass filter knows more of its past than the regression.
+    """
+    modes = extract_modes(model.realisation).modes
+    *_, moved = judged_deviations(model, modes, n_lags=1, fed_back=True)
+    return not (np.hypot(1.0, moved) <= NOT_UNDERSTOOD).all()
 
 
 def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | None:
@@ -213,3 +255,72 @@ def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | Non
         return None
     runs = modal_form(model if model.n_inputs else one_step_predictor(model)) is not None
     return model if runs else None
+
+
+def with_deviations(
+    model: ModalModel, final: FinalModel, records: Sequence[Record]
+) -> tuple[ModalModel, Uncertainty, FloatArray, FloatArray]:
+    """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
+
+    Args:
+        model: modes of the final model's realisation.
+        final: the final model.
+        records: that it was fitted to.
+
+    Returns:
+        The modes, their deviations, (n_modes,) how many times larger those of a mode are than under white noise, and
+        (n_modes,) how many of the stated ones feedback moves it by: none where the model is that of a predictor.
+    """
+    inflation, moved = np.ones(len(model)), np.zeros(len(model))
+    if final.noise is not None:
+        known = innovation_uncertainty(final.noise, model.modes, n_lags=final.markov.n_lags)
+    elif final.refined is not None:
+        known, inflation, moved = judged_deviations(
+            final.refined, model.modes, n_lags=final.markov.n_lags, fed_back=final.feedback != "none"
+        )
+    else:
+        known = _propagated(model, final, records)
+    known = _no_finer_than_rounding(known, model, final.realisation)
+    modes = tuple(
+        replace(
+            mode,
+            frequency_std=float(known.frequency_std[i]),
+            damping_ratio_std=float(known.damping_ratio_std[i]),
+            shape_std=known.shape_std[i],
+            mass_std=None if known.mass_std is None else known.mass_std[i],
+        )
+        for i, mode in enumerate(model.modes)
+    )
+    return replace(model, modes=modes), known, inflation, moved
+
+
+def _no_finer_than_rounding(known: Uncertainty, model: ModalModel, realisation: Realisation) -> Uncertainty:
+    """With what rounding leaves of a pole: an eigenvalue of n states is known to n eps, and s dt = ln of it as well."""
+    poles, _ = discrete_poles(model.modes, realisation.dt)
+    rounding = realisation.order * np.finfo(np.float64).eps / np.abs(poles)
+    moves = np.angle(poles) != 0.0  # else a real pole, whose damping ratio is one
+    return replace(
+        known,
+        frequency_std=np.hypot(known.frequency_std, rounding / (2 * np.pi * realisation.dt)),
+        damping_ratio_std=np.where(moves, np.hypot(known.damping_ratio_std, rounding / np.abs(np.log(poles))), 0.0),
+    )
+
+
+def _propagated(model: ModalModel, final: FinalModel, records: Sequence[Record]) -> Uncertainty:
+    try:
+        return propagated(
+            records, observer=final.observer, markov=final.markov, realisation=final.cut, modes=model.modes
+        )
+    except InsufficientDataError:  # too short for two blocks
+        return _unknown(model, final)
+
+
+def _unknown(model: ModalModel, final: FinalModel) -> Uncertainty:
+    n_modes, n_outputs = len(model), final.cut.n_outputs
+    return Uncertainty(
+        method="propagation",
+        frequency_std=np.full(n_modes, np.nan),
+        damping_ratio_std=np.full(n_modes, np.nan),
+        shape_std=np.full((n_modes, n_outputs), np.nan),
+        markov_std=np.full((final.markov.n_lags + 1, n_outputs, final.cut.n_inputs), np.nan),
+    )

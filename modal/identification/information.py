@@ -101,7 +101,7 @@ def innovation_uncertainty(model: NoiseModel, modes: Sequence[Mode], *, n_lags: 
     return Uncertainty(
         method="output error",
         frequency_std=np.linalg.norm(growth, axis=0) / (2 * np.pi * model.whole.dt),
-        damping_ratio_std=np.where(wanted.imag != 0.0, np.linalg.norm(damping, axis=0), 0.0),
+        damping_ratio_std=np.where(np.angle(wanted) != 0.0, np.linalg.norm(damping, axis=0), 0.0),
         shape_std=np.sqrt(np.square(np.abs(change)).sum(axis=0)).T,
         mass_std=np.linalg.norm(mass.real, axis=0),
         markov_std=_markov_deviations(form, A, dA, model, n_lags) * (size[:, np.newaxis] / into),

@@ -21,6 +21,8 @@ from modal.estimation.modal_parameters import errors_of, in_data_states, startin
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, PolesAndParticipations
 from modal.estimation.prediction_error import (
+    ROWS_A_NUMBER,
+    CanonicalVariates,
     LikeliestFit,
     Sections,
     innovation_form,
@@ -28,14 +30,12 @@ from modal.estimation.prediction_error import (
     likeliest,
     n_rows_of,
     predictor_data,
-    predictor_of_observer,
     predictor_start,
     share_of,
 )
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import IdentificationError, NumericalError
-from okid.observer import fit_observer
+from okid.errors import NumericalError
 from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, centred, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
@@ -46,12 +46,8 @@ WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
 NOISE_ORDERS = (1, 2, 4, 8)
 """Try so many states of the noise beside those of the model, as long as the criterion of the noise alone falls."""
-NOISE_OBSERVER = 30
-"""Look so many samples back at what the free run leaves, to find where its states start."""
 BROKEN_PROMISE = 0.02
 """Take no model whose free run explains less than the held-out rows promised by this."""
-ROWS_A_NUMBER = 10
-"""Fit no more numbers than a tenth of the values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -66,6 +62,7 @@ class NoiseModel:
         n_noise: states of the noise alone.
         whiteness_ratio: of the innovations.
         gained: by how much the criterion is below that of output error.
+        past: samples of the outputs' past whose canonical variates were its start; 0 for the model given.
     """
 
     fit: LikeliestFit
@@ -75,6 +72,7 @@ class NoiseModel:
     n_noise: int
     whiteness_ratio: float
     gained: float
+    past: int = 0
 
     @property
     def covariance(self) -> FloatArray:
@@ -91,6 +89,7 @@ def noise_model(
     evidence: Realisation,
     promised: float,
     feedback: bool = False,
+    order_given: bool = False,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[NoiseModel | None, str]:
     """The innovation form where it is the likelier one, and in words why, or why not.
@@ -101,6 +100,7 @@ def noise_model(
         evidence: whose Hankel factors the result keeps.
         promised: fit of the free run on held-out rows.
         feedback: the outputs are fed back into the inputs, so that output error is not offered.
+        order_given: without inputs too, keep the number of states.
         progress: called with the share that is behind at most, before each step.
     """
     if not all(record.complete_rows().all() for record in records):
@@ -114,14 +114,16 @@ def noise_model(
     found = reference.step if reference is not None else None if start.n_inputs else predictor_start(first, data)
     if found is None or leaves_rounding(found, n_rows_of(data)):
         return None, "the model explains the outputs to rounding, or cannot run"
-    fit, ratio = _likeliest(first, reference, data, progress)
+    variates = None if start.n_inputs else CanonicalVariates.of(scaled)
+    candidates = _candidates(first, reference, variates, order_given=order_given)
+    fit, ratio, past = _likeliest(candidates, data, progress)
     if fit is None:
         return None, "no model of the noise that was tried leaves white errors"
     gained = np.inf if reference is None else reference.criterion - fit.criterion
     if gained <= 0.0 and not feedback:
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
     whole = innovation_form(fit.step, start.dt)
-    system = _system_part(whole, start.order)
+    system = _system_part(whole, start.order) if start.n_inputs else whole
     # in a loop the free run that explains most is the one that takes the noise for an answer
     least = -np.inf if feedback else promised - BROKEN_PROMISE
     if system is None or not _explains(realisation := in_data_states(system, evidence, scaling), records, least):
@@ -134,9 +136,10 @@ def noise_model(
         n_noise=whole.order - system.order,
         whiteness_ratio=ratio,
         gained=gained,
+        past=past,
     )
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
-    reason = "the outputs are fed back into the inputs" if feedback else reason
+    reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
 
 
@@ -152,22 +155,20 @@ def _explains(model: Realisation, records: Sequence[Record], least: float) -> bo
 
 
 def _likeliest(
-    model: Realisation, reference: LikeliestFit | None, data: OutputError, progress: Callable[[float], None]
-) -> tuple[LikeliestFit | None, float]:
-    """The first candidate that leaves white errors, and its whiteness ratio."""
-    n_values = n_rows_of(data) * model.n_outputs
-    for number, candidate in enumerate(_candidates(model, reference)):
-        step = predictor_start(candidate, data)
+    candidates: Iterator[tuple[Realisation | None, int]], data: OutputError, progress: Callable[[float], None]
+) -> tuple[LikeliestFit | None, float, int]:
+    """The first candidate that leaves white errors, its whiteness ratio, and the past that it came from."""
+    for number, (candidate, past) in enumerate(candidates):
+        step = None if candidate is None else predictor_start(candidate, data)
+        n_values = n_rows_of(data) * data.records[0].n_outputs
         if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
             continue
-        before = (
-            1 + 4 * number
-        ) / 9  # output error, the model, and the model with states of noise: one to four to four
-        fit = likeliest(step, data, Sections(), progress=share_of(progress, before, before + 4 / 9))
+        left = 8 / 9 * 0.5**number  # after output error; a candidate that fails leaves as much again at most
+        fit = likeliest(step, data, Sections(), progress=share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
         white = whiteness(centred(errors_of(fit.step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
         if white.p_value > WHITE_AT:
-            return fit, white.ratio
-    return None, np.nan
+            return fit, white.ratio, past
+    return None, np.nan, 0
 
 
 def _output_error(
@@ -182,12 +183,24 @@ def _output_error(
     return likeliest(start, data, PolesAndParticipations(), progress=share_of(progress, 0.0, 1 / 9))
 
 
-def _candidates(model: Realisation, reference: LikeliestFit | None) -> Iterator[Realisation]:
-    """The model with its gain; then with states of the noise beside its own."""
-    yield model
-    larger = None if reference is None else _with_noise_states(model, reference)
-    if larger is not None:
-        yield larger
+def _candidates(
+    model: Realisation,
+    reference: LikeliestFit | None,
+    variates: CanonicalVariates | None,
+    *,
+    order_given: bool,
+) -> Iterator[tuple[Realisation | None, int]]:
+    """Of canonical variates, by their own criterion's order and by the model's; the model; then with noise states.
+
+    A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
+    outputs 96 steps from there ended below where the variates start.
+    """
+    if variates is not None:
+        for order in (model.order,) if order_given else dict.fromkeys((variates.order, model.order)):
+            yield variates.predictor(order), variates.past
+    yield model, 0
+    if reference is not None:
+        yield _with_noise_states(model, reference), 0
 
 
 def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisation | None:
@@ -209,21 +222,14 @@ def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisati
 
 def _noise_of(left: Sequence[Record]) -> Realisation | None:
     """The output-only model of least criterion."""
-    n_rows = sum(record.n_samples for record in left)
-    order = max(2, min(NOISE_OBSERVER, n_rows // (ROWS_A_NUMBER * left[0].n_outputs)))
-    try:
-        observer = fit_observer(left, order=order, ridge=0.0)
-    except IdentificationError:
+    variates = CanonicalVariates.of(left)
+    if variates is None:
         return None
     data = predictor_data(left, tuple(record.complete_rows() for record in left))
     best: LikeliestFit | None = None
     for n in NOISE_ORDERS:
-        start = predictor_of_observer(observer, n)
-        if start is None or start.K is None:
-            break
-        out = observer.output_scale[:, np.newaxis]
-        start = Realisation(start.A, start.B, start.C * out, start.D, start.dt, K=start.K / observer.output_scale)
-        step = predictor_start(start, data)
+        start = variates.predictor(n)
+        step = None if start is None else predictor_start(start, data)
         if step is None:
             continue
         fit = likeliest(step, data, Sections(), rounds=1)

@@ -15,9 +15,8 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.estimation.modal_states import one_blas_thread
-from modal.identification.covariance import with_deviations
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
-from modal.identification.final_model import FinalModel, fit_all_rows
+from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
@@ -211,18 +210,16 @@ def identify(
             found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        fed_back = kind_found.kind == "driven" and feedback_p_value(several) < FALSE_ALARMS
+        suspected = kind_found.kind == "driven" and feedback_p_value(several) < FALSE_ALARMS
         taken, final = fit_all_rows(
             preparation.records,
             found,
             n_rest=sum(preparation.n_rest),
             refinement=refinement,
-            feedback=fed_back,
+            feedback=suspected,
             progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
-        result = _identified(
-            several, kind_found, preparation, taken, final=final, wanted=found.chosen, fed_back=fed_back, tell=tell
-        )
+        result = _identified(several, kind_found, preparation, taken, final=final, wanted=found.chosen, tell=tell)
         if isinstance(input_delay, str) and several[0].n_inputs:
             factor = round(preparation.records[0].dt / several[0].dt)
             result = _with_real_modes(
@@ -252,7 +249,6 @@ def _identified(
     *,
     final: FinalModel,
     wanted: Trial,
-    fed_back: bool,
     tell: Callable[[str, float], None],
 ) -> Identification:
     """The modes of the final model judged, and all of it said in words."""
@@ -272,8 +268,9 @@ def _identified(
         refinement_steps=0 if final.refined is None else found.chosen.refinement_steps,
         folds=_folds(kind),
         refined=final.realisation,
+        past=0 if final.noise is None else final.noise.past,
     )
-    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared, fed_back=fed_back)
+    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
     left = runs.left
     lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
@@ -358,7 +355,9 @@ def _identified(
         input_delay=preparation.input_delay,
     )
     tell("done", 1.0)
-    return with_feedback(result, moved if final.noise is None else None) if fed_back else result
+    if final.feedback == "none":
+        return result
+    return with_feedback(result, None if final.noise is not None and final.feedback == "biasing" else moved)
 
 
 def _with_real_modes(result: Identification, again: Callable[[list[int]], Identification]) -> Identification:

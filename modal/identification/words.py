@@ -77,7 +77,8 @@ LEAST_EXCITED = 0.5
 MUCH_LEFT, TIMES_BETTER = 0.05, 4.0
 """Say that records do not belong together where a model of all leaves more than a twentieth of the motion and models of
 each by itself a quarter of that: with four rows an unknown such a model follows noise by a quarter of its power."""
-MOVED = "the outputs are fed back into the inputs, which may move it by several of its deviations"
+WHY_TOLD = "something feeds them back, or the inputs move between their samples as only the outputs show"
+MOVED = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
 FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
 
@@ -345,7 +346,7 @@ def with_feedback(result: Identification, moved: FloatArray | None) -> Identific
     """
     found = "the past of the outputs tells more about the inputs than their own does"
     if moved is None:
-        said = f"{found.capitalize()}: something feeds them back; the model has its noise, which allows for that."
+        said = f"{found.capitalize()}: {WHY_TOLD}; the model has its noise, which allows for that."
         return replace(result, warnings=(*result.warnings, said))
     wider = np.hypot(1.0, moved)
     own = [(mode, by) for mode, by in zip(result.modes, wider.tolist(), strict=True) if mode.verdict == "system"]
@@ -354,7 +355,7 @@ def with_feedback(result: Identification, moved: FloatArray | None) -> Identific
     if not far and most <= NOT_UNDERSTOOD:
         why = f"{found}, but that makes no interval of a mode of the system more than {most:.2g} times wider"
         return replace(result, choices=(*result.choices, Choice(what="feedback", value="harmless", reason=why)))
-    said = f"{found.capitalize()}: something feeds them back, and no model of the noise leaves white errors."
+    said = f"{found.capitalize()}: {WHY_TOLD}, and no model of the noise leaves white errors."
     if most > NOT_UNDERSTOOD:
         said += f" The intervals have the bias by that in them, which makes them up to {most:.1f} times wider."
     said += f" It may move what is found at {far} Hz by several deviations, so that is doubtful." if far else ""

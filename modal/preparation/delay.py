@@ -46,6 +46,8 @@ LONGEST_SHARE = 0.1
 """Of the longest record: a delay beyond it is not looked for."""
 RIDGE = 1e-8
 """Only keeps the covariance finite where inputs do not tell neighbouring lags apart."""
+ROUNDING = 1e-14
+"""Take no residual of an output of unit power for less: that is what the sums of squares round to."""
 CHANCE = 1e-4
 """Probability that the leading lags of an input that acts at once look as empty as they may."""
 LEAST_DELAY = 2
@@ -346,7 +348,8 @@ def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:
     pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, order)
     coefficients = np.concatenate([fit.feedthrough[np.newaxis], fit.input_coefficients])
     sizes = np.linalg.norm(pulse, axis=1)  # (order + 1, n_inputs)
-    weight = np.linalg.pinv(np.atleast_2d(fit.residual_covariance), hermitian=True)
+    values, vectors = np.linalg.eigh(np.atleast_2d(fit.residual_covariance))
+    weight = (vectors / np.maximum(values, ROUNDING)) @ vectors.T  # an exact fit leaves rounding, of either sign
     inverse = _inverse(gram)
     lags = np.arange(order + 1)
     bounds = scipy.special.chdtri(n_outputs * (lags + 1), CHANCE)

@@ -18,11 +18,11 @@ from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of
 from modal.estimation.output_error import NONE, OutputError, RefinementStep, refine
-from modal.estimation.prediction_error import STILL, n_rows_of
+from modal.estimation.prediction_error import STILL, CanonicalVariates, n_rows_of
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
-from modal.verdict.judgement import Rerun, Reruns
+from modal.verdict.judgement import Change, Rerun, Reruns
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram, turn_gram
@@ -55,6 +55,7 @@ def repeat(
     refinement_steps: int = 0,
     folds: Folds = "blocks",
     refined: Realisation | None = None,
+    past: int = 0,
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -71,8 +72,11 @@ def repeat(
         folds: halves of interleaved "blocks", or every second of the "rows".
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
+        past: samples whose canonical variates the model started from, where it did; its reruns do, too.
     """
     scaling = channel_scaling(records)
+    if past:
+        return _canonical_reruns(records, scaling, past, model_order)
     whole = lag_gram(records, observer_order, scaling=scaling)
     if folds == "rows":
         first_half = tuple(np.arange(record.n_samples) % 2 == 0 for record in records)
@@ -112,6 +116,30 @@ def repeat(
         n_steps=decomposition.n_block_rows + decomposition.n_block_columns,
         output_scale=scaling.output_scale,
         input_scale=scaling.input_scale,
+    )
+
+
+def _canonical_reruns(records: Sequence[Record], scaling: ChannelScaling, past: int, model_order: int) -> Reruns:
+    """The same from canonical variates of the outputs' past: halves, a longer past, other orders."""
+    longer = round(past / OBSERVER_SHARE)
+    whole = lag_gram(records, past, scaling=scaling)
+    first_half = tuple(_every_second_block(record.n_samples) for record in records)
+    one = lag_gram(records, past, scaling=scaling, rows=first_half)
+    runs = []
+
+    def add(gram: LagGram, order: int, label: str, change: Change) -> None:
+        found = CanonicalVariates.of_gram(gram, scaling, records[0].dt)
+        model = None if found is None else found.predictor(order)
+        if model is not None:
+            runs.append(Rerun(label=label, change=change, modes=extract_modes(model)))
+
+    add(one, model_order, "first half", "data")
+    add(whole - one, model_order, "second half", "data")
+    add(lag_gram(records, longer, scaling=scaling), model_order, f"past of {longer} samples", "observer")
+    for n in _other_orders(model_order, past * records[0].n_outputs):
+        add(whole, n, f"order {n}", "lower order" if n < model_order else "higher order")
+    return Reruns(
+        runs=tuple(runs), n_steps=2 * past, output_scale=scaling.output_scale, input_scale=scaling.input_scale
     )
 
 

@@ -4,13 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from noisy import noisy_data, noisy_system
 
 from era.realisation import Realisation
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import ModalParameters
 from modal.estimation.output_error import NONE, step_at, step_equations
-from modal.estimation.prediction_error import Sections, innovation_form, likeliest, predictor_data, predictor_start
+from modal.estimation.prediction_error import (
+    CanonicalVariates,
+    Sections,
+    innovation_form,
+    likeliest,
+    predictor_data,
+    predictor_start,
+)
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel
 from modal.modes.extraction import extract_modes
@@ -179,3 +187,27 @@ def test_outputs_that_foretell_each_other_leave_a_covariance_that_can_be_used():
     linear = replace(fit.step.linear, error_products=rank_one - 1e-14 * np.eye(2))
     values = np.linalg.eigvalsh(replace(fit, step=replace(fit.step, linear=linear)).covariance)
     assert 0.0 < values[0] < 2e-6 * values[1]
+
+
+def ambient_outputs(frequencies, ratio, n_outputs, n_samples, dt):
+    """Modes that each have a white force of their own, seen by more or fewer sensors, with white noise on each."""
+    rng = np.random.default_rng(20)
+    s = 2 * np.pi * frequencies * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    recursion = [np.poly(np.exp(np.array([pole, pole.conjugate()]) * dt)).real for pole in s]
+    forces = rng.standard_normal((frequencies.size, n_samples + 2000))
+    motion = [scipy.signal.lfilter([1.0], row, force)[2000:] for row, force in zip(recursion, forces, strict=True)]
+    y = np.array([one / one.std() for one in motion]).T @ rng.standard_normal((frequencies.size, n_outputs))
+    return y + 0.05 * y.std(axis=0) * rng.standard_normal(y.shape)
+
+
+def test_canonical_variates_know_the_order_and_every_mode_before_the_first_step():
+    frequencies, dt = np.linspace(3.0, 40.0, 12), 0.01
+    record = Record([], ambient_outputs(frequencies, 0.01, 6, 20000, dt), dt)
+    variates = CanonicalVariates.of([record])
+    assert variates.order == 24
+    model = variates.predictor(24)
+    found = np.log(np.linalg.eigvals(model.A)) / dt
+    found = found[found.imag > 0]
+    assert np.abs(np.abs(found)[:, np.newaxis] / (2 * np.pi * frequencies) - 1.0).min(axis=0).max() < 0.01
+    assert (-found.real / np.abs(found)).max() < 0.03
+    assert CanonicalVariates.of([Record([], np.tile(record.outputs[:, :1], 2), dt)]) is None

@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
@@ -150,3 +151,26 @@ def test_exact_data_give_no_gain(seed):
     u = random_inputs(rng, 1200, 2)
     model = identify(Record(u, simulate(system, u), system.dt)).realisation
     assert not model.K.any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_no_deviation_is_finer_than_rounding_and_only_a_real_poles_damping_has_none(noise):
+    """Poles 0.9 (real), -0.8 (half the sampling rate) and a pair; what the pole is off by bounds what may be stated."""
+    rng = np.random.default_rng(4)
+    dt, pair = 0.01, 0.97 * np.exp(0.9j)
+    force = rng.standard_normal(3000)
+    parts = [
+        scipy.signal.lfilter([0.0, 1.0], row, force) for row in ([1, -0.9], [1, 0.8], np.poly([pair, pair.conj()]))
+    ]
+    outputs = np.array(parts).T @ rng.standard_normal((3, 3))
+    record = Record(force, outputs + noise * outputs.std(axis=0) * rng.standard_normal(outputs.shape), dt)
+    modes = identify(record).modes
+    for pole in (0.9, -0.8, pair):
+        s = np.log(complex(pole)) / dt
+        mode = min(modes, key=lambda mode: abs(mode.frequency - abs(s) / (2 * np.pi)))
+        assert abs(mode.frequency - abs(s) / (2 * np.pi)) < 6 * mode.frequency_std
+        assert mode.frequency_std > np.finfo(float).eps / (2 * np.pi * dt)
+        if pole == 0.9:
+            assert mode.damping_ratio_std == 0.0
+        else:
+            assert abs(mode.damping_ratio + s.real / abs(s)) < 6 * mode.damping_ratio_std
