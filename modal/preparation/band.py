@@ -13,7 +13,7 @@ import scipy
 from okid.arrays import ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["Band", "chance_of_following", "coherent_band", "missed_share"]
+__all__ = ["FOLLOWS", "Band", "chance_of_following", "coherent_band", "missed_share"]
 
 COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
@@ -122,6 +122,10 @@ def missed_share(records: Sequence[Record], left: Sequence[FloatArray]) -> float
     return float(missed.sum() / max(missed.sum() + explained.sum(), np.finfo(float).tiny))
 
 
+FOLLOWS = 0.01
+"""Doubt a pole at whose frequency outputs that know nothing of the inputs follow them as well so often."""
+
+
 def chance_of_following(
     records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]
 ) -> FloatArray:
@@ -129,7 +133,8 @@ def chance_of_following(
 
     The multiple coherence of an output, m inputs over n averages, is chance with the mean m / n; its sum over half as
     many independent lines as the window leaves in the band is about gamma-distributed. The least of all outputs counts,
-    times their number (Bonferroni).
+    times their number (Bonferroni). A segment that is short against the memory of a pole, 1 / (4 pi half width), sees
+    about T / (T + memory) of its answer; where that would be chance too nothing can be told.
 
     Args:
         records: of one system.
@@ -161,8 +166,10 @@ def chance_of_following(
         near = np.abs(lines - middle) <= max(half, 2.0 * lines[1])
         if near.any():
             shape = 0.5 * n_inputs * max(2, int(near.sum()))
-            ratio = coherence[near].mean(axis=0) / bias
-            chances[i] = min(1.0, n_outputs * float(scipy.special.gammaincc(shape, shape * ratio).min()))
+            seen = 1.0 / (1.0 + lines[1] / (4.0 * np.pi * max(half, np.finfo(float).tiny)))
+            ratios = np.append(coherence[near].mean(axis=0), bias + (1.0 - bias) * seen) / bias
+            *found, of_a_pole = n_outputs * scipy.special.gammaincc(shape, shape * ratios)
+            chances[i] = min(1.0, *found) if of_a_pole < FOLLOWS else 0.0
     return chances
 
 

@@ -25,6 +25,7 @@ import math
 import numpy as np
 
 from modal.modes.mode import Mode
+from modal.preparation.band import FOLLOWS
 from okid.excitation import Excitation
 
 __all__ = [
@@ -150,10 +151,6 @@ def unexcited_doubt(mode: Mode, excitation: Excitation | None) -> tuple[str, ...
     if any(low <= mode.frequency <= high for bands in excitation.excited_bands for low, high in bands):
         return ()
     return (f"no input moves at {mode.frequency:.4g} Hz: what is seen there is leakage or a disturbance",)
-
-
-FOLLOWS = 0.01
-"""Doubt a pole at whose frequency outputs that know nothing of the inputs follow them as well so often."""
 
 
 def unanswered_doubt(mode: Mode, chance: float) -> tuple[str, ...]:

@@ -388,8 +388,10 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
                 np.column_stack([column.to_numpy(zero_copy_only=False) for column in batch.columns]) for batch in reader
             )
     except (pa.ArrowException, ValueError) as error:
-        file.seek(start)
-        _raise_fault(io.TextIOWrapper(file, encoding="latin-1"), layout, names, path)
+        # pyarrow may still be reading ahead in this very file
+        with io.BytesIO(file.getvalue()) if isinstance(file, io.BytesIO) else path.open("rb") as again:
+            again.seek(start)
+            _raise_fault(io.TextIOWrapper(again, encoding="latin-1"), layout, names, path)
         raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({first_line(error)}).") from error
     values = np.empty((sum(len(part) for part in parts), layout.n_columns))
     last = len(values)

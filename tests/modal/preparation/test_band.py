@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+import scipy
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.preparation.band import COHERENT, chance_of_following, coherent_band
+from modal.preparation.band import COHERENT, FOLLOWS, chance_of_following, coherent_band
 from okid.record import Record
 
 
@@ -153,3 +154,14 @@ def test_modes_buried_in_noise_follow_the_inputs_and_an_empty_band_does_not():
     told = np.array(told)
     assert (told[:, :3].min(axis=1) < 1e-4).all()
     assert (told[:, 3] > 0.01).sum() >= 11
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_segments_shorter_than_a_modes_memory_accuse_nothing(seed):
+    """250 samples of a mode that rings for 130: its answer lies outside the segment of the force that made it."""
+    rng = np.random.default_rng(seed)
+    force = rng.standard_normal(250)
+    pole = np.exp((-0.02 + 1j) * 2 * np.pi * 3.0 * 0.02)
+    motion = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], force)
+    outputs = np.outer(motion, (1.0, -0.5)) + 0.02 * rng.standard_normal((250, 2))
+    assert chance_of_following([Record(force, outputs, 0.02)], [3.0], [0.03])[0] < FOLLOWS
