@@ -373,10 +373,11 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
     """The modes that all set-ups found, their parts scaled by the references."""
     joined: list[Mode] = []
     alone: list[str] = []
-    for mode in results[0].modes:
+    free = [list(result.modes) for result in results]  # the surest choose first, and no mode is another's too
+    for mode in sorted(results[0].modes, key=lambda mode: -mode.probability):
         if mode.kind != "oscillatory" or mode.verdict == "noise":
             continue
-        found = _followed(mode, records, setups, results)
+        found = _followed(mode, records, setups, free)
         if isinstance(found, Mode):
             joined.append(found)
         else:
@@ -453,13 +454,13 @@ def _among(mode: Mode, joined: Sequence[Mode], one: _SetUp) -> Mode | None:
 
 
 def _followed(
-    mode: Mode, records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]
+    mode: Mode, records: Sequence[Record], setups: Sequence[_SetUp], free: Sequence[list[Mode]]
 ) -> Mode | str:
-    """The mode through all set-ups, or the name of a set-up that has none."""
+    """The mode through all set-ups, taken out of the free modes of each, or the name of a set-up that has none."""
     n_outputs = records[0].n_outputs
     shape = np.zeros(n_outputs, dtype=np.complex128)
     information = np.zeros(n_outputs)
-    seen: list[Mode] = []
+    seen: dict[int, Mode] = {}
     left = list(range(len(setups)))
     while left:
         k = max(left, key=lambda k: (int((information[list(setups[k].outputs)] > 0).sum()), -k))
@@ -474,7 +475,7 @@ def _followed(
                     "cannot be scaled to theirs; keep a reference sensor in its place."
                 )
             known = replace(mode, shape=shape)
-            found = _same(known, references, results[k].modes, _places(one, references))
+            found = _same(known, references, free[k], _places(one, references))
             if found is None:
                 return _named(records, one)
             own = found
@@ -483,14 +484,16 @@ def _followed(
             norm = (weight * np.abs(here) ** 2).sum()
             scale = complex((weight * here.conj() * shape[references]).sum() / norm)
             scale_std = float(norm**-0.5)
-        seen.append(own)
+        seen[k] = own
         part = own.shape * scale
         variance = (abs(scale) * _spread(own)) ** 2 + np.abs(own.shape * scale_std) ** 2
         gained = 1.0 / np.maximum(variance, np.finfo(float).tiny)
         shape[rows] = (shape[rows] * information[rows] + part * gained) / (information[rows] + gained)
         information[rows] += gained
         left.remove(k)
-    return _averaged(mode, seen, shape, information)
+    for k, own in seen.items():
+        free[k].remove(own)
+    return _averaged(mode, list(seen.values()), shape, information)
 
 
 def _spread(mode: Mode) -> FloatArray:
@@ -503,12 +506,13 @@ def _spread(mode: Mode) -> FloatArray:
 
 
 def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray) -> Mode:
-    """One mode of those of all set-ups: pole by information, the least certain of the verdicts."""
+    """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least."""
     frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
     damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
     largest = int(np.abs(shape).argmax())
     size = 2.0 * np.pi * frequency
-    weakest = min(found, key=lambda one: one.probability)
+    by_certainty = sorted(found, key=lambda one: one.probability)
+    weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
     known = all(one.shape_std is not None for one in found)
@@ -522,8 +526,8 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
         shape=shape / shape[largest],
         shape_std=shape_std if known else None,
         mass_std=None,
-        probability=weakest.probability,
-        verdict=weakest.verdict,
+        probability=middle.probability,
+        verdict=middle.verdict,
         damping_resolved=all(one.damping_resolved for one in found),
         repeatability=min(one.repeatability for one in found),
         reason=f"found in all {len(found)} set-ups; the least sure of them: {weakest.reason}",
