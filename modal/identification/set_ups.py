@@ -383,7 +383,8 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         else:
             alone.append(f"{mode.frequency:.4g} Hz (not in {found})")
     for one, result in zip(setups[1:], results[1:], strict=True):
-        own = [mode for mode in result.modes.system if _among(mode, joined, one) is None]
+        rows, seen = _places(one, one.outputs), list(one.outputs)
+        own = [mode for mode in result.modes.system if _same(mode, rows, joined, seen) is None]
         alone += [f"{mode.frequency:.4g} Hz (only in {_named(records, one)})" for mode in own]
     if not joined:
         raise IdentificationError(
@@ -446,11 +447,6 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         innovations=None,
         innovation_covariance=None,
     )
-
-
-def _among(mode: Mode, joined: Sequence[Mode], one: _SetUp) -> Mode | None:
-    own = list(one.outputs)
-    return _same(mode, _places(one, own), joined, own)
 
 
 def _followed(
