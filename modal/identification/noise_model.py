@@ -33,6 +33,7 @@ from modal.estimation.prediction_error import (
     predictor_start,
     share_of,
 )
+from modal.identification.order_search import MODEL_ORDERS
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
@@ -190,15 +191,22 @@ def _candidates(
     *,
     order_given: bool,
 ) -> Iterator[tuple[Realisation | None, int]]:
-    """Of canonical variates, by their own criterion's order and by the model's; the model; then with noise states.
+    """Of canonical variates, else the model; then with noise states.
 
+    Their own criterion gives the order, no larger than the search tries, and then the model's where that is larger: a
+    smaller one leaves more.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
     outputs 96 steps from there ended below where the variates start.
     """
+    made = False
     if variates is not None:
-        for order in (model.order,) if order_given else dict.fromkeys((variates.order, model.order)):
-            yield variates.predictor(order), variates.past
-    yield model, 0
+        own = min(variates.order, MODEL_ORDERS[-1])
+        for order in (model.order,) if order_given else (own, model.order) if own < model.order else (own,):
+            predictor = variates.predictor(order)
+            made = made or predictor is not None
+            yield predictor, variates.past
+    if not made:
+        yield model, 0
     if reference is not None:
         yield _with_noise_states(model, reference), 0
 

@@ -25,6 +25,7 @@ from okid.record import Record
 from okid.rows import as_records, check_enough_rows
 
 __all__ = [
+    "MODEL_ORDERS",
     "OrderChoice",
     "Search",
     "SearchLimits",
