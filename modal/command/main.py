@@ -31,6 +31,8 @@ app = typer.Typer(
 
 def leave() -> None:
     """Run the command and leave with its exit status; requests to stop are noted already."""
+    if "--traceback" not in sys.argv:  # what a library's finaliser meets, where memory ran out, is nothing to read
+        sys.unraisablehook = lambda _met: None
     number = status(sys.argv[1:])
     Requests.ignore()
     sys.exit(number)

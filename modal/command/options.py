@@ -108,7 +108,7 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
 
 def _wants_memory(error: Exception) -> bool:
     """Whether memory ran out: a library that cannot be mapped or a thread that cannot begin says so in its own way."""
-    said = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+    said = ("failed to map segment", "cannot allocate memory", "can't start new thread", "failed to spawn")
     return isinstance(error, MemoryError) or (
         isinstance(error, ImportError | OSError | RuntimeError) and any(words in str(error).lower() for words in said)
     )

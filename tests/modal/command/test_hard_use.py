@@ -113,6 +113,7 @@ def test_what_memory_cannot_hold_is_said_before_the_work(data, monkeypatch, caps
         ImportError("libXau.so.6: failed to map segment from shared object"),
         OSError(12, "Cannot allocate memory"),
         RuntimeError("can't start new thread"),
+        RuntimeError("Failed to spawn background thread 'batcher': Resource temporarily unavailable (os error 11)"),
     ],
 )
 def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, capsys, error):
