@@ -33,7 +33,7 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
 from okid.gram import LagGram, lag_gram
 from okid.record import Record
-from okid.scaling import ChannelScaling, channel_scaling
+from okid.scaling import ROUNDING, ChannelScaling, channel_scaling
 
 __all__ = [
     "ROWS_A_NUMBER",
@@ -244,7 +244,7 @@ class CanonicalVariates:
         try:
             while p <= longest:
                 S, P, cross, n_rows = _regression(lag_gram(records, p, scaling=scaling))
-                left = S - cross.T @ scipy.linalg.solve(P, cross, assume_a="pos")
+                left = S - cross.T @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(P), cross)
                 criterion = n_rows * np.linalg.slogdet(left)[1] + 2 * p * q * q
                 if not criterion < least:
                     break
@@ -266,7 +266,7 @@ class CanonicalVariates:
         S, P, cross, n_rows = _regression(gram)
         q, p = gram.n_outputs, gram.order
         try:
-            regression = scipy.linalg.solve(P, cross, assume_a="pos").T
+            regression = scipy.linalg.cho_solve(scipy.linalg.cho_factor(P), cross).T
             whitened = np.linalg.solve(np.linalg.cholesky(S - regression @ cross), regression)
             L = np.linalg.cholesky(P)
         except np.linalg.LinAlgError:
@@ -321,9 +321,11 @@ def _covariance(gram: LagGram) -> FloatArray:
 
 
 def _regression(gram: LagGram) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Covariances of y(k), of its past, and of the past with it; number of rows."""
+    """Covariances of y(k), of its past with the rounding of its sums, and of the past with it; number of rows."""
     covariance, q = _covariance(gram), gram.n_outputs
-    return covariance[:q, :q], covariance[q:, q:], covariance[q:, :q], gram.n_rows
+    past = covariance[q:, q:]
+    past = past + ROUNDING * np.trace(past) * np.eye(len(past))
+    return covariance[:q, :q], past, covariance[q:, :q], gram.n_rows
 
 
 def innovation_form(step: RefinementStep, dt: float) -> Realisation:

@@ -34,6 +34,8 @@ from modal.identification.words import (
     with_feedback,
 )
 from modal.modes.extraction import extract_modes
+from modal.modes.mode import ModalModel
+from modal.preparation.amplitude import clipping_power
 from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
 from modal.preparation.integrators import driven_by_inputs
@@ -241,6 +243,13 @@ def identify(
         return result
 
 
+def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str]) -> FloatArray:
+    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes, on the samples as they came."""
+    several = [record.select(outputs=output_names) for record in records]
+    half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
+    return clipping_power(several, [mode.frequency for mode in modes.modes], half_widths)
+
+
 def _identified(
     records: Sequence[Record],
     kind: KindFound,
@@ -294,6 +303,7 @@ def _identified(
             [mode.frequency for mode in unjudged.modes],
             [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
         ),
+        clipped=_clipped(records, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)

@@ -15,10 +15,13 @@ References:
     Widrow, Kollar, Quantization Noise, 2008, chapter 5, doi 10.1017/CBO9780511754661.
 """
 
+import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermevander
 
 from modal.preparation.channel import (
     MOST_ROWS,
@@ -32,6 +35,7 @@ from modal.preparation.channel import (
     Channel,
     Finding,
     Span,
+    channels_of,
     named,
     spoken,
     where_found,
@@ -40,10 +44,12 @@ from modal.wording.numbers import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
+from okid.scaling import channel_scaling
 
 __all__ = [
     "clipped_samples",
     "clipping_findings",
+    "clipping_power",
     "constant_findings",
     "repeat_findings",
     "resolution_findings",
@@ -74,6 +80,12 @@ NEIGHBOURHOOD = 8
 
 SUDDEN = 0.3
 """Take a run for rest that begins and ends with a step of less than this share of the median step nearby."""
+
+
+LIMITED_TERMS = 12
+"""Follow the distortion of a limit to the eleventh power of the motion."""
+
+LIMITED_SEGMENT = 2048
 
 
 def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = False) -> list[Finding]:
@@ -125,6 +137,79 @@ def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
         (above & (part >= channel.largest - near)) | (below & (part <= channel.smallest + near))
         for part in channel.parts
     )
+
+
+def clipping_power(records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]) -> FloatArray:
+    """(n_frequencies, n_outputs) share of the power in each band that limits make, 0 for what is not clipped.
+
+    A limit g turns Gaussian motion of autocorrelation rho(tau) into one of
+
+        sum_k E[g He_k]^2 / k! rho(tau)^k,    E[g He_k] = phi(a) He_k-2(a) - phi(b) He_k-2(b) from k = 2 on,
+
+    a the lower and b the upper limit, in deviations of the motion and known from how often each is met: all but the
+    first term is sums and differences of what moves, which stand in the spectrum as modes do.
+
+    Args:
+        records: as measured, without inputs.
+        frequencies: [Hz].
+        half_widths: [Hz] of the band about each.
+
+    References:
+        Price, IRE Transactions on Information Theory 4, 1958, 69-72, doi 10.1109/TIT.1958.1057444.
+
+    Example:
+        >>> rng, motion = np.random.default_rng(0), np.zeros(40_000)
+        >>> for k in range(2, 40_000):
+        ...     motion[k] = 1.6 * motion[k - 1] - 0.95 * motion[k - 2] + rng.standard_normal()
+        >>> limit = 1.5 * motion.std()
+        >>> record = Record([], np.clip(motion, -limit, limit), 0.01)
+        >>> clipping_power([record], [9.7, 29.0], [0.3, 0.3]).round(2).tolist()
+        [[0.01], [0.84]]
+    """
+    outputs = [channel for channel in channels_of(records, channel_scaling(records)) if channel.role == "output"]
+    found = np.zeros((len(frequencies), len(outputs)))
+    for channel in outputs:
+        sizes = _limited_sizes(channel)
+        if not sizes[2:].any():
+            continue
+        lines, power = _power(channel)
+        correlation = np.fft.irfft(power)
+        rho = correlation / correlation[0]
+        made = np.fft.rfft(np.polynomial.polynomial.polyval(rho, [0.0, 0.0, *sizes[2:]])).real
+        power *= sizes.sum() / correlation[0]
+        for i, (frequency, half) in enumerate(zip(frequencies, half_widths, strict=True)):
+            band = np.abs(lines - frequency) <= max(half, lines[1])  # resolution of the segments, if not the mode's
+            found[i, channel.index] = max(0.0, made[band].sum() / power[band].sum())
+    return found
+
+
+def _limited_sizes(channel: Channel) -> FloatArray:
+    """(LIMITED_TERMS,) terms k of the autocorrelation at tau = 0, the motion's own deviation as unit."""
+    middle = 0.5 * (channel.smallest + channel.largest)
+    at_limit = clipped_samples(channel)
+    low, high = (
+        sum(int((own & (side * (part - middle) > 0)).sum()) for own, part in zip(at_limit, channel.parts, strict=True))
+        / channel.n_samples
+        for side in (-1.0, 1.0)
+    )
+    normal = NormalDist()
+    means = np.zeros(LIMITED_TERMS)
+    means[1] = 1.0 - low - high
+    for share, sign in ((low, 1.0), (high, -1.0)):
+        if share > 0.0:
+            limit = sign * normal.inv_cdf(share)
+            means[2:] += sign * normal.pdf(limit) * hermevander(limit, LIMITED_TERMS - 3).ravel()
+    return np.array([mean**2 / math.factorial(k) for k, mean in enumerate(means)])
+
+
+def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:
+    """Frequencies [Hz], and the power there of segments that overlap by half, what is missing taken for the mean."""
+    n = min(LIMITED_SEGMENT, 2 * (max(len(part) for part in channel.parts) // 2))
+    window, power = np.hanning(n + 2)[1:-1], np.zeros(n // 2 + 1)
+    for part in channel.parts:
+        for start in range(0, len(part) - n + 1, n // 2):
+            power += np.abs(np.fft.rfft(window * np.nan_to_num(part[start : start + n] - channel.mean))) ** 2
+    return np.fft.rfftfreq(n, channel.dt), power
 
 
 def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:

@@ -37,6 +37,7 @@ from modal.modes.shape_comparison import (
 from modal.modes.shape_sets import assurance
 from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
+    clipping_doubt,
     colour_doubt,
     damping_doubt,
     delay_doubt,
@@ -194,6 +195,7 @@ def judge(
     n_values: int = 0,
     edge: float = np.inf,
     chance: FloatArray | None = None,
+    clipped: FloatArray | None = None,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -223,6 +225,7 @@ def judge(
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
+        clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where none does.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -260,6 +263,7 @@ def judge(
             *edge_doubt(mode, edge),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
+            *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
         words = (*resonance.get(i, ()), *words)
@@ -299,6 +303,11 @@ def judge(
             )
         )
     return replace(model, modes=tuple(modes))
+
+
+def _shown_share(mode: Mode, shares: FloatArray, scale: FloatArray) -> float:
+    """Mean over the outputs as the mode shows in each."""
+    return float(np.average(shares, weights=np.abs(mode.shape / scale) ** 2))
 
 
 def _with_resonances(

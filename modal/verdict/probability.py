@@ -85,6 +85,11 @@ LEAST_MEMORY = 0.3
 """Magnitude of a discrete pole below which nine tenths of its response are over after two samples."""
 
 
+MOST_MADE = 0.1
+"""Doubt a mode from this share of its band's power that clipping makes: modes of the system show their own share of
+distortion there, a hundredth at 13 % clipped samples; sums and differences show nothing else."""
+
+
 def poor_fit_doubt(fit: float, missed: float = np.nan) -> tuple[str, ...]:
     """The model leaves more than it explains of what can be explained (nan: not known, no doubt).
 
@@ -142,6 +147,13 @@ def edge_doubt(mode: Mode, edge: float) -> tuple[str, ...]:
     if not mode.frequency > edge:
         return ()
     return (f"above {edge:.4g} Hz, in the edge of the filter of the decimated record: may belong to the filter",)
+
+
+def clipping_doubt(mode: Mode, made: float) -> tuple[str, ...]:
+    """The share `made` of what moves at the mode's frequency is made by the limits of clipped outputs."""
+    if not made > MOST_MADE:
+        return ()
+    return (f"clipping alone makes {100 * min(made, 1.0):.0f} % of what moves at {mode.frequency:.4g} Hz",)
 
 
 def unexcited_doubt(mode: Mode, excitation: Excitation | None) -> tuple[str, ...]:

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
+import scipy
 
-from modal.preparation.amplitude import clipping_findings
+from modal.identification.pipeline import identify
+from modal.preparation.amplitude import clipping_findings, clipping_power
+from okid.record import Record
 
 
 def noise(n=4000, width=30, seed=0):
@@ -84,3 +87,53 @@ def test_a_limit_is_one_value_however_it_was_rounded(channel_of, jitter, n_found
     limit = 1.5 * values.std()
     clipped = np.where(values >= limit, limit * (1.0 + jitter * rng.random(values.size)), values)
     assert len(clipping_findings(channel_of(clipped), 1)) == n_found
+
+
+@pytest.mark.parametrize("limits", [(-1.5, 1.5), (-np.inf, 1.0), (-2.0, 1.2)])
+def test_the_spectrum_of_what_limits_make_is_that_of_what_they_change(limits):
+    """By hand: what is left of the clipped motion beside the motion itself, both of them known."""
+    rng = np.random.default_rng(6)
+    force = rng.standard_normal(400_000)
+    motion = sum(
+        values / values.std()
+        for f, z in ((7.0, 0.01), (11.0, 0.02))
+        for values in [resonance(force * (1.0 if f < 9.0 else 0.7), f, z)]
+    )
+    motion /= motion.std()
+    clipped = np.clip(motion, *limits)
+    clipped -= clipped.mean()
+    made = clipped - (clipped @ motion) / (motion @ motion) * motion
+    lines, whole = scipy.signal.welch(clipped, 100.0, nperseg=2048)
+    _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
+    frequencies = [3.0, 4.0, 7.0, 14.0, 15.0, 18.0, 21.0, 25.0, 29.0, 33.0]
+    shares = clipping_power([Record([], clipped, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
+    for f, share in zip(frequencies, shares, strict=True):
+        band = np.abs(lines - f) <= 0.3
+        assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
+
+
+def resonance(force, frequency, damping):
+    pole = np.exp(2 * np.pi * frequency * 0.01 * complex(-damping, np.sqrt(1 - damping**2)))
+    return scipy.signal.lfilter([0.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force)
+
+
+def test_what_is_not_clipped_makes_nothing():
+    values = np.column_stack([noise(), np.clip(noise(seed=1), -1.0, 1.0)])
+    shares = clipping_power([Record([], values, 0.01)], [3.0, 30.0], [0.5, 0.5])
+    assert (shares[:, 0] == 0.0).all()
+    assert (shares[:, 1] > 0.0).all()
+
+
+def test_sums_and_differences_that_clipping_makes_are_no_modes():
+    rng = np.random.default_rng([5, 1])
+    frequencies, dampings = np.sort(rng.uniform(3.0, 40.0, 4)), rng.uniform(0.003, 0.02, 4)
+    forces, weights, shapes = rng.standard_normal((9000, 3)), rng.standard_normal((4, 3)), rng.standard_normal((4, 4))
+    each = [resonance(forces @ w, f, z) for w, f, z in zip(weights, frequencies, dampings, strict=True)]
+    outputs = np.column_stack([values / values.std() for values in each]) @ shapes
+    outputs += 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    limits = 2.5 * outputs.std(axis=0)
+    result = identify(Record([], np.clip(outputs, -limits, limits), 0.01))
+    found = [mode.frequency for mode in result.modes.system]
+    assert len(found) == 4
+    assert all(np.abs(frequencies - one).min() < 0.01 * one for one in found)
+    assert any("clipping alone makes" in mode.reason for mode in result.modes)
