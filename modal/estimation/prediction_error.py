@@ -397,8 +397,8 @@ class Sections:
         self, parameters: ModalParameters, matrix: FloatArray, gradient: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Coordinates`."""
-        slopes = self.slopes(parameters)
-        return slopes.T @ matrix @ slopes, slopes.T @ gradient
+        slopes = scipy.sparse.csr_array(self.slopes(parameters).T)  # a number moves one section
+        return (slopes @ (slopes @ matrix).T).T, slopes @ gradient
 
     def moved(self, parameters: ModalParameters, change: FloatArray) -> ModalParameters | None:
         """See `Coordinates`; None where a pole leaves the unit circle."""
