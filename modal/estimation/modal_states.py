@@ -432,7 +432,7 @@ def _add_by_recursion(
     driven = np.vstack([parameters.inputs.T, parameters.states[[blocks[0].record]]])
     both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
     for gram, with_drives, at_ends, squares, direct in zip(grams, sums, ends, drives, whole, strict=True):
-        own = partial(
+        products_of = partial(
             _products,
             parameters.poles,
             driven,
@@ -442,8 +442,8 @@ def _add_by_recursion(
             near=near,
         )
         rr, ri, ir, ii = (part for half in np.split(direct, 2) for part in np.split(half, 2, axis=1))
-        turned = own(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
-        plain = own(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
+        turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
+        plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
         upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
         for part, with_real, with_imaginary in ((re, upper.real, -lower.imag), (im, upper.imag, lower.real)):
             gram[part, :n], gram[part, n : 2 * n] = with_real[:, :n], with_imaginary[:, :n]
