@@ -14,10 +14,10 @@ Our matrices have a few hundred rows. For them a second thread gains nothing, an
 each other: an identification took 42 s of processor time instead of 5 s on two cores with a load of eight.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -47,6 +47,14 @@ IndexArray = npt.NDArray[np.intp]
 
 LONGEST_CHUNK = 8192
 """Rows of signals that are held at a time."""
+SHORT_CHUNK = 1024
+"""Rows that are held where sums follow from each other: in cache."""
+FEWEST_DRIVES = 4
+"""Let sums follow from each other from so many inputs on."""
+FEWEST_ROWS = 256
+"""Let sums follow from each other over at least so many rows: those over fewer are made sooner."""
+APART = 0.05
+"""Sum up what two poles give whose product is no further from one: rounding of the rest grows with its third power."""
 DIED_OUT = 1e-100
 """Free responses below this are set to zero: their squares would be too small for a normal number, and so slow."""
 
@@ -298,6 +306,12 @@ def _add_grams(
 ) -> None:
     """Add one record's products to the Gram matrices of its blocks."""
     complete = bool(rows.all())
+    long = all(block.step == 1 and block.last - block.first >= FEWEST_ROWS for block in blocks)
+    if complete and long and record.n_inputs >= FEWEST_DRIVES:
+        near = _near(parameters.poles)
+        if 2 * near.sum() < near.size:
+            _add_by_recursion(grams, parameters, record, blocks, n_direct=n_direct, near=near)
+            return
     for start, signals in signals_of(parameters, blocks[0].record, record, n_direct=n_direct):
         stop = start + signals.shape[0]
         for i, block in enumerate(blocks):
@@ -315,36 +329,180 @@ def signals_of(
     parameters: ModalParameters, index: int, record: Record, *, n_direct: int
 ) -> Iterator[tuple[int, FloatArray]]:
     """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
+    for first, state, s, _ in _responses(parameters, index, record, LONGEST_CHUNK):
+        yield first, _stacked(record, first, state, s, n_direct)
+
+
+def _stacked(record: Record, first: int, state: ComplexArray, s: ComplexArray, n_direct: int) -> FloatArray:
+    """(n_rows, n_signals) in the order of the layout."""
+    rows, one, flat = slice(first, first + state.shape[1]), np.ones((1, state.shape[1])), s.reshape(-1, state.shape[1])
+    inputs, outputs = record.inputs[rows, :n_direct].T, record.outputs[rows].T
+    return np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs]).T
+
+
+def _responses(
+    parameters: ModalParameters, index: int, record: Record, longest: int
+) -> Iterator[tuple[int, ComplexArray, ComplexArray, ComplexArray]]:
+    """Chunk by chunk the first row, the states, their sensitivities, and what these are after the last row.
+
+    The states are (n_poles, n_rows), sensitivities to poles, to participations, to initial states (2 + n_inputs,
+    n_poles, n_rows), and after the last row (2 + n_inputs, n_poles).
+    """
     poles, n_inputs = parameters.poles, record.n_inputs
-    n_poles = poles.size
-    recursion = PoleRecursion.of(poles, min(record.n_samples, LONGEST_CHUNK))
-    powers = powers_of(poles, min(record.n_samples, LONGEST_CHUNK))
+    n_poles, longest = poles.size, min(record.n_samples, longest)
+    recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
     with np.errstate(divide="ignore"):
         alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
-    driven_memory = np.zeros((n_inputs, n_poles), dtype=np.complex128)
-    slope_memory = np.zeros(n_poles, dtype=np.complex128)
-    free_memory = np.ones(n_poles, dtype=np.complex128)
-    for first in range(0, record.n_samples, LONGEST_CHUNK):
-        outputs = record.outputs[first : first + LONGEST_CHUNK]
-        inputs = record.inputs[first : first + LONGEST_CHUNK].T
-        n_rows = outputs.shape[0]
-        # sensitivities to the poles, to the participations, to the initial states
-        s = np.empty((1 + n_inputs + 1, n_poles, n_rows), dtype=np.complex128)
+    memory = np.zeros((2 + n_inputs, n_poles), dtype=np.complex128)
+    memory[-1] = 1.0
+    scale = np.vstack([poles, np.ones((1 + n_inputs, n_poles))])
+    for first in range(0, record.n_samples, longest):
+        inputs = record.inputs[first : first + longest].T
+        n_rows = inputs.shape[1]
+        s = np.empty((2 + n_inputs, n_poles, n_rows), dtype=np.complex128)
         for j in range(n_inputs):
-            s[1 + j], driven_memory[j] = recursion.run(inputs[[j]], driven_memory[j])
-        s[-1] = (powers[:n_rows] * free_memory).T
+            s[1 + j], memory[1 + j] = recursion.run(inputs[[j]], memory[1 + j])
+        s[-1] = (powers[:n_rows] * memory[-1]).T
         for response, n_alive in zip(s[-1], alive - first, strict=True):
             if n_alive < n_rows:
                 response[max(0, int(n_alive)) :] = 0.0
         state = parameters.states[index][:, np.newaxis] * s[-1]
         for j in range(n_inputs):
             state += parameters.inputs[:, [j]] * s[1 + j]
-        s[0], slope_memory = recursion.run(state, slope_memory)
+        s[0], memory[0] = recursion.run(state, memory[0])
         s[0] *= poles[:, np.newaxis]
-        free_memory = free_memory * powers[n_rows - 1] * poles
-        flat = s.reshape(-1, n_rows)
-        one = np.ones((1, n_rows))
-        yield first, np.vstack([state.real, state.imag, inputs[:n_direct], one, flat.real, flat.imag, outputs.T]).T
+        memory[-1] *= powers[n_rows - 1] * poles
+        yield first, state, s, scale * memory
+
+
+def _near(poles: ComplexArray) -> BoolArray:
+    """(n_poles, n_poles) which two, a pole and itself among them, hardly die out in their product."""
+    distance = np.minimum(abs(1.0 - np.multiply.outer(poles, poles)), abs(1.0 - np.multiply.outer(poles, poles.conj())))
+    return np.asarray(distance < APART)
+
+
+def _add_by_recursion(
+    grams: FloatArray,
+    parameters: ModalParameters,
+    record: Record,
+    blocks: Sequence[Block],
+    *,
+    n_direct: int,
+    near: BoolArray,
+) -> None:
+    """As `_add_grams`, the products of sensitivities with each other from those with what drives them.
+
+    Signals that run through poles a and b, driven by d and e, z(k+1) = a z(k) + d(k) and v(k+1) = b v(k) + e(k), have
+
+        (1 - a b) sum z v = a sum z e + b sum d v + sum d e - [z v]
+
+    over consecutive rows, because the sum over the rows one later differs by what is at the ends. Each sensitivity has
+    as many drives as there are inputs, and n_poles times as many others. What is `near` is summed up as it is.
+    """
+    m, n, q = record.n_inputs, parameters.poles.size, record.n_outputs
+    layout = SignalLayout(n_poles=n, n_inputs=m, n_outputs=q, n_records=1, n_direct=n_direct)
+    linear, known = np.r_[layout.regressors, layout.outputs], np.r_[2 * n : layout.n_regressors, layout.outputs]
+    owners = np.tile(np.arange(n), 2 * (2 + m))
+    summed = [(np.flatnonzero(owners == i), np.flatnonzero(near[i][owners])) for i in range(n) if near[i].any()]
+    whole = np.zeros((len(blocks), owners.size, owners.size))
+    sums = np.zeros((len(blocks), layout.n_sensitivities, m + 1 + q), dtype=np.complex128)
+    ends = np.zeros((len(blocks), 2, 2 + m, n), dtype=np.complex128)
+    drives = np.zeros((len(blocks), m, m))
+    for start, state, s, after in _responses(parameters, blocks[0].record, record, SHORT_CHUNK):
+        stop = start + state.shape[1]
+        inputs, one = record.inputs[start:stop].T, np.ones((1, stop - start))
+        partners = np.vstack([inputs, one, record.outputs[start:stop].T])
+        phi = np.vstack([state.real, state.imag, inputs[:n_direct], partners[m:]])
+        flat = s.reshape(-1, stop - start)
+        every = np.concatenate([flat.real, flat.imag])
+        for i, block in enumerate(blocks):
+            first, last = max(start, block.first), min(stop, block.last)
+            rows = slice(first - start, last - start)
+            if first < last:
+                with_partners = every[:, rows] @ partners[:, rows].T
+                sums[i] += with_partners[: len(flat)] + 1j * with_partners[len(flat) :]
+                drives[i] += inputs[:, rows] @ inputs[:, rows].T
+                grams[i][np.ix_(linear, linear)] += phi[:, rows] @ phi[:, rows].T
+                for own, others in summed:
+                    whole[i][np.ix_(own, others)] += every[own, rows] @ every[others, rows].T
+            if start <= block.first < stop:
+                ends[i, 0] = s[:, :, block.first - start]
+            if start < block.last <= stop:
+                ends[i, 1] = after if block.last == stop else s[:, :, block.last - start]
+    driven = np.vstack([parameters.inputs.T, parameters.states[[blocks[0].record]]])
+    both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
+    for gram, with_drives, at_ends, squares, direct in zip(grams, sums, ends, drives, whole, strict=True):
+        products_of = partial(
+            _products,
+            parameters.poles,
+            driven,
+            sums=with_drives[:, :m].reshape(2 + m, n, m),
+            ends=at_ends,
+            squares=squares,
+            near=near,
+        )
+        rr, ri, ir, ii = (part for half in np.split(direct, 2) for part in np.split(half, 2, axis=1))
+        turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
+        plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
+        upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
+        for part, with_real, with_imaginary in ((re, upper.real, -lower.imag), (im, upper.imag, lower.real)):
+            gram[part, :n], gram[part, n : 2 * n] = with_real[:, :n], with_imaginary[:, :n]
+            gram[part, re], gram[part, im] = with_real[:, n:], with_imaginary[:, n:]
+        with_known = with_drives[:, np.r_[:n_direct, m : m + 1 + q]]
+        gram[re, known], gram[im, known] = with_known.real, with_known.imag
+        gram[linear, both] = gram[both, linear].T
+
+
+def _products(
+    poles: ComplexArray,
+    driven: ComplexArray,
+    *,
+    sums: ComplexArray,
+    ends: ComplexArray,
+    squares: FloatArray,
+    direct: ComplexArray,
+    near: BoolArray,
+    turn: Callable[[ComplexArray], ComplexArray],
+) -> ComplexArray:
+    """(n_sensitivities, n_poles + n_sensitivities) products of sensitivities with states and with sensitivities.
+
+    Args:
+        poles: (n_poles,).
+        driven: (n_inputs + 1, n_poles) how far each input, and a start at one, drive a state.
+        sums: (2 + n_inputs, n_poles, n_inputs) products of sensitivities with inputs.
+        ends: (2, 2 + n_inputs, n_poles) sensitivities at the first row, and after the last.
+        squares: (n_inputs, n_inputs) products of the inputs.
+        direct: (n_sensitivities, n_sensitivities) products of sensitivities, where they are summed up.
+        near: (n_poles, n_poles) where they are.
+        turn: of the second factor: its conjugate or itself.
+    """
+    m, n = squares.shape[0], poles.size
+    other, both_poles = turn(poles), np.multiply.outer(poles, turn(poles))
+    left, direct = np.where(near, 1.0, 1.0 - both_poles), direct.reshape(2 + m, n, 2 + m, n)
+    sums = np.pad(sums, ((0, 0), (0, 0), (0, 1)))  # nothing drives what rings down from its start
+    first, last = ends
+    # the others than those to the poles, among each other
+    base = poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
+    base = base + (turn(sums[1:]).transpose(2, 0, 1) * other)[:, np.newaxis]
+    base += np.pad(squares, (0, 1))[:, np.newaxis, :, np.newaxis]
+    base += np.multiply.outer(first[1:], turn(first[1:])) - np.multiply.outer(last[1:], turn(last[1:]))
+    base = np.where(near[:, np.newaxis], direct[1:, :, 1:], base / left[:, np.newaxis])
+    with_states = np.einsum("aibk,bk->aik", base, turn(driven))
+    states = np.einsum("ai,aik->ik", driven, with_states)
+    # the sensitivities to the poles are driven by poles times states
+    drives = turn(np.einsum("bk,bkl->lk", driven, sums[1:]) + sums[0].T)
+    to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis])
+    to_poles += np.multiply.outer(first[1:], turn(first[0])) - np.multiply.outer(last[1:], turn(last[0]))
+    to_poles = np.where(near, direct[1:, :, 0], to_poles / left)
+    ahead = np.einsum("ai,aik->ik", driven, to_poles)
+    behind = turn(ahead).T
+    twice = both_poles * (ahead + behind + states)
+    twice += np.multiply.outer(first[0], turn(first[0])) - np.multiply.outer(last[0], turn(last[0]))
+    found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
+    found[0, :, 0], found[1:, :, 0] = behind, with_states
+    found[0, :, 1], found[1:, :, 1] = np.where(near, direct[0, :, 0], twice / left), to_poles
+    found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
+    return found.reshape((2 + m) * n, -1)
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

@@ -55,7 +55,8 @@ ROUNDS = 8
 STEPS_A_ROUND = 12
 """Make at most so many steps with the same weights."""
 STILL = 0.01
-"""End where -2 ln L falls by less: a tenth of a standard deviation in whatever direction."""
+"""End where a step lets -2 ln L fall by less: a tenth of a standard deviation in whatever direction; or a round by less
+for each number that is fitted: a tenth in the mean over all directions."""
 SMALLEST_NOISE = 1e-3
 """Weight no combination of outputs as if it had less than this share of the noisiest output's noise."""
 NOISE_FREE = 1e-7
@@ -113,9 +114,20 @@ def likeliest(
     coordinates: Coordinates,
     *,
     rounds: int = ROUNDS,
+    excess: Callable[[RefinementStep], float] = lambda _step: 0.0,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> LikeliestFit:
-    """Refined with the inverse covariance of the errors as their weights, until neither moves."""
+    """Refined with the inverse covariance of the errors as their weights, until neither moves.
+
+    Args:
+        start: where from.
+        data: what is fitted.
+        coordinates: that steps are made in.
+        rounds: at most so many, each with the weights of the one before.
+        excess: by which a statistic of the errors, that falls by no more than -2 ln L does, is too large: the fit ends
+            where the rounds to come, each with the fall of the last, do not promise as much.
+        progress: called with the share that is behind at most.
+    """
     n_rows, n_outputs = n_rows_of(data), start.layout.n_outputs
     step = start
     weights, size = _weights(step, n_rows)
@@ -136,17 +148,21 @@ def likeliest(
         step = done[-1]
         weights, new = _weights(step, n_rows)
         gain, size = size - new, new
-        if gain < STILL:
+        if gain < STILL * _n_numbers(step, coordinates) or excess(step) > (rounds - 1 - number) * gain:
             break
-    n_free = coordinates.slopes(step.parameters).shape[1]
     return LikeliestFit(
         step=step,
         data=data,
         weights=weights,
         coordinates=coordinates,
         log_likelihood=size,
-        n_numbers=n_free + step.layout.n_regressors * n_outputs,
+        n_numbers=_n_numbers(step, coordinates),
     )
+
+
+def _n_numbers(step: RefinementStep, coordinates: Coordinates) -> int:
+    """Of the chart and of the linear part."""
+    return coordinates.slopes(step.parameters).shape[1] + step.layout.n_regressors * step.layout.n_outputs
 
 
 def share_of(progress: Callable[[float], None], first: float, last: float) -> Callable[[float], None]:
@@ -399,8 +415,8 @@ class Sections:
         self, parameters: ModalParameters, matrix: FloatArray, gradient: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Coordinates`."""
-        slopes = self.slopes(parameters)
-        return slopes.T @ matrix @ slopes, slopes.T @ gradient
+        slopes = scipy.sparse.csr_array(self.slopes(parameters).T)  # a number moves one section
+        return (slopes @ (slopes @ matrix).T).T, slopes @ gradient
 
     def moved(self, parameters: ModalParameters, change: FloatArray) -> ModalParameters | None:
         """See `Coordinates`; None where a pole leaves the unit circle."""

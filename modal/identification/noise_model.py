@@ -11,15 +11,17 @@ The states of the noise alone are no modes of the system: they serve the estimat
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+import scipy
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import OutputError, PolesAndParticipations
+from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep
 from modal.estimation.prediction_error import (
     ROWS_A_NUMBER,
     CanonicalVariates,
@@ -38,7 +40,7 @@ from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
-from okid.residuals import WHITENESS_LAGS, centred, whiteness
+from okid.residuals import WHITENESS_LAGS, Whiteness, centred, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
 __all__ = ["NoiseModel", "noise_model"]
@@ -165,11 +167,25 @@ def _likeliest(
         if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
             continue
         left = 8 / 9 * 0.5**number  # after output error; a candidate that fails leaves as much again at most
-        fit = likeliest(step, data, Sections(), progress=share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
-        white = whiteness(centred(errors_of(fit.step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
+        own = share_of(progress, 1.0 - left, 1.0 - 0.5 * left)
+        fit = likeliest(step, data, Sections(), excess=partial(_excess, data=data), progress=own)
+        white = _whiteness(fit.step, data)
         if white.p_value > WHITE_AT:
             return fit, white.ratio, past
     return None, np.nan, 0
+
+
+def _whiteness(step: RefinementStep, data: OutputError) -> Whiteness:
+    return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0)
+
+
+def _excess(step: RefinementStep, data: OutputError) -> float:
+    """By which the statistic is above that of white errors.
+
+    It is about what -2 ln L would fall by if lagged errors entered the model (a score statistic), and falls by no more.
+    """
+    freedom = step.layout.n_outputs**2 * WHITENESS_LAGS
+    return freedom * _whiteness(step, data).ratio - 2.0 * float(scipy.special.gammainccinv(0.5 * freedom, WHITE_AT))
 
 
 def _output_error(

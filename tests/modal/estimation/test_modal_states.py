@@ -52,6 +52,7 @@ CASES = {
     "three inputs": {"lengths": (70, 40), "n_inputs": 3, "n_outputs": 3},
     "a record of one sample": {"lengths": (40, 1, 2), "n_inputs": 1, "n_outputs": 1},
     "no inputs": {"lengths": (60, 50), "n_inputs": 0},
+    "sums that follow from each other": {"lengths": (230, 150), "n_pairs": 3, "n_real": 2, "n_inputs": 5},
 }
 
 
@@ -59,6 +60,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, chunk):
     monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
+    monkeypatch.setattr(modal_states, "SHORT_CHUNK", chunk)
+    monkeypatch.setattr(modal_states, "FEWEST_ROWS", 1)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
     layout, grams = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
@@ -74,6 +77,28 @@ def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, ch
     total = sum(one[there].T @ one[there] for one, there in zip(signals, rows, strict=True))
     found = whole_gram(layout, grams, blocks, range(len(blocks)))
     np.testing.assert_allclose(found, total, rtol=0, atol=1e-10 * np.abs(total).max())
+
+
+@pytest.mark.parametrize("decay", [2e-2, 1e-4, 1e-7])
+def test_sums_that_follow_from_each_other_keep_their_digits_whatever_drives_lightly_damped_poles(decay):
+    rng, n_samples = np.random.default_rng(6), 3000
+    angles = np.r_[np.linspace(0.1, 2.8, 7), 0.1001]  # two of them nearly double
+    slow = np.convolve(rng.standard_normal(n_samples), np.ones(200), mode="same")
+    tones = [np.sin(angle * np.arange(n_samples) + phase) for angle, phase in rng.uniform(0.2, 2.0, (4, 2))]
+    record = Record(np.column_stack([slow, *tones]), rng.standard_normal((n_samples, 2)), 0.1)
+    model = ModalParameters(
+        poles=np.exp(1j * angles - decay),
+        is_pair=np.ones(angles.size, dtype=bool),
+        inputs=rng.standard_normal((angles.size, 5, 2)) @ [1, 1j],
+        states=rng.standard_normal((1, angles.size, 2)) @ [1, 1j],
+    )
+    blocks = blocks_of([record], [[[(1000, 2000)]]])
+    _, grams = signal_grams(model, [record], [np.ones(n_samples, dtype=bool)], blocks, n_direct=5)
+    ((_, signals),) = modal_states.signals_of(model, 0, record, n_direct=5)
+    for block, gram in zip(blocks, grams, strict=True):
+        own = signals[block.rows]
+        size = np.linalg.norm(own, axis=0)
+        np.testing.assert_allclose(gram / np.outer(size, size), (own / size).T @ (own / size), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))

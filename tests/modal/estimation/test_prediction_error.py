@@ -180,6 +180,20 @@ def test_the_fit_is_near_the_true_gain_and_no_worse_than_the_truth():
     np.testing.assert_allclose(found, wanted, atol=0.2 * np.abs(wanted).max())
 
 
+def test_a_fit_whose_errors_cannot_become_white_ends_where_its_rounds_do_not_promise_as_much():
+    """The excess of the fit is counted from a start that is far from the optimum, whose first round falls much."""
+    truth, _, fit = fitted(6, 1500)
+    s = truth.system
+    start = predictor_start(Realisation(s.A * 0.97, s.B, s.C, s.D, s.dt, K=0.5 * truth.K), fit.data)
+    sizes = {}
+    for excess in (0.0, 1e3, np.inf):
+        asked = []
+        found = likeliest(start, fit.data, CHART, excess=lambda step: asked.append(step) or excess)  # noqa: B023 called here
+        sizes[excess] = len(asked), found.log_likelihood
+    assert sizes[0.0][1] < sizes[np.inf][1]
+    assert sizes[np.inf][0] == 1 <= sizes[1e3][0] <= sizes[0.0][0]
+
+
 def test_outputs_that_foretell_each_other_leave_a_covariance_that_can_be_used():
     """Fewer things drive the outputs than there are, and no noise: rounding may make its least eigenvalue negative."""
     _, _, fit = fitted(6, 1500)
