@@ -44,7 +44,7 @@ from modal.simulation.tolerances import ROUNDING
 from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 
-__all__ = ["law_curves"]
+__all__ = ["law_curves", "whole_reach"]
 
 N_GRID = 201
 """Draw a law at so many points."""
