@@ -276,7 +276,7 @@ def test_the_same_model_gives_the_same_curves():
     assert scipy.stats.chi2.sf(np.sum(scores(first, lambda d: cubic(d, 0.0, 0.0)) ** 2), 12) > 1e-5
 
 
-# --- the band of a law of unknown form: the whole curve at once --------------------------------------------------------
+# --- the band of a law of unknown form: the whole curve at once -------------------------------------------------------
 
 
 @pytest.mark.parametrize("n_points", [1, 4, 9, 15])
