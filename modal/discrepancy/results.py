@@ -120,7 +120,8 @@ class Parameter(Displayed):
     meaning: str = ""
 
     def __str__(self) -> str:
-        return f"{self.name} = {self.value:.6g} +- {self.std:.2g} {self.unit}".rstrip()
+        width = f" +- {self.std:.2g}" if np.isfinite(self.std) else ""
+        return f"{self.name} = {self.value:.6g}{width} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
