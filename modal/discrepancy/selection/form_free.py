@@ -41,7 +41,8 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     if not budget.allows():  # the CPU time is spent
         return []
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))
-    ranked = sorted((one for one in found if one.held_out is not None), key=lambda node: node.held_out_level)
+    found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
+    ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
         node for node in ranked[:1] if node.fit_level <= FAR_ABOVE
     ]

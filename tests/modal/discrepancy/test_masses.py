@@ -1,6 +1,7 @@
 """A mass that is wrong in the model: found as that mass, or left open, never an effect."""
 
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,14 @@ import modal
 import okid
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.results import Calibrated
+from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.setup import prepare_setup, roots
+from modal.discrepancy.selection.beam import expand
+from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.setup import prepare_setup, roots
 from modal.discrepancy.validation.summary import _mass_words
+from modal.structure.given import given_model
+from modal.structure.given import given_model
 from modal.structure.structural_plant import structural_plant
 
 
@@ -46,6 +54,14 @@ def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
     assert all(one.value == one.nominal for one in masses.values())
     assert any(f"mass of {case.where}" in words for words in found.warnings)
     np.testing.assert_allclose(np.diag(found.model.mass)[dof], wrong.value, rtol=1e-12)
+
+
+def test_other_masses_are_no_law_of_unknown_form():
+    """Of cross talk the search for curves made a model with other masses and no effect, and fell over it."""
+    model, (*fits, held_out) = model_and_records(mistake("wrong_mass", 1002))
+    setup = prepare_setup(given_model(model, fits), fits, (held_out,), CATALOGUE, lambda *_: None)
+    _, root = roots(setup)
+    assert all(node.effects for node in curves_beside(root, root, setup.task))
 
 
 def test_masses_that_are_said_to_be_right_are_never_released():
@@ -86,6 +102,16 @@ def test_a_rigid_mass_is_no_rival_of_itself_on_a_stiff_spring():
     assert (found.status, found.findings) == ("none", ())
     heavier = next(one for one in found.calibrated if one.name == "mass of dof_0")
     assert abs(heavier.value - case.true_masses[0]) < 4 * heavier.std
+
+
+def test_other_masses_are_no_law_of_unknown_form():
+    """They stand among what a search beside the model found, and have no points to be refined."""
+    model, records = model_and_records(mistake("wrong_mass", 1002))
+    given = given_model(model, records)
+    setup = prepare_setup(given, tuple(records[:-1]), tuple(records[-1:]), CATALOGUE, lambda *_: None)
+    _, root = roots(setup)
+    assert any(node.masses for node in expand(root, replace(setup.task, catalogue=setup.task.form_free)))
+    assert not any(node.masses for node in curves_beside(root, root, setup.task))
 
 
 def test_a_mass_that_hardly_differs_is_told_to_the_digits_that_differ():
