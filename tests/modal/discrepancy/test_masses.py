@@ -1,7 +1,6 @@
 """A mass that is wrong in the model: found as that mass, or left open, never an effect."""
 
 import warnings
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,11 +14,7 @@ from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.results import Calibrated
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.setup import prepare_setup, roots
-from modal.discrepancy.selection.beam import expand
-from modal.discrepancy.selection.form_free import curves_beside
-from modal.discrepancy.setup import prepare_setup, roots
 from modal.discrepancy.validation.summary import _mass_words
-from modal.structure.given import given_model
 from modal.structure.given import given_model
 from modal.structure.structural_plant import structural_plant
 
@@ -102,16 +97,6 @@ def test_a_rigid_mass_is_no_rival_of_itself_on_a_stiff_spring():
     assert (found.status, found.findings) == ("none", ())
     heavier = next(one for one in found.calibrated if one.name == "mass of dof_0")
     assert abs(heavier.value - case.true_masses[0]) < 4 * heavier.std
-
-
-def test_other_masses_are_no_law_of_unknown_form():
-    """They stand among what a search beside the model found, and have no points to be refined."""
-    model, records = model_and_records(mistake("wrong_mass", 1002))
-    given = given_model(model, records)
-    setup = prepare_setup(given, tuple(records[:-1]), tuple(records[-1:]), CATALOGUE, lambda *_: None)
-    _, root = roots(setup)
-    assert any(node.masses for node in expand(root, replace(setup.task, catalogue=setup.task.form_free)))
-    assert not any(node.masses for node in curves_beside(root, root, setup.task))
 
 
 def test_a_mass_that_hardly_differs_is_told_to_the_digits_that_differ():
