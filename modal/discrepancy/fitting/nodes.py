@@ -259,6 +259,11 @@ class Node:
         return tuple((item.effect.key, item.where) for item in self.fitted.assembly.placements)
 
     @property
+    def by_record(self) -> bool:
+        """Whether an effect has nothing but numbers of each record's own: on held-out records they prove nothing."""
+        return any(all(kind.local for kind in item.effect.parameters) for item in self.coarse.assembly.placements)
+
+    @property
     def masses(self) -> tuple[str, ...]:
         """Names of the masses that are not those of the model as given."""
         return released_masses(self.fitted.assembly.plant)

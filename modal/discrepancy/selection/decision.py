@@ -418,10 +418,14 @@ def _absorbed(root: Node, found: AbsorbedGain) -> Decision:
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     """The model with the fewest effects that explains the data, to fit and held out; among its equals the likeliest.
 
-    Far above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
+    Where none does, the guess is one of laws that all records share, if there is any: a number that each record has for
+    itself, the held-out ones too, takes up what stays the same along a record, such as friction in one direction. Far
+    above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
     alone decides among those with the fewest effects.
     """
     nodes = [node for node in nodes if explains_both(node)] or nodes
+    if min(node.held_out_level for node in nodes) > NEAR_FLOOR:
+        nodes = [node for node in nodes if node is not root and not node.by_record] or nodes
     lowest = min(node.held_out_level for node in nodes)
     if not np.isfinite(lowest):
         return root
