@@ -120,7 +120,8 @@ class Parameter(Displayed):
     meaning: str = ""
 
     def __str__(self) -> str:
-        return f"{self.name} = {self.value:.6g} +- {self.std:.2g} {self.unit}".rstrip()
+        width = f" +- {self.std:.2g}" if np.isfinite(self.std) else ""
+        return f"{self.name} = {self.value:.6g}{width} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -194,8 +195,9 @@ class LawCurve(Displayed):
         against: What it is drawn against.
         motion: (n,) grid of it, in `motion_unit`.
         force: (n,) the law.
-        deviation: (n,) standard deviation of the law from that of its parameters; of a law of unknown form also from
-            that of the linear part beside it, and what the law still moves with more points.
+        deviation: (n,) standard deviation of the law from that of its parameters. Of a law of unknown form also from
+            that of the linear part beside it, and what the law still moves between its points with more of them; and
+            so much wider that 1.96 of it hold the whole curve, not each point by itself, in 95 of 100 cases.
         points_motion: (m,) centres of bins of the motion.
         points_force: (m,) force in each bin, free of the law's form, from the data.
         points_deviation: (m,) standard deviation of each.

@@ -7,6 +7,7 @@ derivatives of that exponential.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -37,6 +38,7 @@ def _flow(frequency: float, damping: float, dt: float) -> tuple[FloatArray, Floa
     return generator, by_shape
 
 
+@lru_cache(maxsize=64)
 def _step(frequency: float, damping: float, dt: float) -> tuple[FloatArray, FloatArray]:
     """One step (2, 6) of (z, z') from (z, z', d, d', d after, d' after), and its derivatives (2, 2, 6)."""
     generator, by_shape = _flow(frequency, damping, dt)

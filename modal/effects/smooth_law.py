@@ -22,6 +22,7 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from modal.effects.effect import Effect, Force, ForceEffect, Motion, ParameterKind, Situation, Values
@@ -126,6 +127,11 @@ class SmoothLaw(ForceEffect):
         """(n,) the force along a motion."""
         low, high = (float(np.mean(value)) for value in values[:2])
         return np.asarray(self._basis(motion, low, high)[0] @ np.array([float(np.mean(one)) for one in values[2:]]))
+
+    def intervals(self, values: Values, motion: FloatArray) -> npt.NDArray[np.intp]:
+        """(n,) the interval between points that each value of a motion lies in."""
+        low, high = (float(np.mean(value)) for value in values[:2])
+        return np.searchsorted(_points(low, high, self.n_points)[1:-1], motion)
 
     def linear_name(self, where: str) -> str:
         """Name of the linear parameter of the same motion at a place."""

@@ -142,14 +142,14 @@ def _step_dependence(
         flat = (one.rows.T @ one.by_before.reshape(n_rows, -1)).reshape(n, n_lines, n_times)
         before[line : line + n_lines] = flat.transpose(1, 0, 2)
         row, line = row + n_rows, line + n_lines
-    implicit = np.einsum("rmt,mq->rqt", -K1, rows @ columns)
+    implicit = -(rows @ columns).T @ K1
     implicit[np.arange(line), np.arange(line)] += 1.0
     inverse = _inverse(implicit)
     back = _product(inverse, K1)
     lines = _product(inverse, before)
     whole = np.broadcast_to(A[:, :, None], (n, n, n_times)) if correction is None else A[:, :, None] + correction
     if correction is None:
-        lines += np.einsum("rmt,mj->rjt", back, rows @ A)
+        lines += (rows @ A).T @ back
     else:
         lines += _product(back, np.tensordot(rows, whole, axes=(1, 0)))
     transitions = (columns @ lines.reshape(line, -1)).reshape(n, n, n_times) + whole
@@ -158,10 +158,7 @@ def _step_dependence(
 
 def _product(left: FloatArray, right: FloatArray) -> FloatArray:
     """Matrix products (a, b, n_times) by (b, c, n_times), time by time."""
-    found = left[:, :1] * right[0]
-    for i in range(1, len(right)):
-        found += left[:, i : i + 1] * right[i]
-    return np.asarray(found)
+    return np.asarray(np.einsum("abt,bct->act", left, right))
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:

@@ -17,18 +17,20 @@ from modal.effects.effect import Effect, is_sharp
 from modal.simulation.assembly import Assembly, Unknowns, assemble
 from modal.simulation.plant import released_masses
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
 __all__ = [
     "FINE_STEPS",
+    "MOST_ON_FIT",
     "SMALLEST_FALL",
     "SMALLEST_GAIN",
     "Node",
     "Task",
     "calibrated_node",
     "counts",
+    "explains_both",
     "fitted_either_way",
     "judged",
     "loaded",
@@ -257,6 +259,11 @@ class Node:
         return tuple((item.effect.key, item.where) for item in self.fitted.assembly.placements)
 
     @property
+    def by_record(self) -> bool:
+        """Whether an effect has nothing but numbers of each record's own: on held-out records they prove nothing."""
+        return any(all(kind.local for kind in item.effect.parameters) for item in self.coarse.assembly.placements)
+
+    @property
     def masses(self) -> tuple[str, ...]:
         """Names of the masses that are not those of the model as given."""
         return released_masses(self.fitted.assembly.plant)
@@ -369,12 +376,26 @@ def _between(states: FloatArray, n_times: int) -> FloatArray:
     return np.array(columns).reshape(-1, n_times).T  # a plant without dynamics has none
 
 
+MOST_ON_FIT = 2.0
+"""Name nothing firmly above this level on the records to fit: they hold levels that the held-out ones may lack."""
+
+
 def counts(parent: Node, child: Node, task: Task) -> bool:
-    """Whether a step is one: the held-out mean square falls by a tenth and the likelihood gains."""
+    """Whether a step is one: the held-out mean square falls by a tenth and the likelihood gains.
+
+    Held-out records that lack what is missing (a zero that did not move) cannot show a step. It is one there if it
+    explains the records to fit, and the held-out ones still.
+    """
     if not np.isfinite(child.held_out_level):
         return False
     falls = child.held_out_level <= (1.0 - SMALLEST_FALL) * parent.held_out_level
-    return falls and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
+    unseen = parent.held_out_level <= NEAR_FLOOR and parent.fit_level > MOST_ON_FIT and explains_both(child)
+    return (falls or unseen) and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
+
+
+def explains_both(node: Node) -> bool:
+    """Whether a model explains the held-out records, and those to fit so far that it may be named."""
+    return node.held_out_level <= NEAR_FLOOR and node.fit_level <= MOST_ON_FIT
 
 
 WIDER = 4.0

@@ -42,7 +42,7 @@ from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.smaller_models import Law, is_limit, merged, simple_first
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.tolerances import AT_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 
 __all__ = ["expand", "search_effects", "seen", "settled_stiffness"]
@@ -206,7 +206,8 @@ def expand(node: Node, task: Task) -> list[Node]:
 
 def _clear(found: Sequence[Node], node: Node) -> bool:
     """Whether one explains nearly everything in free run too: in observer form the outputs hide what is left."""
-    return any(one.fit_level - 1.0 <= CLEAR * (node.fit_level - 1.0) for one in found)
+    clear = [one for one in found if one.fit_level - 1.0 <= CLEAR * (node.fit_level - 1.0)]
+    return any(not one.by_record or one.held_out_level <= NEAR_FLOOR for one in clear)
 
 
 def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node], *, reach: float) -> list[Node]:
@@ -435,8 +436,9 @@ def search_effects(
         found = curves(root, root, replace(task, reached=_reached(children))) if curves and wanted else []
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
-        front = _distinct(children)
+        front = _distinct([child for child in children if not child.by_record])
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
+        front += _distinct([child for child in children if child.by_record and _new(child, front)])[:1]
         if not front:
             break
     if cut:

@@ -36,11 +36,13 @@ from modal.discrepancy.fitting.estimation import (
 )
 from modal.discrepancy.fitting.masses import needed_masses
 from modal.discrepancy.fitting.nodes import (
+    MOST_ON_FIT,
     SMALLEST_FALL,
     SMALLEST_GAIN,
     Node,
     Task,
     counts,
+    explains_both,
     log_likelihood_gain,
 )
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
@@ -123,9 +125,6 @@ def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diag(gram), TINY))
     return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)
 
-
-MOST_ON_FIT = 2.0
-"""Name nothing firmly above this level on the records to fit: they hold levels that the held-out ones may lack."""
 
 MOST_FIRM = 2
 """Name at most so many effects together without doubt: combinations of more were never proved."""
@@ -417,11 +416,16 @@ def _absorbed(root: Node, found: AbsorbedGain) -> Decision:
 
 
 def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
-    """The model with the fewest effects that explains the data; among its equals the most likely one.
+    """The model with the fewest effects that explains the data, to fit and held out; among its equals the likeliest.
 
-    Far above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
+    Where none does, the guess is one of laws that all records share, if there is any: a number that each record has for
+    itself, the held-out ones too, takes up what stays the same along a record, such as friction in one direction. Far
+    above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
     alone decides among those with the fewest effects.
     """
+    nodes = [node for node in nodes if explains_both(node)] or nodes
+    if min(node.held_out_level for node in nodes) > NEAR_FLOOR:
+        nodes = [node for node in nodes if node is not root and not node.by_record] or nodes
     lowest = min(node.held_out_level for node in nodes)
     if not np.isfinite(lowest):
         return root

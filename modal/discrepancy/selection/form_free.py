@@ -41,7 +41,8 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     if not budget.allows():  # the CPU time is spent
         return []
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))
-    ranked = sorted((one for one in found if one.held_out is not None), key=lambda node: node.held_out_level)
+    found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
+    ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
         node for node in ranked[:1] if node.fit_level <= FAR_ABOVE
     ]
@@ -52,19 +53,21 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
 def unsettled(node: Node, task: Task, motion: FloatArray) -> FloatArray:
     """How far the last law of a model, of unknown form, moves with more points: what too few cannot follow.
 
+    Between two points it is the largest that counts: that both curves cross somewhere says nothing for the law there.
+
     Args:
         node: The model.
         task: What it was fitted to.
         motion: (n,) where.
 
     Returns:
-        (n,) change of the force, the linear part of the same motion counted in; 0 where it has the most points.
+        (n,) size of the change, the linear part of the same motion counted in; 0 where it has the most points.
     """
     finer = next(_finer(node, task), None)
     if finer is None:
         return np.zeros_like(motion)
-    forces = []
-    for fitted in (node.coarse, finer.coarse):
+    forces, intervals = [], np.zeros(0, dtype=int)
+    for fitted in (finer.coarse, node.coarse):
         *others, item = fitted.assembly.placements
         span = fitted.assembly.common_of(len(others))
         law, values = cast("SmoothLaw", item.effect), fitted.unknowns.common[span]
@@ -73,7 +76,10 @@ def unsettled(node: Node, task: Task, motion: FloatArray) -> FloatArray:
             fitted.unknowns.common[j] for j, one in enumerate(fitted.assembly.plant.parameters) if one.name == linear
         )
         forces.append(law.curve(values[: len(item.common)], motion) + slope * motion)
-    return np.asarray(forces[1] - forces[0])
+        intervals = law.intervals(values[: len(item.common)], motion)
+    largest = np.zeros(intervals.max(initial=0) + 1)
+    np.maximum.at(largest, intervals, np.abs(forces[1] - forces[0]))
+    return np.asarray(largest[intervals])
 
 
 def _passes(node: Node, root: Node, task: Task) -> bool:

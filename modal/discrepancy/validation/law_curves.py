@@ -10,6 +10,16 @@ true output (a drift over time); a delay is no function of the input: it has a l
 
 Where the direction of a force is not known, its law is that of the component in the port's first column, and the points
 are such components of forces in the direction that was found.
+
+A law of unknown form is one statement about a whole curve, so its band holds the whole curve at once. With l(x) the
+law's derivative by its parameters there and Q their covariance, T(x) = Q^1/2 l(x) / |Q^1/2 l(x)| runs along a path of
+length k on the unit sphere, and a band of c deviations is left somewhere with the probability of the tube about it,
+
+    P = k / pi exp(-c^2 / 2) + 2 (1 - Phi(c))
+
+References:
+    Sun, Loader, Simultaneous confidence bands for linear regression and smoothing, Ann. Statist. 22, 1994,
+    https://doi.org/10.1214/aos/1176325631
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +27,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.results import LawCurve
 from modal.discrepancy.validation.law_forces import binned_force, force_law, loaded_law, reading_of
 from modal.discrepancy.validation.law_points import Bins, Told, bins_of, drive_before, input_sources, told_by_sources
-from modal.effects.effect import ForceEffect, InputEffect, SensorEffect
+from modal.effects.effect import ForceEffect, InputEffect, SensorEffect, is_form_free
 from modal.effects.smooth_law import SmoothLaw
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
@@ -30,9 +41,10 @@ from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
 from modal.simulation.sensitivity import Source
 from modal.simulation.tolerances import ROUNDING
+from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 
-__all__ = ["law_curves"]
+__all__ = ["law_curves", "whole_reach"]
 
 N_GRID = 201
 """Draw a law at so many points."""
@@ -124,15 +136,15 @@ class _LawTask:
             if found is not None:
                 knots, force, deviation = bins.knots, bin_value + found[0], found[1]
         loop_motion, loop_force = (nothing, nothing) if loop is None else loop
+        wider = whole_reach(slope, self.spread) / NINETY_FIVE if is_form_free(self.item.effect) else 1.0
         return LawCurve(
             effect=self.item.effect.key,
             where=self.item.where,
             against=against,
             motion=grid,
             force=value,
-            deviation=np.sqrt(
-                np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0) + (self.beside * grid) ** 2
-            ),
+            deviation=wider
+            * np.sqrt(np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0) + (self.beside * grid) ** 2),
             points_motion=knots,
             points_force=force,
             points_deviation=deviation,
@@ -141,6 +153,29 @@ class _LawTask:
             motion_unit=units[0],
             force_unit=units[1],
         )
+
+
+def whole_reach(slope: FloatArray, spread: FloatArray) -> float:
+    """How many deviations on either side hold a whole curve with a probability of 95 %.
+
+    Args:
+        slope: (n, p) derivative of the curve by its parameters at points along it.
+        spread: (p, p) their covariance.
+
+    Example:
+        >>> line = np.linspace(-1.0, 1.0, 201)[:, np.newaxis]
+        >>> round(whole_reach(line, np.eye(1)), 2)  # a straight line through rest is one number
+        1.96
+    """
+    sizes, axes = np.linalg.eigh(spread)
+    path = slope @ axes * np.sqrt(np.maximum(sizes, 0.0))
+    length = np.sqrt(np.sum(path**2, axis=1))
+    path = path[length > ROUNDING * length.max(initial=0.0)]
+    path /= np.sqrt(np.sum(path**2, axis=1))[:, np.newaxis]
+    turned = np.arccos(np.clip(np.abs(np.sum(path[1:] * path[:-1], axis=1)), 0.0, 1.0)).sum()
+    reach = np.linspace(NINETY_FIVE, 12.0, 10_001)
+    outside = turned / np.pi * np.exp(-0.5 * reach**2) + 2.0 * scipy.special.ndtr(-reach)
+    return float(np.interp(-2.0 * scipy.special.ndtr(-NINETY_FIVE), -outside, reach))
 
 
 def _loop(motion: FloatArray, force: FloatArray, drive: Drive) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,10 @@ import modal
 import okid
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.results import Calibrated
+from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.setup import prepare_setup, roots
 from modal.discrepancy.validation.summary import _mass_words
+from modal.structure.given import given_model
 from modal.structure.structural_plant import structural_plant
 
 
@@ -46,6 +49,14 @@ def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
     assert all(one.value == one.nominal for one in masses.values())
     assert any(f"mass of {case.where}" in words for words in found.warnings)
     np.testing.assert_allclose(np.diag(found.model.mass)[dof], wrong.value, rtol=1e-12)
+
+
+def test_other_masses_are_no_law_of_unknown_form():
+    """Of cross talk the search for curves made a model with other masses and no effect, and fell over it."""
+    model, (*fits, held_out) = model_and_records(mistake("wrong_mass", 1002))
+    setup = prepare_setup(given_model(model, fits), fits, (held_out,), CATALOGUE, lambda *_: None)
+    _, root = roots(setup)
+    assert all(node.effects for node in curves_beside(root, root, setup.task))
 
 
 def test_masses_that_are_said_to_be_right_are_never_released():

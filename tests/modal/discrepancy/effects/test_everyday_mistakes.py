@@ -1,10 +1,12 @@
 """A zero that moves, lags, friction that falls with speed: found by name in records of an integrator of its own."""
 
 import warnings
+from dataclasses import replace
 
 import everyday_mistakes
 import numpy as np
 import pytest
+from engine_records import experiment, nominal
 from everyday_mistakes import mistake
 
 import modal
@@ -38,6 +40,17 @@ def test_the_mistake_is_named(kind):
     if kind != "record_offset":
         tau = found.findings[0].parameters[0]
         assert abs(tau.value - case.size * case.dt) < max(4 * tau.std, 0.02 * tau.value)
+
+
+def test_zeros_that_moved_in_the_records_to_fit_alone_are_named():
+    """A held-out record without what is missing cannot show it: it must not hide it either."""
+    fit, held_out, *_ = experiment(n_samples=400)
+    moved = [replace(one, outputs=one.outputs + zero) for one, zero in zip(fit, (0.3, -0.8), strict=True)]
+    found = diagnose(nominal(), moved, held_out)
+    assert found.status == "named"
+    assert [(one.effect, one.where) for one in found.findings] == [("record_offset", "output_0")]
+    assert max(found.steps[-1].fit_level, found.steps[-1].held_out_level) < 1.2
+    assert "nan" not in str(found)
 
 
 def test_friction_found_in_two_steps_is_one_law():

@@ -76,6 +76,24 @@ def test_a_smooth_law_without_a_name_becomes_a_curve(outside, curve):
     assert "hardening" in finding.law
 
 
+@pytest.mark.parametrize("n_samples", [600, 1200])
+def test_the_band_of_a_curve_holds_the_true_law_where_a_spline_cannot_follow_it(n_samples):
+    """|v|^1.5 has no curvature at rest, and by where its points lie the spline crosses it anywhere."""
+    fit, held_out, *_ = experiment(lambda d, v, t: 3.0 * np.sign(v) * np.abs(v) ** 1.5, n_samples=n_samples)
+    few = {key: CATALOGUE[key] for key in ("quadratic_drag", "smooth_damping")}
+    found = diagnose(nominal(), fit, held_out, catalogue=few)
+    assert [one.effect for one in found.findings] == ["smooth_damping"], found.warnings
+    law = found.findings[0].curve
+    visited = np.gradient(fit[-1].outputs[:, 0], fit[-1].dt)
+    visited = visited[(visited > law.motion[0]) & (visited < law.motion[-1])]
+    (linear,) = [one.value for one in found.calibrated if one.name == "damping of element_0"]
+    force = np.interp(visited, law.motion, law.force) + (linear - 0.6) * visited
+    off = np.abs(force - 3.0 * np.sign(visited) * np.abs(visited) ** 1.5)
+    band = 1.96 * np.interp(visited, law.motion, law.deviation)
+    assert np.all(off <= band)
+    assert np.median(band) < 0.05 * np.abs(law.force).max()
+
+
 def test_the_curve_simulates_and_is_decided_alike(outside, curve):
     again = decide([nominal(), curve.model], *outside)
     assert again.status == curve.status

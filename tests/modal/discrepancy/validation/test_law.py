@@ -7,7 +7,7 @@ import scipy.interpolate
 from nonlinear_chain import no_force, run_chain
 
 from modal.discrepancy.fitting.estimation import Problem, covariance, estimate, simulate_at
-from modal.discrepancy.validation.law_curves import law_curves
+from modal.discrepancy.validation.law_curves import law_curves, whole_reach
 from modal.discrepancy.validation.law_points import bins_of
 from modal.effects.catalogue import CATALOGUE
 from modal.simulation.assembly import assemble, initial_unknowns, place_effect
@@ -274,3 +274,22 @@ def test_the_same_model_gives_the_same_curves():
     np.testing.assert_array_equal(first.points_force, second.points_force)
     np.testing.assert_array_equal(first.points_deviation, second.points_deviation)
     assert scipy.stats.chi2.sf(np.sum(scores(first, lambda d: cubic(d, 0.0, 0.0)) ** 2), 12) > 1e-5
+
+
+# --- the band of a law of unknown form: the whole curve at once -------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_points", [1, 4, 9, 15])
+def test_a_band_of_its_reach_holds_a_whole_curve_in_ninety_five_of_a_hundred_draws(n_points):
+    rng = np.random.default_rng([n_points, 5])
+    at = np.linspace(-1.0, 1.0, 201)
+    if n_points == 1:
+        basis = at[:, np.newaxis] ** 2
+    else:
+        basis = scipy.interpolate.CubicSpline(np.linspace(-1.0, 1.0, n_points), np.eye(n_points))(at)
+    root = rng.standard_normal((n_points, n_points))
+    spread = root @ root.T
+    curves = rng.standard_normal((20_000, n_points)) @ root.T @ basis.T
+    deviation = np.sqrt(np.einsum("np,pq,nq->n", basis, spread, basis))
+    held = np.mean(np.all(np.abs(curves) <= whole_reach(basis, spread) * deviation + 1e-12, axis=1))
+    assert 0.94 < held < 0.97
