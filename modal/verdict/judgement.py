@@ -40,6 +40,7 @@ from modal.verdict.probability import (
     colour_doubt,
     damping_doubt,
     delay_doubt,
+    drift_doubt,
     edge_doubt,
     excitation_doubt,
     f_ratio,
@@ -194,6 +195,7 @@ def judge(
     n_values: int = 0,
     edge: float = np.inf,
     chance: FloatArray | None = None,
+    rings_down: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -223,6 +225,7 @@ def judge(
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
+        rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -258,6 +261,7 @@ def judge(
         undriven = (
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
+            *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
         )
