@@ -286,7 +286,7 @@ def _orthonormal(columns: FloatArray, wanted: FloatArray) -> tuple[FloatArray, F
 def _cholesky(gram: FloatArray) -> FloatArray | None:
     """The lower factor, None where columns nearly depend."""
     try:
-        lower = np.linalg.cholesky(gram)
+        lower: FloatArray = np.linalg.cholesky(gram)
     except np.linalg.LinAlgError:
         return None
     return lower if np.diag(lower).min() > INDEPENDENT else None
