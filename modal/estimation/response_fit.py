@@ -286,7 +286,7 @@ def _orthonormal(columns: FloatArray, wanted: FloatArray) -> tuple[FloatArray, F
 def _cholesky(gram: FloatArray) -> FloatArray | None:
     """The lower factor, None where columns nearly depend."""
     try:
-        lower: FloatArray = np.linalg.cholesky(gram)
+        lower = np.asarray(np.linalg.cholesky(gram), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     return lower if np.diag(lower).min() > INDEPENDENT else None
