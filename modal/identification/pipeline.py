@@ -38,6 +38,7 @@ from modal.modes.mode import ModalModel
 from modal.preparation.amplitude import clipping_power
 from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
+from modal.preparation.faults import free_of_clipping
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -268,6 +269,7 @@ def _identified(
     fit = measure_fit(found.chosen, found.power, runs)
     tell("identifying again with other halves, orders and ridges", FITTED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
+    by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
     reruns = repeat(
         prepared,
         observer_order=observer.order,
@@ -297,12 +299,16 @@ def _identified(
         ridge=observer.ridge,
         refinement_steps=found.chosen.refinement_steps,
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
-        excitation=excitation if prepared[0].n_inputs else None,
+        excitation=excitation if by_inputs else None,
+        # averages in which nothing acts tell nothing of what follows
         chance=chance_of_following(
             prepared,
             [mode.frequency for mode in unjudged.modes],
             [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
-        ),
+        )
+        if kind.kind == "driven"
+        else None,
+        rings_down=kind.kind == "decay",
         clipped=_clipped(records, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
@@ -351,7 +357,7 @@ def _identified(
                 missed=missed,
                 lines=lines,
                 modes=modes,
-                excitation=excitation,
+                excitation=excitation if by_inputs else None,
                 residuals=residuals,
                 found=found,
             ),
@@ -432,7 +438,7 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
     kind = find_kind(records, given)
     if kind.kind not in ("driven", "ambient"):
         _refuse_beyond(need, n_samples, n_channels)
-        return tuple(records), kind
+        return (tuple(records), kind) if given == "transient" else free_of_clipping(records, kind)
     several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
     if several == tuple(records):
         return several, kind

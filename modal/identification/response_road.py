@@ -16,18 +16,14 @@ from era.balanced import HankelDecomposition, decompose, order_choice, realise_f
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
-    Noise,
     ResponseFit,
     ResponseLines,
-    drawn_noise,
-    fit_at,
-    noise_of,
-    pole_deviations,
     powers_of,
     realised,
     refined,
     start_of,
 )
+from modal.estimation.response_noise import Noise, drawn_noise, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.choice import Choice, Fit
 from modal.modes.extraction import extract_modes
@@ -97,6 +93,7 @@ class _Found:
     fit: ResponseFit
     noise: Noise
     order: int
+    candidates: dict[int, ResponseFit]
     evidence: dict[int, float]
     fits: dict[int, float]
     likelihood: float
@@ -156,14 +153,14 @@ def _search(
     evidence: dict[int, float] = {}
     fits: dict[int, float] = {}
     chosen = min(first, largest)
+    candidates = {chosen: fit}
     for _ in range(PASSES):
         weight = _weight(table, noise)
         least = 2 if not evidence else chosen  # poles too many are taken out below, by the same evidence
         orders = [chosen] if order != "auto" else sorted({*range(least, largest + 1, 2), chosen, largest})
-        candidates: dict[int, ResponseFit] = {}
         evidence = {}
         for n in orders:
-            candidates[n] = _fitted(table, found, n, weight, fit if n == chosen else None)
+            candidates[n] = _fitted(table, found, n, weight, candidates.get(n))
             evidence[n] = _evidence(table, candidates[n])
             fits[n] = float(np.mean(_fit_of(candidates[n].left, table, weight)))
             best = min(evidence, key=lambda each: evidence[each])
@@ -192,6 +189,7 @@ def _search(
         fit=fit,
         noise=noise,
         order=chosen,
+        candidates=candidates,
         evidence=evidence,
         fits=fits,
         likelihood=likelihood,
@@ -205,8 +203,7 @@ def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> fl
     poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
     weight = _weight(table, found.noise)
-    fit = fit_at(table, np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there], weight)
-    fit = refined(table, fit, weight)
+    fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
     return _settled(table, fit, noise_of(table, fit))[2]
 
 
@@ -232,8 +229,7 @@ def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respo
         gained = False
         for weakest in np.argsort(powers_of(table, fit, weight))[:WEAKEST]:
             kept = np.arange(fit.poles.size) != weakest
-            trial = fit_at(table, fit.poles[kept], fit.is_pair[kept], fit.inputs[kept], weight)
-            trial = refined(table, trial, weight, n_steps=QUICK)
+            trial = refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=QUICK)
             if _evidence(table, trial) < evidence:
                 fit, evidence, gained = trial, _evidence(table, trial), True
                 break
@@ -340,9 +336,7 @@ def _fitted(
     table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
 ) -> ResponseFit:
     """The model of an order, from its realisation or from a fit of it, after a few steps."""
-    if start is None:
-        start = fit_at(table, *start_of(realise_from(found, order), table.dt), weight)
-    return refined(table, start, weight, n_steps=QUICK)
+    return refined(table, start or start_of(realise_from(found, order), table.dt), weight, n_steps=QUICK)
 
 
 def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
@@ -481,8 +475,7 @@ def _named(modes: ModalModel, response: FrequencyResponse) -> ModalModel:
 def _seen(modes: ModalModel, table: ResponseLines) -> ComplexArray:
     """(n_modes, n_lines, n_outputs, n_inputs) response of each mode through the window, in the table's channels."""
     poles = np.exp(np.array([mode.pole for mode in modes]) * table.dt)
-    plus, _ = table.basis(poles)
-    minus, _ = table.basis(poles.conj())
+    plus, minus = table.basis(poles)[0]
     parts = []
     for i, mode in enumerate(modes):
         residue = np.outer(mode.shape, mode.participation) * table.input_scale / table.output_scale[:, np.newaxis]
@@ -525,7 +518,8 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     largest = min(found.decomposition.rank, found.decomposition.max_order)
     for n in (found.order - 2, found.order + 2, found.order + 4):
         if 0 < n <= largest and largest > found.order:
-            modes = extract_modes(realised(_fitted(table, found.decomposition, n, whole), table))
+            other_order = _fitted(table, found.decomposition, n, whole, found.candidates.get(n))
+            modes = extract_modes(realised(other_order, table))
             change: Literal["lower order", "higher order"] = "lower order" if n < found.order else "higher order"
             runs.append(Rerun(label=f"order {n}", change=change, modes=modes))
     folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])

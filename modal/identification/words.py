@@ -231,7 +231,7 @@ def warnings_in_words(
     missed: float,
     lines: BetweenLines | None,
     modes: ModalModel,
-    excitation: Excitation,
+    excitation: Excitation | None,
     residuals: ResidualCheck,
     found: Search,
 ) -> tuple[str, ...]:
@@ -285,7 +285,7 @@ def warnings_in_words(
             f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, changes in time, or "
             "answers for longer than the observer looks back, so expect damping ratios to be off."
         )
-    return (*words, *(_excitation_words(excitation) if driven else ()))
+    return (*words, *(() if excitation is None else _excitation_words(excitation)))
 
 
 def _fits_to_all(found: Search) -> FloatArray:

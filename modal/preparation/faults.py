@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modal.modes.choice import Choice
 from modal.preparation.amplitude import (
     clipped_samples,
     clipping_findings,
@@ -19,6 +20,7 @@ from modal.preparation.amplitude import (
     stuck_findings,
 )
 from modal.preparation.channel import LEVELS, Channel, Finding, channels_of, named, spoken
+from modal.preparation.kind import KindFound, acts, rings_down
 from modal.preparation.samples import sharp_samples, spike_findings, spikes_of
 from modal.wording.numbers import counted, percent
 from okid.arrays import BoolArray
@@ -26,7 +28,7 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["Mended", "mended", "spoiled_channels"]
+__all__ = ["Mended", "free_of_clipping", "mended", "spoiled_channels"]
 
 
 MOST_TOLD = 4
@@ -86,6 +88,50 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
             for record, mask in zip(kept, masks, strict=True)
         )
     return Mended(records=kept, warnings=tuple(_told(told)))
+
+
+def free_of_clipping(records: Sequence[Record], kind: KindFound) -> tuple[tuple[Record, ...], KindFound]:
+    """What is struck or rings down without its clipped peaks, which make harmonics that are found again in every half.
+
+    Records that were not clipped are enough where every input moves in them; else each record is the decay that is left
+    once no output is clipped and no input acts. Nothing changes where nothing is clipped, or where nothing is left.
+    """
+    names, ends = _last_clipped(records)
+    if not any(ends):
+        return tuple(records), kind
+    whole = tuple(record for record, end in zip(records, ends, strict=True) if not end)
+    head = f"{counted(len(names)).capitalize()} output{'s are' if len(names) > 1 else ' is'} clipped ({names[0]}"
+    head += " and others): " if len(names) > 1 else "): "
+    if kind.kind == "transient" and whole and np.any([one.inputs.any(axis=0) for one in whole], axis=0).all():
+        text = f"{head}of {len(records)} records {len(records) - len(whole)} in which this happens are left out."
+        return whole, replace(kind, warnings=(*kind.warnings, text))
+    lasts = [last for _, last in acts(records)] if kind.kind == "transient" else kind.starts or [0] * len(records)
+    starts = [max(end, last) for end, last in zip(ends, lasts, strict=True)]
+    left = [(one, first) for one, first in zip(records, starts, strict=True) if rings_down(one.outputs[first:])]
+    if not left:
+        return tuple(records), kind
+    text = (
+        f"{head}only the free motion after the last clipped sample is used, as a decay, so nothing is known of modal "
+        "masses; measure again with a larger range."
+    )
+    decay = Choice(what="record kind", value="decay", reason=f"{kind.choice.reason}; outputs are clipped until then")
+    found = KindFound(
+        kind="decay", choice=decay, warnings=(*kind.warnings, text), starts=tuple(first for _, first in left)
+    )
+    return tuple(one.select(inputs=[]) for one, _ in left), found
+
+
+def _last_clipped(records: Sequence[Record]) -> tuple[list[str], list[int]]:
+    """Names of the outputs that are clipped, and the row of each record after the last sample in which one is."""
+    names, ends = [], [0] * len(records)
+    for channel in channels_of(records, channel_scaling(records)):
+        if channel.role == "input":
+            continue
+        rows = [np.flatnonzero(mask) for mask in clipped_samples(channel)]
+        if any(row.size for row in rows):
+            names.append(named(channel.name))
+            ends = [max(end, *(row[-1:] + 1).tolist(), end) for end, row in zip(ends, rows, strict=True)]
+    return names, ends
 
 
 def _told(faults: Mapping[str, Sequence[str]]) -> Iterator[str]:

@@ -22,7 +22,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["GivenKind", "KindFound", "RecordKind", "find_kind", "first_acts", "given_kind", "variance"]
+__all__ = ["GivenKind", "KindFound", "RecordKind", "acts", "find_kind", "given_kind", "rings_down", "variance"]
 
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
@@ -146,16 +146,23 @@ def _by_inputs(records: Sequence[Record]) -> KindFound:
     return _undecided("driven", words, "transient")
 
 
-def first_acts(records: Sequence[Record]) -> tuple[int, ...]:
-    """Row of each record before which every input rests, beyond chance and one per cent of its peak."""
-    first = [record.n_samples for record in records]
+def acts(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
+    """Row of each record before which every input rests, beyond chance and one per cent of its peak; that after which.
+
+    A record in which none acts is rest to its end: (n_samples, 0).
+    """
+    found = [(record.n_samples, 0) for record in records]
     for j in range(records[0].n_inputs):
         each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
         squares = np.concatenate(each)
         chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
         level = max(chance, 1e-4 * float(squares.max()))
-        first = [min(row, *np.flatnonzero(own > level)[:1].tolist(), row) for row, own in zip(first, each, strict=True)]
-    return tuple(first)
+        rows = [np.flatnonzero(own > level) for own in each]
+        found = [
+            (min(first, *own[:1].tolist(), first), max(last, *(own[-1:] + 1).tolist(), last))
+            for (first, last), own in zip(found, rows, strict=True)
+        ]
+    return tuple(found)
 
 
 def _active_share(columns: Sequence[FloatArray]) -> float:
@@ -188,9 +195,10 @@ def _acting(rows: BoolArray) -> int:
 
 def _by_outputs(records: Sequence[Record]) -> KindFound:
     starts = tuple(_free_from(record.outputs) for record in records)
-    ratios, falls = zip(*(_fall(one.outputs[k:]) for one, k in zip(records, starts, strict=True)), strict=True)
+    free = [one.outputs[k:] for one, k in zip(records, starts, strict=True)]
+    ratios = [_fall(outputs)[0] for outputs in free]
     least, greatest = min(ratios), max(ratios)
-    decays = [ratio >= FAR_ABOVE or (ratio >= ABOVE and fall) for ratio, fall in zip(ratios, falls, strict=True)]
+    decays = [rings_down(outputs) for outputs in free]
     struck = any(starts)
     words = f"the outputs start with {least:.3g} times the power that they end with"
     words = words if least > 0.0 else "the outputs move no more at their start than later"
@@ -242,6 +250,12 @@ def variance(values: FloatArray, *, axis: int) -> FloatArray:
     count = np.maximum(np.isfinite(values).sum(axis=axis, keepdims=True), 1)
     away = np.nan_to_num(values - np.nansum(values, axis=axis, keepdims=True) / count)
     return np.asarray(np.square(away).sum(axis=axis) / count.squeeze(axis))
+
+
+def rings_down(outputs: FloatArray) -> bool:
+    """Whether what starts here ends far below its start, or never rises on its way down."""
+    ratio, fall = _fall(outputs)
+    return ratio >= FAR_ABOVE or (ratio >= ABOVE and fall)
 
 
 def _fall(outputs: FloatArray) -> tuple[float, bool]:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from modal.modes.choice import Choice
-from modal.preparation.kind import first_acts, variance
+from modal.preparation.kind import acts, variance
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -131,7 +131,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
         >>> found.n_rest, found.choice.value
         ((33,), 'used')
     """
-    starts = first_acts(records)
+    starts = [first for first, _ in acts(records)]
     centred = tuple(_about_rest(record, first) for record, first in zip(records, starts, strict=True))
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)

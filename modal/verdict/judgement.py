@@ -41,6 +41,7 @@ from modal.verdict.probability import (
     colour_doubt,
     damping_doubt,
     delay_doubt,
+    drift_doubt,
     edge_doubt,
     excitation_doubt,
     f_ratio,
@@ -196,6 +197,7 @@ def judge(
     edge: float = np.inf,
     chance: FloatArray | None = None,
     clipped: FloatArray | None = None,
+    rings_down: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -226,6 +228,7 @@ def judge(
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where none does.
+        rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -261,6 +264,7 @@ def judge(
         undriven = (
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
+            *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
             *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),

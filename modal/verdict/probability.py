@@ -21,6 +21,7 @@ observer, by a ridge, or by noise.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -170,6 +171,30 @@ def unanswered_doubt(mode: Mode, chance: float) -> tuple[str, ...]:
     if not chance > FOLLOWS or mode.kind != "oscillatory":
         return ()
     return (f"nothing follows the inputs at {mode.frequency:.4g} Hz beyond chance: noise, leakage or a disturbance",)
+
+
+FEWEST_TURNS = 2.0
+"""Doubt a pole of a decay that turns less often within the record, where another turns more often: a drifting sensor
+makes a half-wave or two."""
+
+
+def drift_doubt(mode: Mode, others: Sequence[Mode], duration: float) -> tuple[str, ...]:
+    """In a decay nothing that was measured tells the slowest motion from a sensor that drifts beside what vibrates.
+
+    Example:
+        >>> import numpy as np
+        >>> slow, fast = (
+        ...     Mode(pole=pole, kind=kind, frequency=f, damping_ratio=0.5, shape=np.ones(1), participation=np.ones(1))
+        ...     for pole, kind, f in ((-0.6, "real", 0.1), (-0.5 + 9j, "oscillatory", 1.4))
+        ... )
+        >>> drift_doubt(slow, [slow, fast], duration=10.0)
+        ('so slow that a drifting sensor makes it as well: it turns 0.96 times within the record',)
+    """
+    turns = duration * abs(mode.pole) / (2 * np.pi)
+    vibrates = any(one.kind == "oscillatory" and one.frequency * duration >= FEWEST_TURNS for one in others)
+    if turns >= FEWEST_TURNS or not vibrates:
+        return ()
+    return (f"so slow that a drifting sensor makes it as well: it turns {turns:.2g} times within the record",)
 
 
 SPREAD = 0.1

@@ -6,7 +6,8 @@ from hard_records import FAMILIES
 from made_records import KINDS, clean_record
 
 from modal.identification.pipeline import identify
-from modal.preparation.faults import mended
+from modal.preparation.faults import free_of_clipping, mended
+from modal.preparation.kind import find_kind
 from okid.record import Record
 
 
@@ -78,3 +79,53 @@ def test_the_same_fault_of_many_channels_is_counted():
 def test_nothing_is_left_out_where_no_output_moves():
     record = Record(np.random.default_rng(0).standard_normal(100), np.ones((100, 2)), 0.01)
     assert mended((record,)).records[0] is record
+
+
+def ringing(rng, *, limit=np.inf, force=True, size=1.0):
+    """Two modes struck at row 50, cut off at the limit; row after the last sample that was cut."""
+    k = np.arange(3000.0)
+    answer = [0.998**k * np.sin(0.3 * k), 0.996**k * np.sin(0.9 * k + 0.4)]
+    clean = np.zeros((3000, 2))
+    clean[50:] = size * (np.array([[1.0, 0.6], [-0.5, 1.0]]) @ answer).T[:2950]
+    clean += 0.002 * rng.standard_normal(clean.shape)
+    blow = np.zeros((3000, 1))
+    blow[49:51] = size
+    outputs = np.clip(clean, -limit, limit)
+    last = np.flatnonzero((outputs != clean).any(axis=1))
+    record = Record(blow if force else [], outputs if force else outputs[51:], 0.01)
+    return record, int(last[-1]) + 1 if last.size else 0
+
+
+def test_a_clipped_blow_is_left_out_where_another_was_not_clipped():
+    rng = np.random.default_rng(3)
+    whole, _ = ringing(rng, size=0.3)
+    cut, _ = ringing(rng, limit=0.6)
+    kept, kind = free_of_clipping((whole, cut), find_kind((whole, cut)))
+    assert len(kept) == 1
+    assert kept[0] is whole
+    assert kind.kind == "transient"
+    assert "left out" in kind.warnings[0]
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_what_rings_on_after_clipping_is_a_decay(force):
+    record, last = ringing(np.random.default_rng(4), limit=0.5, force=force)
+    (kept,), kind = free_of_clipping((record,), find_kind((record,)))
+    assert (kept.n_inputs, kind.kind, kind.starts) == (0, "decay", (last - (0 if force else 51),))
+    result = identify(record)
+    found = [mode.frequency for mode in result.modes.system]
+    np.testing.assert_allclose(found, np.array([0.3, 0.9]) / (2 * np.pi * 0.01), rtol=1e-3)
+
+
+def test_what_was_not_clipped_stays_the_very_same():
+    record, _ = ringing(np.random.default_rng(5))
+    kept, kind = free_of_clipping((record,), find_kind((record,)))
+    assert kept[0] is record
+    assert kind.kind == "transient"
+
+
+def test_a_sensor_that_drifts_makes_no_mode_of_a_decay():
+    record, _ = ringing(np.random.default_rng(6), force=False)
+    settling = 0.4 * (1 - np.exp(-np.linspace(0.0, 4.0, record.n_samples)))[:, np.newaxis] * [1.0, 0.3]
+    result = identify(Record([], record.outputs + settling, record.dt))
+    assert [mode.kind for mode in result.modes.system] == ["oscillatory", "oscillatory"]

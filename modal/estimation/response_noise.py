@@ -1,0 +1,273 @@
+"""What the values of a table of frequency responses are uncertain by, and the poles that are fitted to them.
+
+What a finite block gets wrong is part of the noise: the answer to what came before the block, and what is still to come
+after it. For inputs that are white over a resonance its covariance over outputs and lines follows from the model in
+closed form (`leakage`), and makes weights and standard deviations right where resonances are narrower than a line.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from modal.estimation.response_fit import LARGEST_SIZE, ResponseFit, ResponseLines
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+
+__all__ = ["Noise", "drawn_noise", "noise_of", "pole_deviations"]
+
+ROUNDING = 1e-13
+"""Take errors for at least this share of a table's largest value: the digits of its numbers."""
+NEAR, WIDE = 10, 40
+"""Smooth the noise over so many lines on either side, where coherence tells it and where only the scatter does: some 20
+and 80 values, which give a level to about a quarter and a tenth."""
+ROUNDS = 60
+"""Split scatter into leakage and floor by so many multiplicative updates; they settle to a few per cent in ten."""
+FARTHEST = 8
+"""Correlate the errors of lines up to so far apart: beyond, the windows known here leave nothing."""
+
+
+def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0) -> ComplexArray:
+    """(n_lines - offset, n_outputs, n_outputs) covariance of what finite blocks leave at lines l + offset and l.
+
+    For independent white inputs of unit power: N(k) = Y(k) - G(k) U(k) with everything a sum over the block's window,
+    so each term is a transform of the output's correlation, the pulse response, or nothing, over the window's
+    ambiguity.
+    """
+    poles, b, c = fit.expanded()
+    b, d = b[:, inputs], fit.feedthrough[:, inputs]
+    poles = poles * np.minimum(1.0, LARGEST_SIZE / np.maximum(np.abs(poles), TINY))
+    state = (b @ b.conj().T) / (1 - poles[:, np.newaxis] * poles.conj())
+    onward = poles[:, np.newaxis] * (state @ c.conj().T) + b @ d.T
+    now = (c @ state @ c.conj().T).real + d @ d.T
+    n_lines = table.z.size - offset
+    model = c @ (table.basis(poles)[0][0][:, :, np.newaxis] * b) + d
+    later, here = model[offset:], model[:n_lines].conj().transpose(0, 2, 1)
+    ahead, behind = table.ambiguity(offset)
+    plus = table.transformed(poles, ahead)[:n_lines]
+    minus = plus if offset == 0 else table.transformed(poles, behind.conj())[:n_lines]
+    outputs = c @ (plus[:, :, np.newaxis] * onward) + _mirrored(c @ (minus[:, :, np.newaxis] * onward))
+    out_in = c @ (plus[:, :, np.newaxis] * b) + d * ahead[0]
+    in_out = _mirrored(c @ (minus[:, :, np.newaxis] * b) + d * ahead[0].conj())
+    both = outputs + now * ahead[0] - out_in @ here - later @ in_out + later @ here * ahead[0]
+    return np.asarray(both, dtype=np.complex128)
+
+
+def _crossing(table: ResponseLines, fit: ResponseFit, offset: int) -> tuple[ComplexArray, ComplexArray]:
+    """(n_lines - offset, n_outputs, n_inputs) what is left at one line times the inputs at the other, each way round.
+
+    It makes errors of neighbouring lines turn together, so that their real and imaginary parts are not alike.
+    """
+    poles, b, c = fit.expanded()
+    n_lines = table.z.size - offset
+    model = c @ (table.basis(poles)[0][0][:, :, np.newaxis] * b) + fit.feedthrough
+    ahead, behind = table.ambiguity(offset)
+    plus, minus = table.transformed(poles, ahead)[:n_lines], table.transformed(poles, behind.conj())[:n_lines]
+    later = c @ (plus[:, :, np.newaxis] * b) + (fit.feedthrough - model[offset:]) * ahead[0]
+    here = c @ (minus[:, :, np.newaxis] * b) + (fit.feedthrough - model[:n_lines]) * ahead[0].conj()
+    return later, here
+
+
+def _mirrored(matrices: ComplexArray) -> ComplexArray:
+    return matrices.conj().transpose(0, 2, 1)
+
+
+def _own_leakage(table: ResponseLines, fit: ResponseFit) -> FloatArray:
+    """(n_lines, n_outputs, n_inputs) power of the leakage in each response."""
+    if not table.leaks:
+        return np.zeros(table.values.shape)
+    n_inputs = table.values.shape[2]
+    groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
+    parts = [np.einsum("lqq->lq", _leakage(table, fit, group)).real for group in groups]
+    power = np.stack(parts * (n_inputs // len(parts)), axis=2)
+    return np.asarray(np.maximum(power, 0.0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Noise:
+    """What the values of a table are uncertain by.
+
+    Attributes:
+        variance: (n_lines, n_outputs, n_inputs) of each value.
+        leakage: the same shape, what finite blocks leave for inputs of unit power.
+        share: (n_inputs,) of it in the variance: one over the number of averages and the input's power.
+    """
+
+    variance: FloatArray
+    leakage: FloatArray
+    share: FloatArray
+
+
+def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
+    """Variance of each value of a table.
+
+    What coherence says is split into leakage and a floor, so that their sum has the narrow shape of the one and the
+    steadiness of the other; the scatter about the model, where there is no coherence, into these two and a part that
+    grows with the response, as a noisy force and an error of the calibration make it, else a window that leaks passes
+    for the likeliest wherever resonances scatter; what it is more or less than that, in the mean over
+    neighbouring lines, corrects it. The level, one for each input, is that of the scatter.
+
+    Args:
+        table: what was fitted.
+        fit: the model of it.
+    """
+    leak, scatter = _own_leakage(table, fit), np.abs(fit.left) ** 2
+    least = max((ROUNDING * np.abs(table.values * table.trust).max()) ** 2, TINY)
+    scatter = scatter / max(0.1, 1 - fit.n_parameters / (2 * int(table.known.sum())))
+    share = 1.0
+    if table.noise is None:
+        share, expected = _split(
+            scatter, [leak, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
+        )
+        seen, reach = scatter, WIDE
+    else:
+        measured = np.abs(table.values) ** 2
+        seen = table.noise * (measured.sum(axis=2, keepdims=True) if table.together else measured)
+        floor = np.maximum(_median(np.maximum(seen - leak, 0), table.known), least)
+        expected, reach = leak + floor, NEAR
+    expected = np.maximum(expected * _smoothed(seen / expected, table.known, reach), least)
+    level = _weighted_mean((scatter / expected).reshape(-1, leak.shape[2]), table.known.reshape(-1, leak.shape[2]))
+    return Noise(variance=np.maximum(expected * level, least), leakage=leak, share=share * level)
+
+
+def _split(scatter: FloatArray, parts: list[FloatArray], known: BoolArray, least: float) -> tuple[float, FloatArray]:
+    """The first part's share in the scatter and the variance: some of each part and a floor of each response.
+
+    By the likelihood of exponentially distributed powers, with multiplicative updates, which leave no size negative.
+    """
+    floor = np.maximum(_median(scatter, known) / np.log(2), least)  # of an exponential distribution
+    sizes = [
+        float(np.median(scatter[known & (part > 0)] / part[known & (part > 0)])) if part.any() else 0.0
+        for part in parts
+    ]
+    variance = floor + sum(size * part for size, part in zip(sizes, parts, strict=True))
+    for _ in range(ROUNDS):
+        above, below = known * scatter / variance**2, known / variance
+        sizes = [
+            size * float(np.sqrt((above * part).sum() / max(float((below * part).sum()), TINY)))
+            for size, part in zip(sizes, parts, strict=True)
+        ]
+        floor = np.maximum(floor * np.sqrt(above.sum(axis=0) / np.maximum(below.sum(axis=0), TINY)), least)
+        variance = floor + sum(size * part for size, part in zip(sizes, parts, strict=True))
+    return sizes[0], variance
+
+
+def _weighted_mean(values: FloatArray, known: BoolArray) -> FloatArray:
+    return np.asarray((values * known).sum(axis=0) / np.maximum(1, known.sum(axis=0)), dtype=np.float64)
+
+
+def _median(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Over the lines, which a band without input does not move."""
+    return np.asarray(np.nan_to_num(np.nanmedian(np.where(known, values, np.nan), axis=0)), dtype=np.float64)
+
+
+def _smoothed(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
+    """Mean over the lines around each one."""
+    ones = np.ones(2 * reach + 1)  # summed anew for each line: a running sum would drown small values in large ones
+    total, count = (
+        scipy.ndimage.convolve1d(part, ones, axis=0, mode="constant") for part in (values * known, known * 1.0)
+    )
+    return np.asarray(total / np.maximum(1, count), dtype=np.float64)
+
+
+def _reach(table: ResponseLines) -> list[int]:
+    """Offsets of lines whose errors belong together."""
+    if table.lags is None or table.window in {"uniform", "periodic"}:
+        return [0]
+    most = min(FARTHEST, table.z.size - 1)
+    return [m for m in range(most + 1) if abs(table.ambiguity(m)[0][0]) > np.sqrt(np.finfo(float).eps)]
+
+
+def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int) -> ComplexArray:
+    """(n_inputs, n_lines - offset, n_outputs, n_outputs) of the responses to each input at lines l + offset and l.
+
+    The errors of an input's responses are what the outputs hold beside the model, times the input, so their correlation
+    over lines is that of the one times that of the other.
+    """
+    variance = noise.variance.transpose(2, 0, 1)
+    n_inputs, n_lines, n_outputs = variance.shape
+    own = range(n_lines - offset)
+    if not table.leaks:
+        size = np.sqrt(variance)
+        common = 1.0 if table.lags is None else table.ambiguity(offset)[0][0]
+        alone = (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * np.eye(n_outputs)
+        return np.asarray(common * alone, dtype=np.complex128)
+    across = table.ambiguity(offset)[0][0]
+    groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
+    leaks = np.stack([_leakage(table, fit, group, offset) for group in groups]) * noise.share[:, np.newaxis, None, None]
+    power = noise.leakage.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
+    rest = np.sqrt(np.maximum(variance - power, 0.0))
+    both = leaks + across * (rest[:, offset:, :, np.newaxis] * rest[:, own, np.newaxis]) * np.eye(n_outputs)
+    size = np.sqrt(variance / np.maximum(power + rest**2, TINY))
+    scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * across.conj()
+    return np.asarray(scaled, dtype=np.complex128)
+
+
+def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
+    """(n_lines, n_outputs, n_inputs) errors as the table has them, correlated over outputs and lines.
+
+    A table plus and minus such errors is what its averages would have given by halves: two tables of twice the
+    variance, independent of one another (Leiner, Duan, Wasserman, Ramdas, "Data fission", J. American Statistical
+    Association 120, 2025, doi 10.1080/01621459.2023.2270748).
+    """
+    covariance = _covariances(table, fit, noise, 0)
+    n_inputs, n_lines, n_outputs, _ = covariance.shape
+    values, vectors = np.linalg.eigh(covariance)
+    n = n_lines if table.lags is None else table.lags.size
+    colour = np.ones(n)
+    if table.lags is not None and table.leaks:
+        across = np.zeros(n)
+        for m in _reach(table):
+            across[[m, -m]] = abs(table.ambiguity(m)[0][0]) ** 2
+        colour = np.sqrt(np.maximum(np.fft.fft(across).real, 0.0))
+    shape = (n_inputs, n, n_outputs)
+    white = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    lines = np.fft.fft(white * colour[:, np.newaxis], axis=1)[:, :n_lines] / np.sqrt(2 * n)
+    drawn = vectors @ (np.sqrt(np.maximum(values, 0.0)) * lines)[..., np.newaxis]
+    return np.where(table.known, drawn[..., 0].transpose(1, 2, 0), 0.0)
+
+
+def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    """(n_poles,) standard deviations of frequency [Hz] and damping ratio, for the weights 1 / variance.
+
+    M^-1 S M^-1 with M the curvature and S the covariance of the slope under errors that are correlated over outputs and
+    over the lines that the window joins, and not alike in their real and imaginary parts.
+    """
+    flat = fit.slopes.reshape(-1, fit.slopes.shape[-1])
+    curvature = flat.T @ flat
+    slopes = (fit.slopes[:, 0] + 1j * fit.slopes[:, 1]).transpose(2, 1, 0, 3)  # inputs, lines, outputs, parameters
+    weight = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0).transpose(2, 0, 1)
+    spread = np.zeros_like(curvature)
+    for offset in _reach(table):
+        covariance = _covariances(table, fit, noise, offset)
+        n_lines = covariance.shape[1]
+        later = slopes[:, offset:] * weight[:, offset:, :, np.newaxis]
+        here = covariance @ (slopes[:, :n_lines] * weight[:, :n_lines, :, np.newaxis])
+        part = 0.5 * np.einsum("ilqa,ilqb->ab", later.conj(), here, optimize=True).real
+        spread += part if offset == 0 else part + part.T
+    if table.leaks:
+        alone = 1.0 if table.together else np.eye(len(noise.share))
+        share = np.sqrt(np.outer(noise.share, noise.share)) * alone
+        power = noise.leakage * noise.share
+        within = np.sqrt(noise.variance / np.maximum(noise.variance, power)).transpose(2, 0, 1)
+        scaled = (slopes * (weight * within)[..., np.newaxis]).conj()
+        for offset in range(1, min(FARTHEST, table.z.size - 1) + 1):
+            later, here = _crossing(table, fit, offset)
+            one = np.einsum("ilqa,lqj->lija", scaled[:, offset:], later, optimize=True) * share[..., np.newaxis]
+            other = np.einsum("jlqb,lqi->lijb", scaled[:, : later.shape[0]], here, optimize=True)
+            part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
+            spread += part + part.T
+    inverse = np.linalg.pinv(curvature, hermitian=True)
+    covariance = inverse @ spread @ inverse
+    n_poles, pairs = fit.poles.size, np.flatnonzero(fit.is_pair)
+    f_std, d_std = np.full(n_poles, np.nan), np.full(n_poles, np.nan)
+    for r in range(n_poles):
+        s = np.log(fit.poles[r])
+        size = max(abs(s), TINY)
+        rows = [r] + ([fit.inputs.size + int(np.searchsorted(pairs, r))] if fit.is_pair[r] else [])
+        block = covariance[np.ix_(rows, rows)]
+        radial = np.array([s.real, s.imag][: len(rows)]) / size
+        f_std[r] = np.sqrt(max(0.0, radial @ block @ radial)) / (2 * np.pi * table.dt)
+        # damping -a / |s|: its slope is -b^2 / |s|^3 by a and a b / |s|^3 by b
+        bend = np.array([-(s.imag**2), s.real * s.imag][: len(rows)]) / size**3
+        d_std[r] = np.sqrt(max(0.0, bend @ block @ bend))
+    return f_std, d_std
