@@ -20,7 +20,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, check_not_empty, column_block, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
-from okid.readers.units import UnitConversion, convert_unit
+from okid.readers.units import UnitConversion, convert_unit, is_unit
 
 __all__ = [
     "Column",
@@ -154,24 +154,16 @@ _BRACKET = re.compile(
     r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\{(?P<curly>[^{}]*)\}|<(?P<angle>[^<>]*)>)\s*$", re.DOTALL
 )
 _PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
-_COMMON_UNITS = frozenset(
+_OTHER_UNITS = frozenset(
     [
-        *("s", "ms", "us", "µs", "μs", "min", "h", "sec", "msec", "second", "seconds", "milliseconds"),
-        *("m", "mm", "cm", "km", "um", "µm", "μm", "nm", "in", "inch", "ft"),
-        *("g", "mg", "gn", "kg", "lb", "lbs", "G", "gal", "Gal"),
-        *("N", "mN", "kN", "MN", "lbf", "kip", "Nm", "kNm", "N·m"),
-        *("gf", "kgf", "ozf", "oz", "lb", "kp", "daN", "mil", "mils", "thou", "ips", "dps", "mbar", "hPa"),
-        *("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi"),
-        *("V", "mV", "µV", "uV", "A", "mA", "W", "kW", "J", "kJ"),
-        *("mph", "kn", "kt", "kts", "knots", "Ohm", "Ω", "kΩ", "mAh", "Wh", "hp", "PS", "C", "F"),
-        *("K", "°C", "°F", "degC", "degF", "rad", "mrad", "deg", "°", "ºC", "º", "Hz", "kHz"),
-        *("rpm", "RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "1/min", "oz-in", "ozf-in", "in-lb", "ft-lb"),
-        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u."),
+        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
+        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
     ]
 )
-"""What a pair of parentheses may hold to be read as a unit, alone or as products, quotients and powers."""
+"""What else a pair of parentheses may hold to be read as a unit; what converts to SI is known already."""
 
-_SEPARATORS = re.compile(r"[/*·⋅^ ()²³]+|-?\d")
+_SIDES = frozenset(["L", "l", "t", "d", "U/s"])
+"""Left, a time, a day: in parentheses these are no litre and no tonne."""
 
 MAX_NAME = 200
 
@@ -199,10 +191,7 @@ def split_header(header: str) -> tuple[str, str]:
 
 def looks_like_unit(text: str) -> bool:
     """True if `text` is a common unit, or a product, quotient or power of common units."""
-    if text in _COMMON_UNITS:
-        return True
-    parts = [part for part in _SEPARATORS.split(text) if part]
-    return bool(parts) and all(part in _COMMON_UNITS for part in parts)
+    return text in _OTHER_UNITS or (text not in _SIDES and is_unit(text))
 
 
 def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
