@@ -47,6 +47,12 @@ TIME_NAMES = frozenset(
 TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|ns|min|h)$")
 """Read the unit of a time column where it stands behind the name without brackets: `time_ms`, `Zeit in s`."""
 
+TIME_WORDS = re.compile(r"(?<![a-z])(?:time|temps|tiempo|tempo|uptime|millis|micros|sec)(?![a-z])|zeit", re.IGNORECASE)
+"""Take a uniform ramp with one of these in its name for the time."""
+
+CLOCKS_OF_BOARDS = {"millis": "ms", "micros": "us"}
+"""Read these names as microcontrollers do."""
+
 COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row", "no", "no.", "#"])
 
 
@@ -108,10 +114,14 @@ class Table:
 
         A column called time, in the languages and habits of loggers (t, Zeit, Temps, X_Value, time_ms). A capital T may
         be a torque or a temperature: it is the time only if its unit says so, and a `t` with a unit that is none of
-        time is not.
+        time is not. Where none is called so, a uniform ramp in a unit of time, or with a word of time in its name
+        (Messzeit, Temps relatif, millis), is it: no sensor measures one.
         """
         for index, column in enumerate(self.columns):
             if _time_name(column)[0] in TIME_NAMES and _may_be_time(column):
+                return index
+        for index, column in enumerate(self.columns):
+            if _speaks_of_time(column) and _is_ramp(self.values[:, index]):
                 return index
         return None
 
@@ -139,8 +149,26 @@ def _plain(name: str) -> str:
 def _time_name(column: Column) -> tuple[str, str]:
     """Name of what may be a time column, and its unit, which may stand behind the name without brackets."""
     name = _plain(column.name)
+    if name in CLOCKS_OF_BOARDS and not column.unit:
+        return name, CLOCKS_OF_BOARDS[name]
     behind = None if column.unit or name in TIME_NAMES else TIME_SUFFIX.match(name)
     return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit)
+
+
+def _speaks_of_time(column: Column) -> bool:
+    if column.unit:
+        return convert_unit("time", column.unit).unit == "s"
+    return TIME_WORDS.search(column.name) is not None
+
+
+def _is_ramp(values: FloatArray) -> bool:
+    """True for a grid that grows by equal steps, to the jitter of a clock."""
+    count = len(values) - 1
+    span = values[-1] - values[0] if count > 0 else 0.0
+    if not np.isfinite(span) or span <= 0:
+        return False
+    with np.errstate(all="ignore"):
+        return bool(np.abs((values - values[0]) / span * count - np.arange(count + 1)).max() <= JITTER)
 
 
 def _may_be_time(column: Column) -> bool:
