@@ -29,7 +29,7 @@ from okid.arrays import (
     time_step,
     whole_number,
 )
-from okid.display import Displayed
+from okid.display import Displayed, listed
 from okid.errors import InsufficientDataError, InvalidDataError
 
 if TYPE_CHECKING:
@@ -267,8 +267,8 @@ class Record(Displayed):
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
         return (
-            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {list(self.input_names)}, "
-            f"outputs {list(self.output_names)})"
+            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {listed(self.input_names)}, "
+            f"outputs {listed(self.output_names)})"
         )
 
     @property

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from era.realisation import Realisation
 from modal.identification.result import Identification
 from modal.modes.response_synthesis import frf
-from okid.arrays import frozen
+from okid.arrays import frozen, require
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse
 
@@ -47,6 +47,8 @@ def frequency_response(
     """
     if motion not in get_args(Motion):
         raise InvalidDataError(f"motion must be one of {', '.join(get_args(Motion))}, but is {motion!r}.")
+    if not isinstance(result, Realisation):
+        require(result, Identification, where="frequency_response", made_by="modal.identify")
     names = None if isinstance(result, Realisation) else result.channels
     model = result if isinstance(result, Realisation) else result.realisation
     if not model.n_inputs:
