@@ -313,6 +313,8 @@ class Record(Displayed):
     ) -> "Record":
         """A record from a data frame of pandas, polars or Arrow, read as a file with the same columns would be.
 
+        Also from the time series that other readers hand on as SEP 005 of SDyPy has them: a list of dictionaries.
+
         Args:
             frame: one column a channel; a unit stands in the name (`tip [g]`) or in the metadata of the field.
             inputs: names of the channels that drive the system; () for none.
