@@ -4,8 +4,9 @@
 recorder are no one instant) and, at the references, how much it moves for its force. Delays are taken out of the
 records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. What a
 set-up did not measure is then simulated by the model of one that did, driven by its own inputs and started from its own
-references; one model is fitted to all records with all channels. What is simulated brings no new information, but makes
-the errors look small, so the deviations of the joint model are those of the set-ups together: information adds,
+references; one model is fitted to all records with all channels, which says what is a mode. What is simulated brings no
+new information, draws the joint fit towards the model that made it, and makes the errors look small; so poles and
+shapes are the means of what the set-ups give, and information adds,
 
     1 / var = sum over set-ups of 1 / var_s
 
@@ -316,29 +317,53 @@ def _with_joint_deviations(
 
 
 def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Identification]) -> Mode:
-    """Deviations of a mode of the joint model from those of the same mode in the set-ups; nan where none has it."""
+    """A mode of the joint model at the mean of what the set-ups give, by information; its own where none has it.
+
+    Each set-up is fitted with its own noise and the outputs that it has; the joint fit is not, for what is simulated
+    in one set-up by the model of another draws it towards that. The joint participations bring the parts of the shape
+    to one scale.
+    """
     information = np.zeros(2)
+    sums = np.zeros(2)
     shape_information = np.zeros(mode.shape.size)
+    shape_sum = np.zeros(mode.shape.size, dtype=np.complex128)
     for one, result in zip(setups, results, strict=True):
         own = _same(mode, list(one.outputs), result.modes, _places(one, one.outputs))
         if own is None:
             continue
-        for k, std in enumerate((own.frequency_std, own.damping_ratio_std)):
-            information[k] += 1.0 / std**2 if std > 0.0 else 0.0
-        if own.shape_std is not None:
+        for k, (value, std) in enumerate(
+            ((own.frequency, own.frequency_std), (own.damping_ratio, own.damping_ratio_std))
+        ):
+            weight = 1.0 / std**2 if std > 0.0 else 0.0
+            information[k] += weight
+            sums[k] += weight * value
+        joint = mode.participation[list(one.inputs)]
+        if own.shape_std is not None and joint.any():
             outputs = list(one.outputs)
-            # a set-up's largest component is 1 by definition: on the joint scale it is as uncertain as the others
-            deviation = np.where(own.shape_std > 0.0, own.shape_std, own.shape_std.max())
-            deviation = deviation * np.abs(mode.shape[outputs[int(np.abs(own.shape).argmax())]])
-            shape_information[outputs] += np.where(deviation > 0.0, deviation, np.inf) ** -2.0
+            scale = complex(np.vdot(joint, own.participation) / np.vdot(joint, joint))
+            weights = (abs(scale) * np.maximum(_spread(own), np.finfo(np.float64).tiny)) ** -2.0
+            shape_information[outputs] += weights
+            shape_sum[outputs] += weights * scale * own.shape
     deviations = _deviation(information)
-    shape = _deviation(shape_information)
-    shape[np.abs(mode.shape).argmax()] = 0.0
+    frequency, damping = np.where(
+        information > 0.0, sums / np.where(information > 0.0, information, 1.0), (mode.frequency, mode.damping_ratio)
+    )
+    known = bool((shape_information > 0.0).all())
+    shape = shape_sum / shape_information if known else mode.shape
+    largest = complex(shape[np.abs(shape).argmax()])
+    shape_std = _deviation(shape_information) / abs(largest)
+    shape_std[np.abs(shape).argmax()] = 0.0
+    pole = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2)))
     return replace(
         mode,
+        pole=pole if mode.kind == "oscillatory" else mode.pole,
+        frequency=float(frequency),
+        damping_ratio=float(damping),
         frequency_std=float(deviations[0]),
         damping_ratio_std=float(deviations[1]),
-        shape_std=shape if np.isfinite(shape).all() else None,
+        shape=shape / largest,
+        participation=mode.participation * largest,
+        shape_std=shape_std if known else None,
     )
 
 

@@ -59,7 +59,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
 
     Delay and gain belong to a set-up, so neither may be seen in the joint shapes and residues.
     """
-    late = set_up(2, 2, [1, 2], level=5.0, n=904)
+    late = set_up(2, 2, [1, 2], level=5.0, n=904, noise=0.01)
     second = okid.Record(
         0.5 * late.inputs[4:],
         late.outputs[:-4],
@@ -68,7 +68,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
         output_names=late.output_names,
         name="set-up 2",
     )
-    records = [set_up(1, 2, [1, 0]), second]
+    records = [set_up(1, 2, [1, 0], noise=0.01), second]
     orders = {"observer_order": 20, "ridge": 1e-6, "order": 6}
     result = modal.identify(okid.join_setups(records), **orders)
     assert any("set-up 2: force 4 samples" in choice.value for choice in result.choices)
