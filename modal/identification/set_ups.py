@@ -537,6 +537,7 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
     known = all(one.shape_std is not None for one in found)
+    doubt = "" if weakest.verdict == "system" else f"; the least sure of them: {weakest.reason}"
     return replace(
         mode,
         pole=size * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
@@ -551,7 +552,7 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
         verdict=middle.verdict,
         damping_resolved=all(one.damping_resolved for one in found),
         repeatability=min(one.repeatability for one in found),
-        reason=f"found in all {len(found)} set-ups; the least sure of them: {weakest.reason}",
+        reason=f"found in all {len(found)} set-ups{doubt}",
     )
 
 
