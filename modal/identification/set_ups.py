@@ -28,8 +28,9 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, predict, simulate
 from modal.identification.result import Identification
+from modal.identification.synthesis import realised
 from modal.modes.choice import Choice, Fit
-from modal.modes.modal_form import continuous_poles, discrete_poles, modal_basis
+from modal.modes.modal_form import continuous_poles, modal_basis
 from modal.modes.mode import ModalModel, Mode, Uncertainty
 from modal.modes.shape_sets import assurance
 from modal.preparation.band import coherent_band
@@ -323,54 +324,40 @@ def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Ide
     in one set-up by the model of another draws it towards that. The joint participations bring the parts of the shape
     to one scale.
     """
-    information = np.zeros(2)
-    sums = np.zeros(2)
-    shape_information = np.zeros(mode.shape.size)
-    shape_sum = np.zeros(mode.shape.size, dtype=np.complex128)
-    for one, result in zip(setups, results, strict=True):
-        own = _same(mode, list(one.outputs), result.modes, _places(one, one.outputs))
-        if own is None:
-            continue
-        for k, (value, std) in enumerate(
-            ((own.frequency, own.frequency_std), (own.damping_ratio, own.damping_ratio_std))
-        ):
-            weight = 1.0 / std**2 if std > 0.0 else 0.0
-            information[k] += weight
-            sums[k] += weight * value
+    gained, sums = np.zeros(mode.shape.size), np.zeros(mode.shape.size, dtype=np.complex128)
+    pairs = zip(setups, results, strict=True)
+    found = [_same(mode, one.outputs, result.modes, range(len(one.outputs))) for one, result in pairs]
+    for one, own in zip(setups, found, strict=True):
         joint = mode.participation[list(one.inputs)]
-        if own.shape_std is not None and joint.any():
-            outputs = list(one.outputs)
-            scale = complex(np.vdot(joint, own.participation) / np.vdot(joint, joint))
-            weights = (abs(scale) * np.maximum(_spread(own), np.finfo(np.float64).tiny)) ** -2.0
-            shape_information[outputs] += weights
-            shape_sum[outputs] += weights * scale * own.shape
-    deviations = _deviation(information)
-    frequency, damping = np.where(
-        information > 0.0, sums / np.where(information > 0.0, information, 1.0), (mode.frequency, mode.damping_ratio)
-    )
-    known = bool((shape_information > 0.0).all())
-    shape = shape_sum / shape_information if known else mode.shape
-    largest = complex(shape[np.abs(shape).argmax()])
-    shape_std = _deviation(shape_information) / abs(largest)
-    shape_std[np.abs(shape).argmax()] = 0.0
+        if own is None or own.shape_std is None or not joint.any():
+            continue
+        outputs = list(one.outputs)
+        scale = complex(np.vdot(joint, own.participation) / np.vdot(joint, joint))
+        weight = (abs(scale) * np.maximum(_spread(own), np.finfo(np.float64).tiny)) ** -2.0
+        gained[outputs] += weight
+        sums[outputs] += weight * scale * own.shape
+    sure = [own for own in found if own is not None and own.frequency_std > 0.0 and own.damping_ratio_std > 0.0]
+    frequency, frequency_std = _mean([own.frequency for own in sure], [own.frequency_std for own in sure])
+    damping, damping_std = _mean([own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure])
+    if not sure:
+        frequency, damping = mode.frequency, mode.damping_ratio
+    known = bool((gained > 0.0).all())
+    shape = sums / gained if known else mode.shape
+    largest = int(np.abs(shape).argmax())
+    shape_std = gained**-0.5 / abs(shape[largest]) if known else np.zeros(0)
+    shape_std[largest : largest + 1] = 0.0
     pole = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2)))
     return replace(
         mode,
-        pole=pole if mode.kind == "oscillatory" else mode.pole,
-        frequency=float(frequency),
-        damping_ratio=float(damping),
-        frequency_std=float(deviations[0]),
-        damping_ratio_std=float(deviations[1]),
-        shape=shape / largest,
-        participation=mode.participation * largest,
+        pole=pole if sure and mode.kind == "oscillatory" else mode.pole,
+        frequency=frequency,
+        damping_ratio=damping,
+        frequency_std=frequency_std,
+        damping_ratio_std=damping_std,
+        shape=shape / shape[largest],
+        participation=mode.participation * shape[largest],
         shape_std=shape_std if known else None,
     )
-
-
-def _deviation(information: FloatArray) -> FloatArray:
-    with np.errstate(divide="ignore"):
-        result: FloatArray = np.where(information > 0.0, information**-0.5, np.nan)
-    return result
 
 
 def _same(mode: Mode, rows: Sequence[int], modes: Iterable[Mode], others: Sequence[int]) -> Mode | None:
@@ -442,7 +429,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         value=f"{len(setups)}: {measured}",
         reason="each was identified by its outputs alone; the references scale what the others saw",
     )
-    model = _realised(modes)
+    model = realised(modes)
     placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
     predicted = tuple(record for _, some in placed for record in some)
     return replace(
@@ -531,22 +518,20 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
     frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
     damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
     largest = int(np.abs(shape).argmax())
-    size = 2.0 * np.pi * frequency
     by_certainty = sorted(found, key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
-    known = all(one.shape_std is not None for one in found)
     doubt = "" if weakest.verdict == "system" else f"; the least sure of them: {weakest.reason}"
     return replace(
         mode,
-        pole=size * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
+        pole=2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
         frequency=frequency,
         damping_ratio=damping,
         frequency_std=frequency_std,
         damping_ratio_std=damping_std,
         shape=shape / shape[largest],
-        shape_std=shape_std if known else None,
+        shape_std=shape_std if all(one.shape_std is not None for one in found) else None,
         mass_std=None,
         probability=middle.probability,
         verdict=middle.verdict,
@@ -559,22 +544,12 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
 def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
     """Average by information and its deviation; the plain one and nan where a deviation is not known."""
     value, std = np.array(values), np.array(deviations)
+    if not value.size:
+        return float("nan"), float("nan")
     if not (np.isfinite(std).all() and (std > 0.0).all()):
         return float(value.mean()), float("nan")
     weight = std**-2.0
     return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
-
-
-def _realised(modes: ModalModel) -> Realisation:
-    """The modes as a state space model without inputs, two states a mode."""
-    poles, _ = discrete_poles(modes.modes, modes.dt)
-    n_states, n_outputs = 2 * len(poles), len(modes.output_names)
-    A, C = np.zeros((n_states, n_states)), np.zeros((n_outputs, n_states))
-    for r, (pole, mode) in enumerate(zip(poles, modes.modes, strict=True)):
-        at = slice(2 * r, 2 * r + 2)
-        A[at, at] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
-        C[:, at] = np.column_stack([mode.shape.real, mode.shape.imag])
-    return Realisation(A, np.zeros((n_states, 0)), C, np.zeros((n_outputs, 0)), modes.dt)
 
 
 def _filled(
