@@ -1,14 +1,14 @@
 """How a frozen type shows itself: a few lines in a console, a small table in a notebook, never all of its numbers."""
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Displayed"]
+__all__ = ["Displayed", "listed"]
 
 WIDTH = 110
 """Show an object in one line where it is no longer than this."""
@@ -51,6 +51,19 @@ class Displayed:
             for key, value in _cut(self.display_rows())
         )
         return f"<table><caption>{html.escape(self.display_title())}</caption>{cells}</table>"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as a list, the first few where they are many.
+
+    Example:
+        >>> listed(["tip", "root"]), listed([f"floor_{k}" for k in range(40)])
+        ("['tip', 'root']", "['floor_0', 'floor_1', 'floor_2', 'floor_3', ... 40 in all]")
+    """
+    text = str(list(names))
+    if len(text) <= 4 * WIDTH:
+        return text
+    return f"[{', '.join(map(in_short, names[:4]))}, ... {len(names)} in all]"
 
 
 def in_short(value: Any) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import ComplexArray, FloatArray, frozen, real_number, require, time_step, whole_number
+from okid.display import Displayed, listed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
 from okid.record import Record, check_names, labels
@@ -64,7 +65,7 @@ _OVERLAP = {"hann": 0.5, "hamming": 0.5, "flattop": 0.75}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class FrequencyResponse:
+class FrequencyResponse(Displayed):
     """Response of each output to each input at some frequencies, with what is known about how it was made.
 
     Attributes:
@@ -137,7 +138,7 @@ class FrequencyResponse:
         name = f"{self.name!r}: " if self.name else ""
         return (
             f"FrequencyResponse({name}{self.n_lines} lines from {first:.6g} to {last:.6g} Hz, inputs "
-            f"{list(self.input_names)}, outputs {list(self.output_names)}, window {self.window})"
+            f"{listed(self.input_names)}, outputs {listed(self.output_names)}, window {self.window})"
         )
 
     @property

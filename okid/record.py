@@ -29,7 +29,7 @@ from okid.arrays import (
     time_step,
     whole_number,
 )
-from okid.display import Displayed
+from okid.display import Displayed, listed
 from okid.errors import InsufficientDataError, InvalidDataError
 
 if TYPE_CHECKING:
@@ -267,8 +267,8 @@ class Record(Displayed):
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
         return (
-            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {list(self.input_names)}, "
-            f"outputs {list(self.output_names)})"
+            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {listed(self.input_names)}, "
+            f"outputs {listed(self.output_names)})"
         )
 
     @property
@@ -312,6 +312,8 @@ class Record(Displayed):
         input_hold: InputHold = "band_limited",
     ) -> "Record":
         """A record from a data frame of pandas, polars or Arrow, read as a file with the same columns would be.
+
+        Also from the time series that other readers hand on as SEP 005 of SDyPy has them: a list of dictionaries.
 
         Args:
             frame: one column a channel; a unit stands in the name (`tip [g]`) or in the metadata of the field.

@@ -20,6 +20,7 @@ from modal.comparison.shifts import ResultSummary, read_result
 from modal.identification.result import Identification, load
 from modal.modes.mode import numbered
 from modal.wording.names import shorten, visible
+from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 
 __all__ = ["MODE_CSV", "MODE_TABLE", "PLACES", "RECORD_TABLE", "Batch", "part_file", "with_oddities", "write_tables"]
@@ -33,8 +34,8 @@ ROWS_AT_ONCE = 500
 """Write the modes of so many records at once: some ten megabytes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Batch:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Batch(Displayed):
     """The results of many records, in a folder; read when asked for.
 
     Args:

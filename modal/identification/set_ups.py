@@ -4,8 +4,9 @@
 recorder are no one instant) and, at the references, how much it moves for its force. Delays are taken out of the
 records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. What a
 set-up did not measure is then simulated by the model of one that did, driven by its own inputs and started from its own
-references; one model is fitted to all records with all channels. What is simulated brings no new information, but makes
-the errors look small, so the deviations of the joint model are those of the set-ups together: information adds,
+references; one model is fitted to all records with all channels, which says what is a mode. What is simulated brings no
+new information, draws the joint fit towards the model that made it, and makes the errors look small; so poles and
+shapes are the means of what the set-ups give, and information adds,
 
     1 / var = sum over set-ups of 1 / var_s
 
@@ -27,8 +28,9 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, predict, simulate
 from modal.identification.result import Identification
+from modal.identification.synthesis import realised
 from modal.modes.choice import Choice, Fit
-from modal.modes.modal_form import continuous_poles, discrete_poles, modal_basis
+from modal.modes.modal_form import continuous_poles, modal_basis
 from modal.modes.mode import ModalModel, Mode, Uncertainty
 from modal.modes.shape_sets import assurance
 from modal.preparation.band import coherent_band
@@ -316,36 +318,46 @@ def _with_joint_deviations(
 
 
 def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Identification]) -> Mode:
-    """Deviations of a mode of the joint model from those of the same mode in the set-ups; nan where none has it."""
-    information = np.zeros(2)
-    shape_information = np.zeros(mode.shape.size)
-    for one, result in zip(setups, results, strict=True):
-        own = _same(mode, list(one.outputs), result.modes, _places(one, one.outputs))
-        if own is None:
+    """A mode of the joint model at the mean of what the set-ups give, by information; its own where none has it.
+
+    Each set-up is fitted with its own noise and the outputs that it has; the joint fit is not, for what is simulated
+    in one set-up by the model of another draws it towards that. The joint participations bring the parts of the shape
+    to one scale.
+    """
+    gained, sums = np.zeros(mode.shape.size), np.zeros(mode.shape.size, dtype=np.complex128)
+    pairs = zip(setups, results, strict=True)
+    found = [_same(mode, one.outputs, result.modes, range(len(one.outputs))) for one, result in pairs]
+    for one, own in zip(setups, found, strict=True):
+        joint = mode.participation[list(one.inputs)]
+        if own is None or own.shape_std is None or not joint.any():
             continue
-        for k, std in enumerate((own.frequency_std, own.damping_ratio_std)):
-            information[k] += 1.0 / std**2 if std > 0.0 else 0.0
-        if own.shape_std is not None:
-            outputs = list(one.outputs)
-            # a set-up's largest component is 1 by definition: on the joint scale it is as uncertain as the others
-            deviation = np.where(own.shape_std > 0.0, own.shape_std, own.shape_std.max())
-            deviation = deviation * np.abs(mode.shape[outputs[int(np.abs(own.shape).argmax())]])
-            shape_information[outputs] += np.where(deviation > 0.0, deviation, np.inf) ** -2.0
-    deviations = _deviation(information)
-    shape = _deviation(shape_information)
-    shape[np.abs(mode.shape).argmax()] = 0.0
+        outputs = list(one.outputs)
+        scale = complex(np.vdot(joint, own.participation) / np.vdot(joint, joint))
+        weight = (abs(scale) * np.maximum(_spread(own), np.finfo(np.float64).tiny)) ** -2.0
+        gained[outputs] += weight
+        sums[outputs] += weight * scale * own.shape
+    sure = [own for own in found if own is not None and own.frequency_std > 0.0 and own.damping_ratio_std > 0.0]
+    frequency, frequency_std = _mean([own.frequency for own in sure], [own.frequency_std for own in sure])
+    damping, damping_std = _mean([own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure])
+    if not sure:
+        frequency, damping = mode.frequency, mode.damping_ratio
+    known = bool((gained > 0.0).all())
+    shape = sums / gained if known else mode.shape
+    largest = int(np.abs(shape).argmax())
+    shape_std = gained**-0.5 / abs(shape[largest]) if known else np.zeros(0)
+    shape_std[largest : largest + 1] = 0.0
+    pole = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2)))
     return replace(
         mode,
-        frequency_std=float(deviations[0]),
-        damping_ratio_std=float(deviations[1]),
-        shape_std=shape if np.isfinite(shape).all() else None,
+        pole=pole if sure and mode.kind == "oscillatory" else mode.pole,
+        frequency=frequency,
+        damping_ratio=damping,
+        frequency_std=frequency_std,
+        damping_ratio_std=damping_std,
+        shape=shape / shape[largest],
+        participation=mode.participation * shape[largest],
+        shape_std=shape_std if known else None,
     )
-
-
-def _deviation(information: FloatArray) -> FloatArray:
-    with np.errstate(divide="ignore"):
-        result: FloatArray = np.where(information > 0.0, information**-0.5, np.nan)
-    return result
 
 
 def _same(mode: Mode, rows: Sequence[int], modes: Iterable[Mode], others: Sequence[int]) -> Mode | None:
@@ -417,7 +429,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         value=f"{len(setups)}: {measured}",
         reason="each was identified by its outputs alone; the references scale what the others saw",
     )
-    model = _realised(modes)
+    model = realised(modes)
     placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
     predicted = tuple(record for _, some in placed for record in some)
     return replace(
@@ -506,49 +518,38 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
     frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
     damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
     largest = int(np.abs(shape).argmax())
-    size = 2.0 * np.pi * frequency
     by_certainty = sorted(found, key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
-    known = all(one.shape_std is not None for one in found)
+    doubt = "" if weakest.verdict == "system" else f"; the least sure of them: {weakest.reason}"
     return replace(
         mode,
-        pole=size * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
+        pole=2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
         frequency=frequency,
         damping_ratio=damping,
         frequency_std=frequency_std,
         damping_ratio_std=damping_std,
         shape=shape / shape[largest],
-        shape_std=shape_std if known else None,
+        shape_std=shape_std if all(one.shape_std is not None for one in found) else None,
         mass_std=None,
         probability=middle.probability,
         verdict=middle.verdict,
         damping_resolved=all(one.damping_resolved for one in found),
         repeatability=min(one.repeatability for one in found),
-        reason=f"found in all {len(found)} set-ups; the least sure of them: {weakest.reason}",
+        reason=f"found in all {len(found)} set-ups{doubt}",
     )
 
 
 def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
     """Average by information and its deviation; the plain one and nan where a deviation is not known."""
     value, std = np.array(values), np.array(deviations)
+    if not value.size:
+        return float("nan"), float("nan")
     if not (np.isfinite(std).all() and (std > 0.0).all()):
         return float(value.mean()), float("nan")
     weight = std**-2.0
     return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
-
-
-def _realised(modes: ModalModel) -> Realisation:
-    """The modes as a state space model without inputs, two states a mode."""
-    poles, _ = discrete_poles(modes.modes, modes.dt)
-    n_states, n_outputs = 2 * len(poles), len(modes.output_names)
-    A, C = np.zeros((n_states, n_states)), np.zeros((n_outputs, n_states))
-    for r, (pole, mode) in enumerate(zip(poles, modes.modes, strict=True)):
-        at = slice(2 * r, 2 * r + 2)
-        A[at, at] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
-        C[:, at] = np.column_stack([mode.shape.real, mode.shape.imag])
-    return Realisation(A, np.zeros((n_states, 0)), C, np.zeros((n_outputs, 0)), modes.dt)
 
 
 def _filled(

@@ -1,4 +1,4 @@
-"""The frequency responses of a result, in the motion that is wanted."""
+"""The frequency responses of a result, in the motion that is wanted; modes as a state space model."""
 
 from typing import Literal, get_args
 
@@ -7,12 +7,14 @@ import numpy.typing as npt
 
 from era.realisation import Realisation
 from modal.identification.result import Identification
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel
 from modal.modes.response_synthesis import frf
-from okid.arrays import frozen
+from okid.arrays import frozen, require
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse
 
-__all__ = ["Motion", "frequency_response"]
+__all__ = ["Motion", "frequency_response", "realised"]
 
 Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
 
@@ -47,6 +49,8 @@ def frequency_response(
     """
     if motion not in get_args(Motion):
         raise InvalidDataError(f"motion must be one of {', '.join(get_args(Motion))}, but is {motion!r}.")
+    if not isinstance(result, Realisation):
+        require(result, Identification, where="frequency_response", made_by="modal.identify")
     names = None if isinstance(result, Realisation) else result.channels
     model = result if isinstance(result, Realisation) else result.realisation
     if not model.n_inputs:
@@ -85,3 +89,15 @@ def frequency_response(
         output_units=units,
         name="" if names is None else names.name,
     )
+
+
+def realised(modes: ModalModel) -> Realisation:
+    """The modes as a state space model without inputs, two states a mode."""
+    poles, _ = discrete_poles(modes.modes, modes.dt)
+    n_states, n_outputs = 2 * len(poles), len(modes.output_names)
+    A, C = np.zeros((n_states, n_states)), np.zeros((n_outputs, n_states))
+    for r, (pole, mode) in enumerate(zip(poles, modes.modes, strict=True)):
+        at = slice(2 * r, 2 * r + 2)
+        A[at, at] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+        C[:, at] = np.column_stack([mode.shape.real, mode.shape.imag])
+    return Realisation(A, np.zeros((n_states, 0)), C, np.zeros((n_outputs, 0)), modes.dt)

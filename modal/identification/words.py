@@ -420,8 +420,7 @@ def trust_of(result: Identification) -> Judgement:
         reasons.append("No pole of the model is accepted as a mode of the system.")
     if n_system and (damping := damping_sentence(result)):
         reasons.append(damping)
-    caution = "" if result.modes.indicators_missing else caution_sentence(result)
-    reasons += [sentence for sentence in (doubtful_sentence(result), caution) if sentence]
+    reasons += [sentence for sentence in (doubtful_sentence(result),) if sentence]
     if not n_system:
         return Judgement(trust="not carried", label="Not reliable", reasons=tuple(reasons))
     if result.warnings or not fit >= GOOD_FIT:

@@ -38,6 +38,7 @@ __all__ = [
     "delay_of_phases",
     "given_input_delay",
     "late_inputs",
+    "pulse_steps",
     "with_input_delay",
     "without_input_delay",
 ]
@@ -333,6 +334,18 @@ def _real_delay(angular: FloatArray, doubled: FloatArray, taken: int, turns: Seq
     best = int(np.argmin(chance * tried))
     late = taken + round(float(np.mean(steps[chance * tried <= 1.01 * chance[best] * tried[best]])))
     return max(0, late) if chance[best] * tried[best] < CHANCE * now else taken
+
+
+def pulse_steps(records: Sequence[Record]) -> FloatArray:
+    """(order + 1, n_outputs, n_inputs) how far the pulse responses of a long observer move from lag to lag.
+
+    Args:
+        records: of one system, means removed.
+    """
+    order = observer_order(records)
+    fit = solve(lag_gram(records, order, scaling=channel_scaling(records)), RIDGE)
+    pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, order)
+    return np.abs(np.diff(pulse, axis=0, prepend=0.0))
 
 
 def _empty_lags(records: Sequence[Record]) -> tuple[np.ndarray, int]:

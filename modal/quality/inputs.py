@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
 from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, ROUNDING, SERIOUS, Finding, Level, named, spoken
-from modal.preparation.delay import LEAST_DELAY, choose_input_delay
+from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
 from modal.quality.coherence import FEWEST_AVERAGES
 from modal.wording.numbers import percent
 from okid.arrays import TINY, FloatArray
@@ -50,6 +50,10 @@ FEWEST_TIMED = 400
 
 AHEAD = 2
 """Say that an output runs ahead by so many samples: an input behind a filter or held by a converter explains one."""
+
+EARLY = 0.25
+"""Say that an output runs ahead where its answer before the input moves so much of what it moves at its steepest: a
+blow has no power at high frequencies, and what an observer makes of that swells slowly towards it."""
 
 
 def excitation_findings(records: Sequence[Record]) -> list[Finding]:
@@ -303,6 +307,10 @@ def _lags(parts: Sequence[Record], outputs: Sequence[int]) -> FloatArray | None:
         return None
     # zero means that nothing is known: the leading lags are not empty, or the input does nothing
     seen = samples > 0
+    if (seen & (samples <= HEAD_START - AHEAD)).any():
+        steps = pulse_steps(late)
+        slow = (steps[: HEAD_START - AHEAD + 1].max(axis=0) < EARLY * steps.max(axis=0)).all(axis=0)
+        samples = np.where(slow, np.maximum(samples, HEAD_START), samples) * seen
     return np.where(seen, samples - HEAD_START, 0).astype(np.float64) if seen.any() else None
 
 

@@ -41,6 +41,7 @@ from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
 from modal.wording.names import shorten
+from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of
 from okid.readers.guard import foreign, sound_archive
@@ -103,7 +104,7 @@ _NEEDED = {
 _GROUND = "ground"
 
 
-class KeptModel:
+class KeptModel(Displayed):
     """A model that can be kept in a file.
 
     Class attributes:

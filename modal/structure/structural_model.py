@@ -34,6 +34,7 @@ from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
+from okid.display import listed
 
 __all__ = ["StructuralModel"]
 
@@ -163,8 +164,8 @@ class StructuralModel(KeptModel):
     def __repr__(self) -> str:
         effects = f", with {', '.join(f'{one.effect} at {one.where}' for one in self.effects)}" if self.effects else ""
         return (
-            f"StructuralModel({self.n_dofs} DOFs, inputs {list(self.input_names)}, outputs {list(self.output_names)}, "
-            f"elements {[element.name for element in self.elements]}{effects})"
+            f"StructuralModel({self.n_dofs} DOFs, inputs {listed(self.input_names)}, "
+            f"outputs {listed(self.output_names)}, elements {listed([one.name for one in self.elements])}{effects})"
         )
 
     @classmethod

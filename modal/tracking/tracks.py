@@ -27,6 +27,7 @@ from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, f
 from modal.wording.names import shorten
 from modal.wording.numbers import hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
+from okid.display import Displayed
 from okid.errors import InvalidDataError
 
 __all__ = ["Alarm", "Track", "Tracks", "followed", "track"]
@@ -40,8 +41,8 @@ NINETY_FIVE = 1.96
 """Name a mode in a reason where zero is not within its 95 % interval of so many deviations."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Track:
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Track(Displayed):
     """One mode through the records.
 
     Attributes:
@@ -63,8 +64,8 @@ class Track:
     died: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Alarm:
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Alarm(Displayed):
     """A change that neither the causes nor chance explain.
 
     Attributes:
@@ -84,8 +85,8 @@ class Alarm:
     shifts_std: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Tracks:
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Tracks(Displayed):
     """The modes of many records, followed.
 
     Attributes:

@@ -13,17 +13,17 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import Damage, check_channel_count, foreign, sound_archive
+from okid.readers.guard import Damage, check_channel_count, first_line, foreign, sound_archive
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
-__all__ = ["Content", "array_of", "npz_contents", "read_npy", "read_npz", "table_from_arrays"]
+__all__ = ["Content", "array_of", "npz_contents", "read_npy", "read_npz", "table_from_arrays", "table_of_channels"]
 
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""
@@ -31,6 +31,52 @@ Content = npt.NDArray[np.generic] | Sequence[str]
 STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"])
 RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
 ROLES = ("inputs", "outputs")
+
+
+def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
+    """The table of time series as SEP 005 of SDyPy hands them on: data, name, unit_str, and fs or time each.
+
+    Args:
+        channels: one a time series.
+        path: where they are from, for messages.
+
+    Raises:
+        UnreadableFileError: a series without data, name, or fs and time, or series of different lengths or times.
+    """
+    try:
+        data = [np.asarray(one["data"], dtype=np.float64) for one in channels]
+        names = [str(one["name"]) for one in channels]
+        axes = {
+            (
+                len(values),
+                float(one["fs"] if one.get("fs") else (len(values) - 1) / (one["time"][-1] - one["time"][0])),
+            )
+            for one, values in zip(channels, data, strict=True)
+        }
+    except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
+        raise UnreadableFileError(
+            f"{path.name} gives a time series that is none of SEP 005 ({first_line(error)}); each needs data (one "
+            "axis), name, unit_str, and fs or time."
+        ) from error
+    if len(axes) != 1 or any(values.ndim != 1 for values in data):
+        listed = ", ".join(f"{count} samples at {rate:.6g} Hz" for count, rate in sorted(axes)[:4])
+        raise UnreadableFileError(
+            f"the time series of {path.name} have different time axes ({listed}); one record has one, so choose those "
+            "of one rate."
+        )
+    stamps = next((one["time"] for one in channels if not one.get("fs")), None)
+    columns = [
+        Column(name=name, unit=str(one.get("unit_str") or "")) for name, one in zip(names, channels, strict=True)
+    ]
+    if stamps is not None:
+        columns, data = [Column(name="time", unit="s"), *columns], [np.asarray(stamps, dtype=np.float64), *data]
+    return Table(
+        path=path,
+        format="SEP 005",
+        columns=tuple(columns),
+        values=np.column_stack(data),
+        dt=None if stamps is not None else 1.0 / next(iter(axes))[1],
+    )
 
 
 def table_from_arrays(contents: Mapping[str, Content], *, path: Path, file_format: str) -> Table:

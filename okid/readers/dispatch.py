@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.arrays import read_npy, read_npz, table_from_arrays
+from okid.readers.arrays import read_npy, read_npz, table_from_arrays, table_of_channels
 from okid.readers.guard import check_file, foreign
 from okid.readers.mat import read_mat
 from okid.readers.parquet import read_parquet
 from okid.readers.table import LeftOut, Table, stated_step
-from okid.readers.tdms import read_lvm, read_tdms, read_wav
+from okid.readers.tdms import read_lvm, read_mdf, read_tdms, read_wav
 from okid.readers.text import read_text
 from okid.readers.uff import read_uff
 from okid.readers.units import UnitConversion, convert_unit
@@ -34,6 +34,7 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
     ".tdms": read_tdms,
     ".lvm": read_lvm,
     ".wav": read_wav,
+    **dict.fromkeys((".mf4", ".mdf"), read_mdf),
 }
 """One function a file type."""
 
@@ -42,14 +43,18 @@ OTHERS = "okid.readers"
 
 
 def _reader_of_others(suffix: str) -> Callable[[Path], Table] | None:
-    """A reader that another package offers: from a path to arrays by name, as `okid.readers.arrays` reads them."""
+    """A reader that another package offers: from a path to arrays by name, or to time series of SEP 005."""
     found = list(entry_points(group=OTHERS, name=suffix.lstrip("."))) if suffix else []
     if not found:
         return None
 
     def read(path: Path) -> Table:
         with foreign(path, f"{suffix} file, as {found[0].value} reads it,"):
-            contents = dict(found[0].load()(path))
+            contents = found[0].load()(path)
+            if not isinstance(contents, list):
+                contents = dict(contents)
+        if isinstance(contents, list):
+            return table_of_channels(contents, path=path)
         return table_from_arrays(contents, path=path, file_format=suffix.lstrip(".").upper())
 
     return read

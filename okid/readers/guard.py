@@ -167,8 +167,13 @@ def first_line(error: Exception) -> str:
     return visible((str(error).strip() or type(error).__name__).splitlines()[0])[:200].rstrip(" .")
 
 
-def optional_package(module: str, path: Path) -> ModuleType:
+def optional_package(module: str, path: Path, *, extra: str = "formats") -> ModuleType:
     """Import an optional library, or say which command installs it.
+
+    Args:
+        module: its name.
+        path: of the file that needs it.
+        extra: of our package that brings it.
 
     Raises:
         UnreadableFileError: the library is not installed.
@@ -178,7 +183,7 @@ def optional_package(module: str, path: Path) -> ModuleType:
     except ImportError as error:
         raise UnreadableFileError(
             f"reading {path.name} needs the library {module.partition('.')[0]}, which is not installed; "
-            'run: pip install "okid-modal[formats]".'
+            f'run: pip install "okid-modal[{extra}]".'
         ) from error
 
 

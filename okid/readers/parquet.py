@@ -1,11 +1,13 @@
 """Parquet: one column a channel, the unit in the column's metadata or in its name."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers.arrays import table_of_channels
 from okid.readers.guard import check_channel_count, check_memory, first_line, foreign
 from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
 
@@ -30,13 +32,15 @@ def read_parquet(path: Path) -> Table:
 
 
 def table_of_frame(frame: Any) -> Table:
-    """The columns of numbers of a data frame: pandas, polars, Arrow, whatever exchanges tables by Arrow's protocol.
+    """The columns of numbers of a data frame: pandas, polars, Arrow, or time series of SEP 005.
 
     Raises:
         InvalidDataError: no data frame, or one that does not give its columns away.
     """
     import pyarrow as pa
 
+    if isinstance(frame, list) and frame and all(isinstance(one, Mapping) and "data" in one for one in frame):
+        return table_of_channels(frame, path=Path("the list"))
     try:
         table = frame if isinstance(frame, pa.Table) else pa.table(frame)
     except (TypeError, ValueError, pa.ArrowException) as error:

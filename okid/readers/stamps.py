@@ -1,7 +1,8 @@
 """Stamps of a clock before each row of a text table, such as 2026-05-04T12:00:00.010, as seconds from the first one.
 
 A column of stamps is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in place of
-the T, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells (05/04/2026) is not.
+the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
+(05/04/2026) is not.
 The digits stay as they were written, for they say how far a stamp was rounded.
 """
 
@@ -11,7 +12,7 @@ from functools import lru_cache
 
 __all__ = ["with_seconds"]
 
-_DATE = rb"(?:(?P<date>\d{4}-\d\d-\d\d|\d\d?\.\d\d?\.\d{4})[T ]+)?"
+_DATE = rb"(?:(?P<date>\d{4}(?P<cut>[-/])\d\d(?P=cut)\d\d|\d\d?\.\d\d?\.\d{4})[T ]+)?"
 _CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?(?:Z|[+-]\d\d:?\d\d)?"
 _POINT, _COMMA = (
     re.compile(rb'^[ \t]*"?' + _DATE + _CLOCK % sign + rb'"?(?=[ \t,;\r\n]|\Z)', re.MULTILINE) for sign in (b".", b".,")
@@ -63,7 +64,7 @@ def _whole_seconds(found: re.Match[bytes]) -> int:
 
 @lru_cache(maxsize=64)
 def _day(text: bytes) -> int:
-    if b"-" in text:
-        return date.fromisoformat(text.decode()).toordinal()
+    if b"." not in text:
+        return date.fromisoformat(text.decode().replace("/", "-")).toordinal()
     day, month, year = map(int, text.split(b"."))
     return date(year, month, day).toordinal()

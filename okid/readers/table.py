@@ -20,7 +20,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, check_not_empty, column_block, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
-from okid.readers.units import UnitConversion, convert_unit
+from okid.readers.units import UnitConversion, convert_unit, is_unit
 
 __all__ = [
     "Column",
@@ -46,6 +46,12 @@ TIME_NAMES = frozenset(
 )
 TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|ns|min|h)$")
 """Read the unit of a time column where it stands behind the name without brackets: `time_ms`, `Zeit in s`."""
+
+TIME_WORDS = re.compile(r"(?<![a-z])(?:time|temps|tiempo|tempo|uptime|millis|micros|sec)(?![a-z])|zeit", re.IGNORECASE)
+"""Take a uniform ramp with one of these in its name for the time."""
+
+CLOCKS_OF_BOARDS = {"millis": "ms", "micros": "us"}
+"""Read these names as microcontrollers do."""
 
 COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row", "no", "no.", "#"])
 
@@ -108,10 +114,14 @@ class Table:
 
         A column called time, in the languages and habits of loggers (t, Zeit, Temps, X_Value, time_ms). A capital T may
         be a torque or a temperature: it is the time only if its unit says so, and a `t` with a unit that is none of
-        time is not.
+        time is not. Where none is called so, a uniform ramp in a unit of time, or with a word of time in its name
+        (Messzeit, Temps relatif, millis), is it: no sensor measures one.
         """
         for index, column in enumerate(self.columns):
             if _time_name(column)[0] in TIME_NAMES and _may_be_time(column):
+                return index
+        for index, column in enumerate(self.columns):
+            if _speaks_of_time(column) and _is_ramp(self.values[:, index]):
                 return index
         return None
 
@@ -139,8 +149,26 @@ def _plain(name: str) -> str:
 def _time_name(column: Column) -> tuple[str, str]:
     """Name of what may be a time column, and its unit, which may stand behind the name without brackets."""
     name = _plain(column.name)
+    if name in CLOCKS_OF_BOARDS and not column.unit:
+        return name, CLOCKS_OF_BOARDS[name]
     behind = None if column.unit or name in TIME_NAMES else TIME_SUFFIX.match(name)
     return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit)
+
+
+def _speaks_of_time(column: Column) -> bool:
+    if column.unit:
+        return convert_unit("time", column.unit).unit == "s"
+    return TIME_WORDS.search(column.name) is not None
+
+
+def _is_ramp(values: FloatArray) -> bool:
+    """True for a grid that grows by equal steps, to the jitter of a clock."""
+    count = len(values) - 1
+    span = values[-1] - values[0] if count > 0 else 0.0
+    if not np.isfinite(span) or span <= 0:
+        return False
+    with np.errstate(all="ignore"):
+        return bool(np.abs((values - values[0]) / span * count - np.arange(count + 1)).max() <= JITTER)
 
 
 def _may_be_time(column: Column) -> bool:
@@ -154,24 +182,16 @@ _BRACKET = re.compile(
     r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\{(?P<curly>[^{}]*)\}|<(?P<angle>[^<>]*)>)\s*$", re.DOTALL
 )
 _PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
-_COMMON_UNITS = frozenset(
+_OTHER_UNITS = frozenset(
     [
-        *("s", "ms", "us", "µs", "μs", "min", "h", "sec", "msec", "second", "seconds", "milliseconds"),
-        *("m", "mm", "cm", "km", "um", "µm", "μm", "nm", "in", "inch", "ft"),
-        *("g", "mg", "gn", "kg", "lb", "lbs", "G", "gal", "Gal"),
-        *("N", "mN", "kN", "MN", "lbf", "kip", "Nm", "kNm", "N·m"),
-        *("gf", "kgf", "ozf", "oz", "lb", "kp", "daN", "mil", "mils", "thou", "ips", "dps", "mbar", "hPa"),
-        *("Pa", "kPa", "MPa", "GPa", "bar", "psi", "ksi"),
-        *("V", "mV", "µV", "uV", "A", "mA", "W", "kW", "J", "kJ"),
-        *("mph", "kn", "kt", "kts", "knots", "Ohm", "Ω", "kΩ", "mAh", "Wh", "hp", "PS", "C", "F"),
-        *("K", "°C", "°F", "degC", "degF", "rad", "mrad", "deg", "°", "ºC", "º", "Hz", "kHz"),
-        *("rpm", "RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "1/min", "oz-in", "ozf-in", "in-lb", "ft-lb"),
-        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u."),
+        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
+        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
     ]
 )
-"""What a pair of parentheses may hold to be read as a unit, alone or as products, quotients and powers."""
+"""What else a pair of parentheses may hold to be read as a unit; what converts to SI is known already."""
 
-_SEPARATORS = re.compile(r"[/*·⋅^ ()²³]+|-?\d")
+_SIDES = frozenset(["L", "l", "t", "d", "U/s"])
+"""Left, a time, a day: in parentheses these are no litre and no tonne."""
 
 MAX_NAME = 200
 
@@ -199,10 +219,7 @@ def split_header(header: str) -> tuple[str, str]:
 
 def looks_like_unit(text: str) -> bool:
     """True if `text` is a common unit, or a product, quotient or power of common units."""
-    if text in _COMMON_UNITS:
-        return True
-    parts = [part for part in _SEPARATORS.split(text) if part]
-    return bool(parts) and all(part in _COMMON_UNITS for part in parts)
+    return text in _OTHER_UNITS or (text not in _SIDES and is_unit(text))
 
 
 def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:

@@ -1,11 +1,13 @@
-"""Recorders' own files: TDMS and LVM of National Instruments, and sound files.
+"""Recorders' own files: TDMS and LVM of National Instruments, MDF 3 and 4 of ASAM, and sound files.
 
-TDMS and LVM hold each channel with its unit and time step. A sound file holds shares of full scale at a rate: what full
-scale means in volts or pascals stands nowhere in it, so its channels have no unit.
+TDMS, LVM and MDF hold each channel with its unit and time step. A sound file holds shares of full scale at a
+rate: what full scale means in volts or pascals stands nowhere in it, so its channels have no unit.
 """
 
 import contextlib
+import gc
 import logging
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from okid.errors import UnreadableFileError
-from okid.readers.guard import Damage, check_channel_count, check_memory, foreign, optional_package
+from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
-__all__ = ["read_lvm", "read_tdms", "read_wav"]
+__all__ = ["read_lvm", "read_mdf", "read_tdms", "read_wav"]
 
 END_OF_HEADER = "***End_of_Header***"
 
@@ -67,6 +69,80 @@ def read_tdms(path: Path) -> Table:
             for channel, values in series
             if values.dtype.kind not in "iuf" or not values.size
         ),
+    )
+
+
+def read_mdf(path: Path) -> Table:
+    """The channels of numbers of an MDF file that share the time axis with the most values, in physical units.
+
+    What was recorded at other rates, as buses do beside the fast channels, is left out and said.
+
+    Raises:
+        UnreadableFileError: damaged, or no channel of numbers.
+    """
+    asammdf = optional_package("asammdf", path, extra="mdf")
+    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    with foreign(path, "MDF file"), _opened_mdf(asammdf, path) as file:
+        signals = [
+            (number, file.get(group=number, index=index))
+            for number, group in enumerate(file.groups)
+            for index in range(len(group.channels))
+            if index != file.masters_db.get(number)
+        ]
+    usable = [(number, one) for number, one in signals if _is_channel(one)]
+    if not usable:
+        raise UnreadableFileError(
+            f"{path.name} holds no channel of numbers (it has {len(signals)} channels); save it again."
+        )
+    axes: dict[bytes, list[tuple[int, Any]]] = {}
+    for number, one in usable:
+        axes.setdefault(np.asarray(one.timestamps, np.float64).tobytes(), []).append((number, one))
+    chosen = max(axes.values(), key=lambda group: len(group) * len(group[0][1]))
+    check_channel_count(path, len(chosen))
+    time = np.asarray(chosen[0][1].timestamps, np.float64)
+    names = unique_names([one.name for _, one in chosen], [f"{one.name} {number}" for number, one in chosen])
+    taken = {id(one) for _, one in chosen}
+    return Table(
+        path=path,
+        format="MDF",
+        columns=(
+            Column(name="time", unit="s", header="time"),
+            *(
+                Column(name=name, unit=str(one.unit or "").strip(), header=name)
+                for name, (_, one) in zip(names, chosen, strict=True)
+            ),
+        ),
+        values=np.column_stack([time, *(np.asarray(one.samples, np.float64) for _, one in chosen)]),
+        left_out=tuple(
+            LeftOut(name=one.name, reason=_why_no_channel(one, len(time))) for _, one in signals if id(one) not in taken
+        ),
+    )
+
+
+def _opened_mdf(asammdf: Any, path: Path) -> Any:
+    """The file; the library's own clearing up after one that it cannot open prints nothing."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        try:
+            return asammdf.MDF(path)
+        except Exception as error:  # noqa: BLE001 - whatever a damaged file does to the library
+            words = first_line(error)
+        gc.collect()  # what it left half made
+        raise Damage(words)
+    finally:
+        sys.unraisablehook = hook
+
+
+def _is_channel(signal: Any) -> bool:
+    return signal.samples.dtype.kind in "iuf" and signal.samples.ndim == 1 and len(signal) > 0
+
+
+def _why_no_channel(signal: Any, n_samples: int) -> str:
+    if not _is_channel(signal):
+        return f"it holds {len(signal)} values of {signal.samples.dtype}"
+    return (
+        f"it has {len(signal)} samples at times of its own beside the {n_samples} of the channels read; one file is "
+        "one record, so export it by itself"
     )
 
 

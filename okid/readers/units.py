@@ -11,13 +11,14 @@ it is written, and the conversion says so. Two spellings need a rule, because th
 import functools
 import math
 import re
+import unicodedata
 from dataclasses import dataclass
 from typing import Any
 
 from okid.errors import UnreadableFileError
 from okid.readers.guard import first_line
 
-__all__ = ["UnitConversion", "convert_unit", "unit_error"]
+__all__ = ["UnitConversion", "convert_unit", "is_unit", "unit_error"]
 
 STANDARD_GRAVITY = 9.80665
 
@@ -39,26 +40,82 @@ SI_NAMES = {
 """Coherent SI units in base units, and the name an engineer gives them."""
 
 SPELLINGS = {
-    **dict.fromkeys(("RPM", "Rpm", "r/min", "rev/min", "U/min", "tr/min", "t/min"), "rpm"),
-    **dict.fromkeys(("ips", "IPS", "in/sec"), "inch/s"),
-    **dict.fromkeys(("mil", "mils", "thou"), "thou"),
-    **dict.fromkeys(("gf", "grf", "gram-force", "gram force"), "force_gram"),
-    **dict.fromkeys(("kp", "kgf", "kg-force"), "force_kilogram"),
-    **dict.fromkeys(("in-lb", "in-lbf", "in·lb", "in lb", "lb-in", "lbf-in", "lbf·in", "lbf in"), "inch*force_pound"),
-    **dict.fromkeys(("ft-lb", "ft-lbf", "ft·lb", "ft lb", "lb-ft", "lbf-ft", "lbf·ft", "lb ft"), "foot*force_pound"),
-    **dict.fromkeys(("ozf-in", "oz-in", "ozf·in", "oz·in", "oz in", "in-oz"), "inch*force_ounce"),
-    **dict.fromkeys(("dps", "DPS", "º/s"), "degree/s"),
-    **dict.fromkeys(("º", "Deg", "DEG", "Grad"), "degree"),
-    **dict.fromkeys(("ºC", "deg C", "Celsius"), "degC"),
-    **dict.fromkeys(("ms-2", "ms^-2", "ms⁻²", "mps2", "m/s/s"), "m/s**2"),
-    **dict.fromkeys(("mps", "ms-1", "ms^-1", "ms⁻¹"), "m/s"),
+    **dict.fromkeys(("rpm", "RPM", "Rpm", "r/min", "rev/min", "revs/min", "U/min", "Upm", "tr/min", "tr/mn"), "rpm"),
+    **dict.fromkeys(("t/min", "tours/min"), "rpm"),
+    **dict.fromkeys(("rps", "rev/s", "tr/s", "U/s"), "revolution/s"),
+    **dict.fromkeys(("ips", "IPS"), "inch/s"),
+    **dict.fromkeys(("in", "in.", "inches", '"'), "inch"),
+    **dict.fromkeys(("mil", "mils"), "thou"),
+    **dict.fromkeys(("gf", "grf", "gram·force", "gram·force", "grams·force"), "force_gram"),
+    **dict.fromkeys(("kp", "kgf", "kg·force", "kg·f"), "force_kilogram"),
+    **dict.fromkeys(("pound·force", "lb·f"), "force_pound"),
+    **dict.fromkeys(("kips", "klbf"), "kip"),
+    "ozf": "force_ounce",
+    **dict.fromkeys((f"{a}·{b}" for f in ("lb", "lbs", "lbf") for a, b in (("in", f), (f, "in"))), "inch*force_pound"),
+    **dict.fromkeys((f"{a}·{b}" for f in ("lb", "lbs", "lbf") for a, b in (("ft", f), (f, "ft"))), "foot*force_pound"),
+    **dict.fromkeys((f"{a}·{b}" for f in ("oz", "ozf") for a, b in (("in", f), (f, "in"))), "inch*force_ounce"),
+    **dict.fromkeys(("kgf·m", "kgfm", "kp·m", "kpm"), "force_kilogram*meter"),
+    **dict.fromkeys(("kgf·cm", "kgfcm"), "force_kilogram*centimeter"),
+    "Ncm": "newton*centimeter",
+    "mNm": "millinewton*meter",
+    **dict.fromkeys(("dps", "DPS"), "degree/s"),
+    **dict.fromkeys(("°", "º", "Deg", "DEG", "Grad", "degrees"), "degree"),
+    **dict.fromkeys(("°C", "ºC", "deg·C", "Celsius", "Grad·C"), "degC"),
+    **dict.fromkeys(("°F", "ºF", "deg·F", "Fahrenheit"), "degF"),
+    **dict.fromkeys(("ms·2", "ms-2", "ms^-2", "mps2", "m/s/s"), "m/s**2"),
+    **dict.fromkeys(("mps", "ms-1", "ms^-1"), "m/s"),
+    **dict.fromkeys(("fps",), "foot/s"),
+    **dict.fromkeys(("kmh", "kph", "km/hr"), "km/h"),
+    **dict.fromkeys(("MPH",), "mile/hour"),
     "gal": "Gal",
     **dict.fromkeys(("PS", "ch"), "metric_horsepower"),
     **dict.fromkeys(("kn", "kt", "kts", "knots"), "knot"),
-    '"': "inch",
     "'": "foot",
+    **dict.fromkeys(("newtons", "Newton", "Newtons"), "newton"),
+    **dict.fromkeys(("Volt", "Volts", "volts"), "volt"),
+    **dict.fromkeys(("Amp", "Amps", "amps", "Ampere", "amperes"), "ampere"),
+    **dict.fromkeys(("Watt", "Watts", "watts"), "watt"),
+    **dict.fromkeys(("grams", "grammes", "Gramm"), "gram"),
+    **dict.fromkeys(("microns", "Mikrometer"), "micrometer"),
+    "Bar": "bar",
+    "PSI": "psi",
+    "KN": "kN",
+    "KPa": "kPa",
 }
 """What test stands, loggers and other languages write, as the units library knows it."""
+
+UNITS = frozenset(
+    prefix + unit
+    for unit, prefixes in {
+        "m": "n u µ m c d k",
+        "s": "n u µ m",
+        "N": "m da k M",
+        "Pa": "u µ m h k M G",
+        "V": "n u µ m k",
+        "A": "n u µ m k",
+        "W": "u µ m k M",
+        "J": "m k M",
+        "Hz": "m k M G",
+        "rad": "u µ m",
+        "g": "u µ m k",
+        "Nm": "k",
+        "Nmm": "",
+        "bar": "m",
+        "Gal": "m",
+        "ohm": "m k M",
+        "Ohm": "m k M",
+        "Ω": "m k M",
+        "Wh": "m k",
+        **dict.fromkeys(("sec", "min", "hr", "h", "second", "seconds", "minute", "minutes", "hour", "hours", "d"), ""),
+        **dict.fromkeys(("msec", "usec", "µsec", "milliseconds", "microseconds", "nanoseconds"), ""),
+        **dict.fromkeys(("inch", "ft", "foot", "feet", "thou", "mile", "miles", "micron", "micrometer", "meter"), ""),
+        **dict.fromkeys(("lbf", "kip", "psi", "ksi", "atm", "mmHg", "mph", "knot", "t", "slug", "slugs"), ""),
+        **dict.fromkeys(("deg", "degree", "arcmin", "arcsec", "arcseconds", "rev", "turn", "revolution"), ""),
+        **dict.fromkeys(("degC", "degF", "K", "l", "L", "hp", "newton", "volt", "ampere", "watt", "gram"), ""),
+    }.items()
+    for prefix in ("", *prefixes.split())
+) | frozenset(word for text in SPELLINGS.values() for word in re.findall(r"[A-Za-z_]+", text))
+"""Read what is made of these alone: the units library knows so many more that any word is one (cts, EU, %rH)."""
 
 UNIT_FACTORS = {
     60.0 / (2.0 * math.pi): "revolutions per minute taken for rad/s",
@@ -77,56 +134,49 @@ WIDEST_GAIN = 1e4
 CHANCE = 0.05
 """Name no error of units where chance alone would find one so often."""
 
+POUNDS = {"lb": "force_pound", "lbs": "force_pound", "oz": "force_ounce"}
+"""Read these as a force or as a mass only where the name speaks of one."""
+
+GRAVITIES = frozenset(["g", "mg", "ug", "µg", "G"])
+"""Leave what is made with one of these, gram or gravity, as it is where the name does not speak of a mass."""
+
 PER_MINUTE = frozenset(["1/min", "min-1", "min^-1", "/min"])
 """Read these as revolutions per minute where the name speaks of a rotation."""
 
 SCALED = frozenset(
     [
-        *("rpm", "gf", "kgf", "lbf", "lbs", "kip", "kN", "mN", "mm", "cm", "um", "µm", "mil", "mils", "inch", "ips"),
-        *(
-            "deg",
-            "dps",
-            "ms",
-            "us",
-            "mV",
-            "mA",
-            "psi",
-            "ksi",
-            "bar",
-            "kPa",
-            "MPa",
-            "degC",
-            "kHz",
-            "mg",
-            "g",
-            "kW",
-            "Nmm",
-        ),
+        *("rpm", "gf", "kgf", "lbf", "lbs", "kip", "kN", "daN", "mN", "mm", "cm", "um", "µm", "mil", "mils", "inch"),
+        *("ips", "deg", "dps", "ms", "us", "mV", "mA", "psi", "ksi", "bar", "kPa", "MPa", "degC", "kHz", "mg", "g"),
+        *("kW", "Nmm", "kNm"),
     ]
 )
 """Say so where a name ends in one of these without brackets: the values are not converted."""
 
-NO_UNITS = frozenset(["ue", "uE", "µE", "mE", "U", "R", "pC/N", "C", "a.u.", "au", "AU", "e", "E", "M"])
-"""Keep these as they are written: to the units library they are electrons, mol, astronomical units or coulombs."""
-
 UNKNOWN = "is not a unit that converts to SI; kept as it is"
-_FORCE_WORDS = re.compile(r"force|thrust|kraft|schub|pouss|effort|last\b|load", re.IGNORECASE)
+TWO_MEANINGS = "may be a mass, a force or an acceleration, and the name does not tell which; kept as it is"
+_FORCE_WORDS = re.compile(
+    r"force|thrust|kraft|schub|pouss|effort|last\b|load|hammer|marteau|impact|shaker|empuje|fuerza", re.IGNORECASE
+)
+_WEIGHT_WORDS = re.compile(r"mass|weight|gewicht|poids|peso", re.IGNORECASE)
 _MASS_WORDS = re.compile(
     r"mass|weight|force|thrust|load|gram|kraft|schub|gewicht|last\b|pouss|poids|effort|empuje|fuerza|peso",
     re.IGNORECASE,
 )
 _ACCELERATION_WORDS = re.compile(r"acc|beschl|a[xyz_ ]|\bah\b|quake|ground", re.IGNORECASE)
 _TEMPERATURE_WORDS = re.compile(r"temp|hitze|chaleur", re.IGNORECASE)
-_ROTATION_WORDS = re.compile(r"speed|drehzahl|rpm|rotat|spin|vitesse|régime|regime|motor|shaft|omega", re.IGNORECASE)
-_LAST_WORD = re.compile(r"[\s_,;/](\w+)\W*$")
+_ROTATION_WORDS = re.compile(
+    r"speed|dreh|rpm|rotat|spin|vitesse|régime|regime|motor|shaft|omega|\bn(_|$)", re.IGNORECASE
+)
+_LAST_WORD = re.compile(r"(?:^|[\s_,;/.-])([^\W_]+)\W*$")
+_INSIDE = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
+_SIGNS = str.maketrans(dict.fromkeys("⋅∙•*", "·") | {"μ": "µ", "−": "-"})
+_DOT = re.compile(r"(?<=[A-Za-z])(?:[.-]| *· *| +)(?=[A-Za-z])")
+_WORD = re.compile(r"[^\W\d_]+|[°%\"']")
 _MAGNET_WORDS = re.compile(r"magnet|flux|field|gauss", re.IGNORECASE)
 _GRAVITY = re.compile(r"(m|milli|µ|u)?(?:g|G|gn|g_0|g0|gee)$")
-_GRAVITY_PREFIX = {"": 1.0, "m": 1e-3, "milli": 1e-3, "µ": 1e-6, "u": 1e-6}
-# Letters, signs of units, small numbers; a number raised to a power is refused, so that no text can ask for 9^9^9^9.
-_UNIT_TEXT = re.compile(r"[A-Za-zµμΩ°%_ ·⋅*/^()\-.0-9²³⁻¹]{1,40}")
-_BIG_NUMBER = re.compile(r"\d{3,}|\d\s*(?:\^|\*\*)")
-_PEAK = re.compile(r"\s(?:pp|pk|p-p|pk-pk|peak|rms|eff|0-p)\b", re.IGNORECASE)
-_BARE_POWER = re.compile(r"(?<=[sm])(-?\d)(?!\d)")
+_TOO_LONG = 40
+_BIG_NUMBER = re.compile(r"\d{3,}|\d\s*\^|[a-zA-Z]\^?-?\d{2,}")  # no text can ask for 9^9^9^9
+_BARE_POWER = re.compile(r"(?<=[A-Za-z])(-?\d)(?!\d)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,8 +208,8 @@ class UnitConversion:
         if self.changed:
             shift = f" plus {self.offset:.6g}" if self.offset else ""
             words = f"{self.written} -> {self.unit}, times {self.factor:.6g}{shift}"
-        elif self.note == UNKNOWN:
-            return f"{self.channel}: {self.written!r} {UNKNOWN}"
+        elif self.note in {UNKNOWN, TWO_MEANINGS}:
+            return f"{self.channel}: {self.written!r} {self.note}"
         else:
             words = self.unit or "no unit in the file"
         return f"{self.channel}: {words}" + (f" ({self.note})" if self.note else "")
@@ -182,35 +232,54 @@ def convert_unit(channel: str, written: str) -> UnitConversion:
     if text in SI_UNITS or text in {"", "-", "1"}:
         unit = text if text in SI_UNITS else ""
         return UnitConversion(channel=channel, written=written, unit=unit, note="" if text else _unread_unit(channel))
-    gravity = _GRAVITY.match(text)
-    if text == "G" and _MAGNET_WORDS.search(channel):
-        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
-    if text == "gal" and not _ACCELERATION_WORDS.search(channel):  # a gallon, or cm/s^2 as seismologists write it
-        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
-    if gravity and not _MASS_WORDS.search(channel):
-        factor = STANDARD_GRAVITY * _GRAVITY_PREFIX[gravity[1] or ""]
-        note = f"{text} read as standard gravity"
-        return UnitConversion(channel=channel, written=written, unit="m/s^2", factor=factor, note=note)
-    is_force = text in {"lb", "lbs"} and _FORCE_WORDS.search(channel) is not None
-    is_warm = text in {"C", "F"} and _TEMPERATURE_WORDS.search(channel) is not None
-    is_turning = text in PER_MINUTE and _ROTATION_WORDS.search(channel) is not None
-    spelt = "force_pound" if is_force else "rpm" if is_turning else text.lower() if gravity else text
-    spelt = f"deg{text}" if is_warm else SPELLINGS.get(spelt, spelt)
-    parsed = None if text in NO_UNITS and not is_warm else _parsed(spelt.replace("⋅", "·"))
-    linear = None if parsed is None else _linear(parsed, text)
+    spelt, note = _meaning(channel, text)
+    linear = _linear(spelt, text) if spelt else None
     if linear is None:
-        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN)
+        return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN if spelt else note)
     factor, offset, unit = linear
-    note = f"{text} read as gram, because the name speaks of a mass or force" if gravity else ""
-    if is_force:
-        note = f"{text} read as pound-force, because the name speaks of a force"
-    elif is_warm:
-        note = f"{text} read as deg{text}, because the name speaks of a temperature"
-    elif is_turning:
-        note = f"{text} read as revolutions per minute, because the name speaks of a rotation"
-    elif text in {"mil", "mils"}:
-        note = f"{text} read as a thousandth of an inch"
     return UnitConversion(channel=channel, written=written, unit=unit, factor=factor, offset=offset, note=note)
+
+
+def _meaning(channel: str, text: str) -> tuple[str, str]:
+    """How the units library spells a unit, and what was decided; no spelling and the reason where it is kept."""
+    plain = _plain(text)
+    if plain in POUNDS:
+        return _pounds(channel, text, plain)
+    if plain in PER_MINUTE and _ROTATION_WORDS.search(channel):
+        return "rpm", f"{text} read as revolutions per minute, because the name speaks of a rotation"
+    if plain in {"C", "F"} and _TEMPERATURE_WORDS.search(channel):
+        return f"deg{text}", f"{text} read as deg{text}, because the name speaks of a temperature"
+    if not _is_alone(channel, plain):
+        return "", UNKNOWN
+    if _GRAVITY.match(plain) or GRAVITIES.intersection(_WORD.findall(plain)):
+        return _gram_or_gravity(channel, text, plain)
+    return plain, f"{text} read as a thousandth of an inch" if plain in {"mil", "mils"} else ""
+
+
+def _pounds(channel: str, text: str, plain: str) -> tuple[str, str]:
+    mass = POUNDS[plain].removeprefix("force_")
+    if _FORCE_WORDS.search(channel):
+        return POUNDS[plain], f"{text} read as {mass}-force, because the name speaks of a force"
+    return (mass, "") if _WEIGHT_WORDS.search(channel) else ("", TWO_MEANINGS)
+
+
+def _is_alone(channel: str, plain: str) -> bool:
+    """True for a unit that is no other in this channel: gauss, gallons, or beats where nothing turns."""
+    if plain in PER_MINUTE or (plain == "G" and _MAGNET_WORDS.search(channel)):
+        return False
+    if plain == "gal" and not _ACCELERATION_WORDS.search(channel):
+        return False
+    return is_unit(plain) or _GRAVITY.match(plain) is not None
+
+
+def _gram_or_gravity(channel: str, text: str, plain: str) -> tuple[str, str]:
+    gravity = _GRAVITY.match(plain)
+    if _MASS_WORDS.search(channel):
+        words = f"{text} read as gram, because the name speaks of a mass or force"
+        return (plain.lower(), words) if gravity else (plain, "")
+    if gravity:
+        return f"{gravity[1] or ''}gravity", f"{text} read as standard gravity"
+    return "", TWO_MEANINGS  # g/s, mV/g, g^2/Hz
 
 
 def unit_error(gain: float, std: float) -> str:
@@ -244,10 +313,42 @@ def unit_error(gain: float, std: float) -> str:
 
 def _unread_unit(channel: str) -> str:
     """What a reader must know where a name without a unit ends in one."""
+    inside = [text for text in _INSIDE.findall(channel) if is_unit(text)]
+    if inside:
+        return (
+            f"{inside[0]!r} stands within the name; if it is the unit, write it last: the values are kept as they are"
+        )
     last = _LAST_WORD.search(channel)
     if last is None or (last[1] not in SCALED and last[1].lower() != "rpm"):
         return ""
     return f"the name ends in {last[1]!r}; if that is the unit, write it in brackets: the values are kept as they are"
+
+
+def is_unit(text: str) -> bool:
+    """True for a unit of a channel, or a product, quotient or power of such units.
+
+    Example:
+        >>> is_unit("m/s²"), is_unit("N-m"), is_unit("cts"), is_unit("%rF")
+        (True, True, False, False)
+    """
+    plain = _plain(text)
+    if plain in SPELLINGS:
+        return True
+    words = _WORD.findall(plain)
+    rest = _WORD.sub("", plain)
+    return (
+        bool(words)
+        and len(plain) <= _TOO_LONG
+        and all(word in UNITS or word in SPELLINGS for word in words)
+        and not re.search(r"[^-+.·*/^() \d]", rest)
+        and not _BIG_NUMBER.search(plain)
+    )
+
+
+def _plain(text: str) -> str:
+    """One spelling of what is printed in several: powers as m/s2, products with a dot in the middle."""
+    text = unicodedata.normalize("NFKC", text.strip().replace("º", "°")).replace("**", "^").translate(_SIGNS)
+    return _DOT.sub("·", text)
 
 
 @functools.cache
@@ -272,10 +373,7 @@ def _registry() -> Any:
 @functools.cache
 def _parsed(text: str) -> Any:
     """The unit as pint knows it, None if it does not; "m/s2" and "m s-2" are read as powers."""
-    if not _UNIT_TEXT.fullmatch(text) or _BIG_NUMBER.search(text):
-        return None
-    if " " in text and _PEAK.search(text):
-        return None
+    text = SPELLINGS.get(text) or _WORD.sub(lambda word: SPELLINGS.get(word[0], word[0]), text).replace("·", "*")
     registry = _registry()
     for spelling in (text, _BARE_POWER.sub(r"^\1", text)):
         try:
@@ -285,8 +383,13 @@ def _parsed(text: str) -> Any:
     return None
 
 
-def _linear(parsed: Any, written: str) -> tuple[float, float, str] | None:
+def _linear(spelt: str, written: str) -> tuple[float, float, str] | None:
     """Factor, offset and SI unit; None for what measures no dimension (counts, %) or is not linear (dB)."""
+    if spelt.endswith("gravity"):  # does not cost the import of the units library
+        return {"": 1.0, "m": 1e-3, "milli": 1e-3}.get(spelt[:-7], 1e-6) * STANDARD_GRAVITY, 0.0, "m/s^2"
+    parsed = _parsed(spelt)
+    if parsed is None:
+        return None
     quantity = _registry().Quantity
     try:
         zero, one, two = (quantity(value, parsed).to_base_units() for value in (0.0, 1.0, 2.0))

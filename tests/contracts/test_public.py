@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from public_table import dataclasses_everywhere, module_names, public_functions, public_table, public_types
 
+from okid.display import Displayed
+
 EMPTY = inspect.Parameter.empty
 
 POSITIONAL = {
@@ -109,6 +111,12 @@ def section(docstring, *titles):
             length = next((i for i, line in enumerate(lines[start:]) if line and line[0] != " "), len(lines))
             return "\n".join(lines[start : start + length])
     return ""
+
+
+@pytest.mark.parametrize("name", sorted(name for name, kind in TYPES.items() if dataclasses.is_dataclass(kind)))
+def test_public_types_show_themselves_in_notebooks_too(name):
+    assert issubclass(TYPES[name], Displayed)
+    assert not hasattr(TYPES[name].__repr__, "__wrapped__")  # that of a dataclass, which writes out every field
 
 
 def documented(text):

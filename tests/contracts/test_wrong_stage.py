@@ -25,6 +25,7 @@ CHAIN = modal.StructuralModel.chain([1.0], [4.0], [0.1], force_dofs=[0], sensor_
         (lambda: modal.write_report(RECORD, "nowhere"), "takes an Identification, but was given Record"),
         (lambda: modal.save_recording(RECORD, "nowhere.rrd"), "takes an Identification, but was given Record"),
         (lambda: modal.identify(MODEL), "okid.Record"),
+        (lambda: modal.frequency_response(RECORD), "takes an Identification, but was given Record"),
         (lambda: modal.simulate(RECORD, RECORD), "a model is a StructuralModel, a state space"),
         (lambda: modal.simulate(CHAIN, RECORD.inputs), "plain inputs need a time step"),
         (lambda: modal.discrepancy.diagnose(CHAIN, RECORD, []), "there is no held-out record"),

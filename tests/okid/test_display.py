@@ -33,6 +33,13 @@ def test_a_representation_is_short_whatever_it_holds(value):
     assert text.count("\n") < 20
 
 
+def test_many_channels_are_counted():
+    names = [f"a rather long name of channel {k}" for k in range(300)]
+    record = Record([], np.zeros((400, 300)), 1.0, output_names=names)
+    assert len(repr(record)) <= 300
+    assert "300 in all" in repr(record)
+
+
 def test_a_wide_type_says_what_it_leaves_out():
     wide = dataclasses.make_dataclass(
         "Wide", [(f"field_{i}", float, 0.5) for i in range(60)], bases=(Displayed,), repr=False

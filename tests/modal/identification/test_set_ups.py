@@ -59,7 +59,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
 
     Delay and gain belong to a set-up, so neither may be seen in the joint shapes and residues.
     """
-    late = set_up(2, 2, [1, 2], level=5.0, n=904)
+    late = set_up(2, 2, [1, 2], level=5.0, n=904, noise=0.01)
     second = okid.Record(
         0.5 * late.inputs[4:],
         late.outputs[:-4],
@@ -68,7 +68,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
         output_names=late.output_names,
         name="set-up 2",
     )
-    records = [set_up(1, 2, [1, 0]), second]
+    records = [set_up(1, 2, [1, 0], noise=0.01), second]
     orders = {"observer_order": 20, "ridge": 1e-6, "order": 6}
     result = modal.identify(okid.join_setups(records), **orders)
     assert any("set-up 2: force 4 samples" in choice.value for choice in result.choices)
@@ -160,3 +160,31 @@ def test_blows_at_several_points_under_one_name_are_told():
     assert any("name it after the point" in text for text in roved.warnings)
     fixed = [replace(blows[0], outputs=blows[0].outputs * (1 + 1e-3 * k), name=f"{k}") for k in range(3)]
     assert not any("belong together" in text for text in modal.identify(fixed, **given).warnings)
+
+
+def test_loud_set_ups_do_not_draw_the_shapes_of_quiet_ones():
+    """Forces from 0.5 to 10 and weak modes: a joint fit to simulated outputs gave a MAC of 0.964 here."""
+    rng = np.random.default_rng(90006)
+    frequencies = np.sort(rng.uniform(3, 40, 4))
+    damping, shapes = np.exp(rng.uniform(np.log(0.004), np.log(0.02), 4)), rng.standard_normal((32, 4)) / np.sqrt(32)
+    rng = np.random.default_rng(5)
+    records = []
+    for k, level in enumerate((1.0, 10.0, 0.5, 4.0)):
+        sensors = [0, 1, *range(2 + 4 * k, 6 + 4 * k)]
+        force = level * rng.standard_normal(1200)
+        outputs = np.zeros((1200, 6))
+        for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
+            pole = 2 * np.pi * frequency * complex(-ratio, np.sqrt(1 - ratio**2))
+            discrete = np.exp(0.01 * pole)
+            state = scipy.signal.lfilter([0, (discrete - 1) / pole], [1, -discrete], force.astype(complex))
+            outputs += np.outer(state.real * shape[5], shape[sensors])
+        outputs += 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        names = [f"y{sensor}" for sensor in sensors]
+        records.append(okid.Record(force, outputs, 0.01, input_names=["force"], output_names=names, name=f"{k}"))
+    modes = modal.identify(okid.join_setups(records)).modes
+    order = [modes.output_names.index(f"y{k}") for k in range(18)]
+    for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
+        mode = min(modes.system, key=lambda one, f=frequency: abs(one.frequency - f))
+        assert abs(mode.frequency - frequency) < 4 * mode.frequency_std
+        assert abs(mode.damping_ratio - ratio) < 4 * mode.damping_ratio_std
+        assert assurance(mode.shape[order], shape[:18]) > 0.99

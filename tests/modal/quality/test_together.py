@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import scipy
 import scipy.signal
 
 from modal.quality.inputs import copy_findings, timing_findings
@@ -77,3 +78,32 @@ def test_slow_motion_that_the_input_causes_is_no_drift():
     force = rng.standard_normal(5000)
     slow = scipy.signal.lfilter([0.0, 0.002], [1.0, -0.998], force)
     assert drift_findings([Record(force, noisy(slow / slow.std()), 0.01)]) == []
+
+
+def struck_points(seed, n_points=8, n=3000):
+    """A record a point that a hammer strikes, all channels behind the linear-phase filter of their recorder."""
+    rng = np.random.default_rng(seed)
+    taps = scipy.signal.firwin(241, 0.39 / 4, window=("kaiser", 9.0))
+    frequencies = (0.063, 0.112, 0.187, 0.188, 0.244, 0.316, 0.71, 0.82, 0.94, 1.15)
+    damping, shapes = rng.uniform(0.003, 0.02, 10), rng.uniform(-1, 1, (n_points, 10))
+    records = []
+    for point in range(n_points):
+        width = rng.integers(14, 22)  # at eight times the rate
+        force, outputs = np.zeros((8 * n, n_points)), np.zeros((8 * n, 2))
+        force[2000 : 2000 + width, point] = np.sin(np.pi * np.arange(width) / width) ** 1.5
+        for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
+            pole = np.exp(2 * np.pi * frequency / 8 * complex(-ratio, 1))
+            state = scipy.signal.lfilter([1.0], [1, -2 * pole.real, abs(pole) ** 2], force[:, point])
+            outputs += np.outer(np.diff(state, n=2, prepend=[0, 0]) * shape[point], shape[:2])
+        force, outputs = (
+            scipy.signal.oaconvolve(x, taps[:, np.newaxis], axes=0, mode="same")[::8] for x in (force, outputs)
+        )
+        force[:, point] += 1e-4 * force.max() * rng.standard_normal(n)
+        outputs += 0.003 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        records.append(Record(force, outputs, 1 / 1024))
+    return records
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_blows_without_high_frequencies_leave_no_output_ahead(seed):
+    assert timing_findings(struck_points(seed), [0, 1]) == []

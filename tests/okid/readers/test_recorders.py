@@ -1,6 +1,7 @@
 """LVM and WAV files written by hand and by the standard library, and readers that other packages offer."""
 
 import struct
+import sys
 import wave
 from importlib.metadata import EntryPoint
 
@@ -127,3 +128,67 @@ def test_other_packages_offer_readers(tmp_path, monkeypatch):
     (tmp_path / "bad.abc").write_text("1 two")
     with pytest.raises(UnreadableFileError, match=r"bad\.abc is damaged"):
         okid.read_record(tmp_path / "bad.abc")
+
+
+def series(name, values, **time):
+    return {"name": name, "data": values, "unit_str": "g" if name == "tip" else "N", **time}
+
+
+def sep005_of(path):
+    return [series(name, np.arange(float(path.read_text())), fs=50.0) for name in ("tip", "force")]
+
+
+def test_series_of_sep005_are_records(tmp_path, monkeypatch):
+    values = np.arange(6.0)
+    for time in ({"fs": 50.0}, {"time": list(0.02 * values)}):
+        channels = [series("force", values, **time), series("tip", 2 * values, **time)]
+        record = okid.Record.from_frame(channels, inputs="force", outputs="tip")
+        assert (record.dt, record.output_units) == (pytest.approx(0.02), ("m/s^2",))
+        np.testing.assert_allclose(record.outputs[:, 0], 2 * 9.80665 * values)
+    (tmp_path / "run.dxd").write_text("6")
+    monkeypatch.setattr(EntryPoint, "load", lambda _self: sep005_of)
+    point = EntryPoint(name="dxd", value=f"{__name__}:sep005_of", group="okid.readers")
+    monkeypatch.setattr(dispatch, "entry_points", lambda group, name: [point] if name == "dxd" else [])
+    assert okid.read_record(tmp_path / "run.dxd", inputs="force").output_names == ("tip",)
+    for wrong, words in (
+        ([series("a", values, fs=50.0), series("b", values, fs=25.0)], "different time axes"),
+        ([series("a", values, fs=50.0), series("b", values[1:], fs=50.0)], "different time axes"),
+        ([series("a", values)], "none of SEP 005"),
+        ([{"data": values, "fs": 50.0}], "none of SEP 005"),
+        ([series("a", values, time=[0.0] * 6)], "none of SEP 005"),
+    ):
+        with pytest.raises(UnreadableFileError, match=words) as caught:
+            okid.Record.from_frame(wrong, inputs=(), outputs="a")
+        assert "\n" not in str(caught.value)
+
+
+def test_mdf_needs_its_extra(tmp_path, monkeypatch):
+    (tmp_path / "run.mf4").write_bytes(b"MDF     4.10")
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(
+        UnreadableFileError, match=r'asammdf, which is not installed; run: pip install "okid-modal\[mdf\]"'
+    ):
+        okid.read_record(tmp_path / "run.mf4")
+
+
+def test_channels_of_an_mdf_file(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    time = 5.0 + np.arange(500) / 1000.0
+    with asammdf.MDF(version="4.10") as file:
+        fast = [("tip", "g", np.sin(time)), ("force", "kN", np.cos(time).astype("f4")), ("count", "", np.arange(500))]
+        file.append([asammdf.Signal(samples=x, timestamps=time, name=name, unit=unit) for name, unit, x in fast])
+        file.append([asammdf.Signal(samples=np.arange(50.0), timestamps=time[::10], name="oil", unit="degC")])
+        file.save(tmp_path / "run.mf4")
+    record = okid.read_record(tmp_path / "run.mf4", inputs="force", outputs=["tip"])
+    assert (record.dt, record.start_time) == (pytest.approx(1e-3), pytest.approx(5.0))
+    assert (record.input_units, record.output_units) == (("N",), ("m/s^2",))
+    np.testing.assert_allclose(record.outputs[:, 0], 9.80665 * np.sin(time))
+    np.testing.assert_allclose(record.inputs[:, 0], 1000 * np.cos(time), rtol=1e-6)
+    (left,) = dispatch.describe_file(tmp_path / "run.mf4").left_out
+    assert (left.name, "50 samples" in left.reason) == ("oil", True)
+    (tmp_path / "cut.mf4").write_bytes((tmp_path / "run.mf4").read_bytes()[:700])
+    for name, words in (("cut.mf4", "damaged"), ("oil.mf4", "damaged")):
+        if name == "oil.mf4":
+            (tmp_path / name).write_text("time,tip\n0,1\n")
+        with pytest.raises(UnreadableFileError, match=words):
+            okid.read_record(tmp_path / name)

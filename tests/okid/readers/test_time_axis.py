@@ -149,6 +149,7 @@ def test_time_columns_in_milliseconds(file_with_time, header):
         "2026-05-04 23:59:{}Z",
         '"2026-05-04T23:59:{}+02:00"',
         "04.05.2026 23:59:{}",
+        "2026/05/04 23:59:{}",
         "23:59:{}",
     ],
 )
@@ -176,6 +177,31 @@ def test_a_stamp_that_is_no_date(tmp_path):
     path.write_text("t,x\n2026-02-28 00:00:00,1\n2026-02-31 00:00:01,2\n")
     with pytest.raises(UnreadableFileError, match="no date"):
         read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale"),
+    [
+        *(
+            ("Messzeit [s]", 1.0),
+            ("Temps relatif [ms]", 1e-3),
+            ("Zeit  1 - Standardmessrate [s]", 1.0),
+            ("millis", 1e-3),
+        ),
+        *(("micros", 1e-6), ("uptime_ms", 1e-3), ("rel. time [s]", 1.0), ("Abtastzeit", 1.0), ("ramp [s]", 1.0)),
+    ],
+)
+def test_a_ramp_that_speaks_of_time_is_the_time(file_with_time, header, scale):
+    """Also where the step is given: the ramp must not become an output."""
+    path = file_with_time(TIME, header)
+    assert read_record(path).dt == pytest.approx(0.01 * scale)
+    assert read_record(path, dt=0.01 * scale).output_names == ("y",)
+
+
+@pytest.mark.parametrize("header", ["loop time", "delay [ms]"])
+def test_what_is_no_ramp_is_a_channel(file_with_time, header):
+    values = np.random.default_rng(1).standard_normal(N_SAMPLES)
+    assert read_record(file_with_time(values, header), dt=0.01).n_outputs == 2
 
 
 @pytest.mark.parametrize("header", ["T", "tip_ms", "times", "dt", "x", "timer_h"])

@@ -78,7 +78,7 @@ def test_a_units_library_that_does_not_work_is_said(monkeypatch):
     monkeypatch.setattr("pint.UnitRegistry", broken)
     units._registry.cache_clear()
     with pytest.raises(UnreadableFileError, match=r"pint does not work here \(cannot inherit .*run: pip install"):
-        convert_unit("speed", "furlong/fortnight")
+        convert_unit("speed", "km/h")
 
 
 def test_a_rate_of_temperature_has_no_offset():
@@ -232,9 +232,9 @@ HEADERS = {
     (0.01, "m/s^2"): "Acc [cm/s²]|Acc [Gal]|Acc [gal]",
     (1e-5, "m/s^2"): "Acc [mGal]",
     (1e-3, "m"): "Weg [mm]|Déplacement [mm]|Displacement (mm)",
-    (1e-6, "m"): "Displacement [µm]|Weg [µm]|Weg [um]",
+    (1e-6, "m"): "Displacement [µm]|Weg [µm]|Weg [um]|Weg [Mikrometer]",
     (INCH / 1000, "m"): "Displacement [mil]|Displacement [mils]|Weg [thou]",
-    (INCH, "m"): "Displacement (in)|Displacement [inch]",
+    (INCH, "m"): "Displacement (in)|Displacement [inch]|LVDT (inches)|Stroke [in.]",
     (1.0, "m/s"): "Airspeed (m/s)|Geschwindigkeit (m/s)|Vitesse [m/s]",
     (1e-3, "m/s"): "Velocity [mm/s]|Schwinggeschwindigkeit [mm/s]",
     (INCH, "m/s"): "Velocity [ips]|Velocity (in/s)",
@@ -246,10 +246,10 @@ HEADERS = {
     (10.0, "N"): "Effort [daN]|Kraft [daN]",
     (GRAVITY, "N"): "Thrust (kgf)|Kraft [kp]",
     (GRAVITY / 1000, "N"): "Thrust (gf)|Thrust [gf]",
-    (POUND * GRAVITY, "N"): "Thrust (lbf)|Force (lbf)|Load [lb]|Load [lbs]|Kraft [lb]",
+    (POUND * GRAVITY, "N"): "Thrust (lbf)|Force (lbf)|Load [lb]|Load [lbs]|Kraft [lb]|Hammer [lb]|Force [pound-force]",
     (1000 * POUND * GRAVITY, "N"): "Load [kip]",
     (1e-3, "kg"): "Schub [g]|Poussée [g]|Weight [g]|Mass [g]|Schubkraft [g]|Gewicht [g]|Poids [g]|Masse [g]|Thrust (g)"
-    "|Effort [g]|Fuerza [g]|Peso [g]",
+    "|Effort [g]|Fuerza [g]|Peso [g]|Weight (grams)",
     (1.0, "kg"): "Masse [kg]|Mass (kg)",
     (1000.0, "kg"): "Masse [t]",
     (POUND, "kg"): "Weight [lb]",
@@ -259,15 +259,20 @@ HEADERS = {
         "rad/s",
     ): "Drehzahl [1/min]|Drehzahl [U/min]|Drehzahl (min-1)|Vitesse [tr/min]|Tacho [rpm]|tacho1 (rpm)"
     "|Vitesse de rotation (tr/min)|Motor Electrical Speed (RPM)|Motor Optical Speed (RPM)|speed [r/min]"
+    "|n [1/min]|Drehzahl [min⁻¹]|Umdrehungen [1/min]|Régime [tr/mn]"
     "|speed [rev/min]",
     (np.pi / 180, "rad/s"): "Winkelgeschwindigkeit [°/s]|Rate [deg/s]|Rate [dps]|Gyro X (°/s)|Gyro (dps)",
     (np.pi / 180, "rad"): "Winkel [°]|Winkel [Grad]|Angle [deg]|Angle (°)",
     (np.pi / 180, "rad/s^2"): "Angular acc [°/s²]|Angular acc [deg/s^2]",
     (1.0, "rad/s"): "Gyro X (rad/s)|Omega [rad/s]",
-    (1.0, "N m"): "Drehmoment [Nm]|Drehmoment (N·m)|Couple [N.m]|Torque (N·m)|Torque (N⋅m)|Torque [N m]",
+    (
+        1.0,
+        "N m",
+    ): "Couple (N.m)|Torque (N-m)|Mz [N•m]|Drehmoment [Nm]|Drehmoment (N·m)|Couple [N.m]|Torque (N·m)|Torque (N⋅m)"
+    "|Torque [N m]",
     (1000.0, "N m"): "Moment [kNm]|Moment [kN·m]",
     (1e-3, "N m"): "Moment [Nmm]|Moment [mNm]",
-    (POUND * GRAVITY * INCH, "N m"): "Torque (lbf·in)|Torque [in-lb]|Torque [lbf-in]",
+    (POUND * GRAVITY * INCH, "N m"): "Torque (lbf·in)|Torque [lb·in]|Torque [in-lbs]|Torque [in-lb]|Torque [lbf-in]",
     (POUND * GRAVITY * INCH / 16, "N m"): "Torque (ozf·in)|Torque [oz-in]",
     (12 * POUND * GRAVITY * INCH, "N m"): "Moment [lb-ft]|Moment [ft-lb]",
     (1e5, "Pa"): "Druck [bar]|Pression [bar]",
@@ -278,7 +283,7 @@ HEADERS = {
     (1.0, "Pa"): "Sound Pressure (Pa)|mic:S (Pa)",
     (1000.0, "N/m"): "Stiffness [N/mm]|Stiffness [kN/m]",
     (1.0, "N/m"): "Feder [N/m]",
-    (1.0, "V"): "Spannung [V]|Tension [V]|Voltage (V)|Dev1/ai0 (V)|Untitled [V]",
+    (1.0, "V"): "Spannung [V]|Tension [V]|Voltage (V)|Dev1/ai0 (V)|Dev1_ai0 (Volts)|Ausgang [Volt]|Untitled [V]",
     (1e-3, "V"): "Load Cell Thrust (mV)|AI 3 [mV]",
     (1.0, "A"): "Strom [A]|Current (A)",
     (1e-3, "A"): "Courant [mA]|Current [mA]",
@@ -296,14 +301,16 @@ KEPT = (
     "Dehnung [µm/m]|Déformation [µdef]|Motor Efficiency (%)|CH 1 [mV/V]|Strain [um/m]|Displacement [mils pp]|"
     "Charge [C]|Field [G]|Accel X (LSB)|Flow [gpm]|Level [dB]|Level [dB(A)]|Ratio [%]|Count [counts]|x [M]|"
     "Acc [G's]|Acc [g rms]|"
-    "Acc [g's]|Acc [gE]|Weg [Mikrometer]|Dehnung [‰]|Strain [ue]|Strain [microstrain]|Schall [dB]|Inertia [kgm2]|"
-    "Tank [gal]|Velocity [mm/s rms]|Displacement [µm pk-pk]|Acceleration [g pk]"
+    "Acc [g's]|Acc [gE]|Dehnung [‰]|Strain [ue]|Strain [microstrain]|Schall [dB]|Inertia [kgm2]|"
+    "Tank [gal]|Velocity [mm/s rms]|Displacement [µm pk-pk]|Acceleration [g pk]|"
+    "Masse [gr]|Ch 3 [lb]|AI 4 [1/min]|T3 [F]|Strain [µe]|Charge [pC]|Gain [mV/g]|Count [cts]|Feuchte [%rF]|"
+    "Amplitude [EU]|RH [%RH]|Acc [g²/Hz]|X [(g)]|Acc [g/s]"
 )
 """What no reader can turn into SI: the values stay as they are, and it is said."""
 
 NO_BRACKETS = (
     "Kraft / kN|Point1:+Z g|Acceleration, g|Disp, mm|speed_rpm|accel_g|disp_mm|Weg mm|Drehzahl rpm|Torque Nmm|pos_deg|"
-    "Druck bar|Gyro dps|Thrust gf|Tension mV"
+    "Druck bar|Gyro dps|Thrust gf|Tension mV|Effort, daN|rpm|Thrust (gf) raw|Acc [g] filtered|Acc.g|Acc-g|ax_mg"
 )
 """A unit behind a name may be a part of it: the values stay as they are, and it is said."""
 
@@ -338,7 +345,14 @@ def test_names_that_hold_no_unit_are_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("header", "factor", "ice"), [("Temp (C)", 1.0, 0.0), ("Temp (F)", 5 / 9, 32.0), ("Temperatur [°C]", 1.0, 0.0)]
+    ("header", "factor", "ice"),
+    [
+        ("Temp (C)", 1.0, 0.0),
+        ("Temp (F)", 5 / 9, 32.0),
+        ("Temperatur [°C]", 1.0, 0.0),
+        ("T [Grad C]", 1.0, 0.0),
+        ("T [℃]", 1.0, 0.0),
+    ],
 )
 def test_temperatures_of_loggers(header, factor, ice):
     conversion = convert_unit(*split_header(header))
