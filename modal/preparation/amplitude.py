@@ -209,7 +209,7 @@ def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:
     for part in channel.parts:
         for start in range(0, len(part) - n + 1, n // 2):
             power += np.abs(np.fft.rfft(window * np.nan_to_num(part[start : start + n] - channel.mean))) ** 2
-    return np.fft.rfftfreq(n, channel.dt), power
+    return np.arange(n // 2 + 1) / (n * channel.dt), power
 
 
 def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:

@@ -188,7 +188,7 @@ def drift_doubt(mode: Mode, others: Sequence[Mode], duration: float) -> tuple[st
         ...     for pole, kind, f in ((-0.6, "real", 0.1), (-0.5 + 9j, "oscillatory", 1.4))
         ... )
         >>> drift_doubt(slow, [slow, fast], duration=10.0)
-        ('so slow that a drifting sensor makes it as well: it turns 0.96 times within the record',)
+        ('so slow that a drifting sensor makes it as well: it turns 0.95 times within the record',)
     """
     turns = duration * abs(mode.pole) / (2 * np.pi)
     vibrates = any(one.kind == "oscillatory" and one.frequency * duration >= FEWEST_TURNS for one in others)

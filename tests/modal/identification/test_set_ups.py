@@ -133,7 +133,7 @@ def test_ambient_set_ups_are_scaled_by_their_references(tmp_path):
         assert abs(mode.frequency - frequency) < 3 * mode.frequency_std < 0.01 * frequency
         assert abs(mode.damping_ratio - POLE_DAMPING) < 3 * mode.damping_ratio_std < POLE_DAMPING
         shape = truth[[1, 0, 2]] / truth[[1, 0, 2]][np.abs(mode.shape).argmax()]
-        assert (np.abs(mode.shape - shape) <= 5 * mode.shape_std).all()
+        assert (np.abs(mode.shape - shape) <= 5 * mode.shape_std + 1e-12).all()  # the largest is 1 to rounding
     assert "set-up 1: y1, y0; set-up 2: y1, y2" in result.warnings[0]
     assert (
         modal.load(result.save(tmp_path / "result.npz")).modes.system[0].frequency == result.modes.system[0].frequency
