@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Displayed", "listed"]
+__all__ = ["Displayed", "first_names"]
 
 WIDTH = 110
 """Show an object in one line where it is no longer than this."""
@@ -53,11 +53,11 @@ class Displayed:
         return f"<table><caption>{html.escape(self.display_title())}</caption>{cells}</table>"
 
 
-def listed(names: Sequence[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """Names as a list, the first few where they are many.
 
     Example:
-        >>> listed(["tip", "root"]), listed([f"floor_{k}" for k in range(40)])
+        >>> first_names(["tip", "root"]), first_names([f"floor_{k}" for k in range(40)])
         ("['tip', 'root']", "['floor_0', 'floor_1', 'floor_2', 'floor_3', ... 40 in all]")
     """
     text = str(list(names))

@@ -47,6 +47,16 @@ def visible(text: str) -> str:
     )
 
 
+def encodable(text: str) -> str:
+    r"""The text with "?" for what is no letter: half a pair, or a byte of a file name in another code page.
+
+    Example:
+        >>> encodable("run\udcff"), encodable("Prüfstand")
+        ('run?', 'Prüfstand')
+    """
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
 def _sentence(text: str) -> str:
     """The text as a terminal may have it; the middle of a word or quotation that is too long to be read is left out."""
     shown = _TOO_LONG.sub(lambda found: f"{found[0][:80]}…{found[0][-80:]}", visible(text))

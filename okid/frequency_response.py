@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import ComplexArray, FloatArray, frozen, real_number, require, time_step, whole_number
-from okid.display import Displayed, listed
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.display import Displayed, first_names
+from okid.errors import InsufficientDataError, InvalidDataError, encodable
 from okid.markov import MarkovParameters
 from okid.record import Record, check_names, labels
 from okid.rows import as_records, runs_of
@@ -114,6 +114,7 @@ class FrequencyResponse(Displayed):
         set_ = object.__setattr__
         set_(self, "response", response)
         set_(self, "frequencies", frequencies)
+        set_(self, "name", encodable(str(self.name)))
         if self.coherence is not None:
             set_(self, "coherence", _coherence(self.coherence, response.shape))
         if self.n_averages is not None:
@@ -138,7 +139,7 @@ class FrequencyResponse(Displayed):
         name = f"{self.name!r}: " if self.name else ""
         return (
             f"FrequencyResponse({name}{self.n_lines} lines from {first:.6g} to {last:.6g} Hz, inputs "
-            f"{listed(self.input_names)}, outputs {listed(self.output_names)}, window {self.window})"
+            f"{first_names(self.input_names)}, outputs {first_names(self.output_names)}, window {self.window})"
         )
 
     @property

@@ -29,8 +29,8 @@ from okid.arrays import (
     time_step,
     whole_number,
 )
-from okid.display import Displayed, listed
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.display import Displayed, first_names
+from okid.errors import InsufficientDataError, InvalidDataError, encodable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -154,7 +154,7 @@ def labels(given: Sequence[str] | None, count: int, kind: str, *, named: bool) -
         return tuple(f"{kind}_{i}" if named else "" for i in range(count))
     if len(given) != count:
         raise InvalidDataError(f"{len(given)} {kind} {what} were given for {count} {kind}s; give one for each channel.")
-    return tuple(str(label) for label in given)
+    return tuple(encodable(str(label)) for label in given)
 
 
 def own_names(values: object, given: Any) -> Any:
@@ -255,6 +255,7 @@ class Record(Displayed):
         set_(self, "outputs", outputs)
         set_(self, "dt", dt)
         set_(self, "start_time", float(self.start_time))
+        set_(self, "name", encodable(str(self.name)))
         set_(self, "input_names", labels(named[0], inputs.shape[1], "input", named=True))
         set_(self, "output_names", labels(named[1], outputs.shape[1], "output", named=True))
         set_(self, "input_units", labels(self.input_units, inputs.shape[1], "input", named=False))
@@ -267,8 +268,8 @@ class Record(Displayed):
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
         return (
-            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {listed(self.input_names)}, "
-            f"outputs {listed(self.output_names)})"
+            f"Record({name}{self.n_samples} samples every {self.dt:.6g} s, inputs {first_names(self.input_names)}, "
+            f"outputs {first_names(self.output_names)})"
         )
 
     @property

@@ -1,6 +1,7 @@
 """What all commands share: options that mean the same, what is typed as the library takes it, one sentence a fault."""
 
 import contextlib
+import errno
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -95,6 +96,9 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
     except Exception as error:
         if show:
             raise
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO):
+            complain(f"what is printed or written finds no room ({first_line(error)}); make some, or print elsewhere.")
+            raise typer.Exit(2) from error
         if _wants_memory(error):
             complain(
                 f"there is not enough memory for this ({first_line(error)}); give shorter records or fewer channels, "

@@ -28,7 +28,7 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import estimate_initial_state, predict, simulate
 from modal.identification.result import Identification
-from modal.identification.synthesis import realised
+from modal.identification.synthesis import output_model
 from modal.modes.choice import Choice, Fit
 from modal.modes.modal_form import continuous_poles, modal_basis
 from modal.modes.mode import ModalModel, Mode, Uncertainty
@@ -429,7 +429,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         value=f"{len(setups)}: {measured}",
         reason="each was identified by its outputs alone; the references scale what the others saw",
     )
-    model = realised(modes)
+    model = output_model(modes)
     placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
     predicted = tuple(record for _, some in placed for record in some)
     return replace(

@@ -14,7 +14,7 @@ from okid.arrays import frozen, require
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse
 
-__all__ = ["Motion", "frequency_response", "realised"]
+__all__ = ["Motion", "frequency_response", "output_model"]
 
 Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
 
@@ -91,7 +91,7 @@ def frequency_response(
     )
 
 
-def realised(modes: ModalModel) -> Realisation:
+def output_model(modes: ModalModel) -> Realisation:
     """The modes as a state space model without inputs, two states a mode."""
     poles, _ = discrete_poles(modes.modes, modes.dt)
     n_states, n_outputs = 2 * len(poles), len(modes.output_names)

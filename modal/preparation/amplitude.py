@@ -86,6 +86,7 @@ LIMITED_TERMS = 12
 """Follow the distortion of a limit to the eleventh power of the motion."""
 
 LIMITED_SEGMENT = 2048
+"""Resolve the spectrum of a clipped channel by segments of so many rows, or of its longest record."""
 
 
 def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = False) -> list[Finding]:

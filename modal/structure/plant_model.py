@@ -17,7 +17,7 @@ from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.state_space_plant import state_space_plant
 from okid.arrays import FloatArray, frozen
-from okid.display import listed
+from okid.display import first_names
 from okid.record import InputHold, Record
 
 __all__ = ["PlantModel"]
@@ -61,8 +61,8 @@ class PlantModel(KeptModel):
         effects = f", with {', '.join(f'{one.effect} at {one.where}' for one in self.effects)}" if self.effects else ""
         plant = self.plant
         return (
-            f"PlantModel({plant.n_states} states, inputs {listed(plant.input_names)}, outputs "
-            f"{listed(plant.output_names)}{effects})"
+            f"PlantModel({plant.n_states} states, inputs {first_names(plant.input_names)}, outputs "
+            f"{first_names(plant.output_names)}{effects})"
         )
 
     @classmethod

@@ -34,7 +34,7 @@ from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
-from okid.display import listed
+from okid.display import first_names
 
 __all__ = ["StructuralModel"]
 
@@ -164,8 +164,9 @@ class StructuralModel(KeptModel):
     def __repr__(self) -> str:
         effects = f", with {', '.join(f'{one.effect} at {one.where}' for one in self.effects)}" if self.effects else ""
         return (
-            f"StructuralModel({self.n_dofs} DOFs, inputs {listed(self.input_names)}, "
-            f"outputs {listed(self.output_names)}, elements {listed([one.name for one in self.elements])}{effects})"
+            f"StructuralModel({self.n_dofs} DOFs, inputs {first_names(self.input_names)}, "
+            f"outputs {first_names(self.output_names)}, "
+            f"elements {first_names([one.name for one in self.elements])}{effects})"
         )
 
     @classmethod

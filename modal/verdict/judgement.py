@@ -227,7 +227,7 @@ def judge(
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
-        clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where none does.
+        clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
         rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:

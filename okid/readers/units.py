@@ -46,7 +46,7 @@ SPELLINGS = {
     **dict.fromkeys(("ips", "IPS"), "inch/s"),
     **dict.fromkeys(("in", "in.", "inches", '"'), "inch"),
     **dict.fromkeys(("mil", "mils"), "thou"),
-    **dict.fromkeys(("gf", "grf", "gram·force", "gram·force", "grams·force"), "force_gram"),
+    **dict.fromkeys(("gf", "grf", "gram·force", "grams·force"), "force_gram"),
     **dict.fromkeys(("kp", "kgf", "kg·force", "kg·f"), "force_kilogram"),
     **dict.fromkeys(("pound·force", "lb·f"), "force_pound"),
     **dict.fromkeys(("kips", "klbf"), "kip"),

@@ -126,6 +126,31 @@ def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, ca
     assert "there is not enough memory for this (" in capsys.readouterr().err
 
 
+def test_a_file_name_that_is_no_text_is_a_record_like_any_other(data, capfd):
+    shutil.copyfile("a.csv", os.fsdecode(b"\xff.csv"))
+    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
+    assert status(["run", os.fsdecode(b"\xff.csv"), "--inputs", "force", "-o", "out", *choices]) in (0, 1)
+    assert (data / "out" / "recording.rrd").is_file()
+    assert "WARN" not in capfd.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_output_that_finds_no_room_is_a_sentence_and_the_result_is_whole(data):
+    words = ["run", "a.csv", "--inputs", "force", "-o", "out", "--observer-order", "8", "--ridge", "0", "--order", "2"]
+    with Path("/dev/full").open("wb") as full:
+        run = subprocess.run(
+            [sys.executable, "-c", "from modal.command.entry import main; main()", *words],
+            env={**os.environ, "PYTHONPATH": str(HERE)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert run.returncode == 2
+    assert run.stderr.startswith(b"modal-report: what is printed or written finds no room (")
+    assert run.stderr.count(b"\n") == 1
+    assert (data / "out" / "result.npz").is_file()
+
+
 def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, monkeypatch, capsys):
     choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
     run = ["run", "a.csv", "--inputs", "force", "-o", "out", *choices]
