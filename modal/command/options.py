@@ -41,7 +41,20 @@ Inputs = Annotated[
 Outputs = Annotated[
     list[str] | None, typer.Option(metavar="NAMES", help="Names of the outputs; all others unless given.")
 ]
-Dt = Annotated[float | None, typer.Option(metavar="SECONDS", help="Time step in seconds, where the file has no time.")]
+
+
+def _seconds(text: str | float) -> float:
+    """A number as everybody writes it: Python alone would take "1_0" for ten."""
+    try:
+        return float(str(text).replace("_", "x"))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is no number; write seconds such as 0.001") from None
+
+
+Dt = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", parser=_seconds, help="Time step in seconds, where the file has no time."),
+]
 Hold = Annotated[
     InputHold,
     typer.Option(

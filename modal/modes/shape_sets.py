@@ -368,7 +368,7 @@ def _read_csv(path: Path) -> Shapes:
 def _read_npz(path: Path) -> Shapes:
     with sound_archive(path) as archive:
         arrays: dict[str, Any] = {
-            name.removesuffix(".npy"): array_of(archive.read(name)) for name in archive.namelist()
+            member.filename.removesuffix(".npy"): array_of(archive, member) for member in archive.infolist()
         }
     return Shapes(arrays["shapes"], tuple(map(str, arrays["names"])), arrays.get("frequencies"))
 

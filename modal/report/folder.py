@@ -220,6 +220,8 @@ def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None
         there = [name for name in names if (folder / name).exists()]
     except OSError as error:
         raise _cannot_write(folder, error) from error
+    if folder.is_symlink() and not folder.exists():
+        raise InvalidDataError(f"{_named(folder)} is a link to a place that does not exist; make it, or remove it.")
     if not nearest.is_dir():
         raise InvalidDataError(
             f"{_named(folder)} cannot be a folder, because {str(nearest)!r} is a file; choose another folder for the "

@@ -268,7 +268,7 @@ def _read_npz(path: Path) -> Any:
     document: dict[str, Any] = {}
     with sound_archive(path, most=_MOST_ARRAYS) as archive:
         for member in archive.infolist():
-            document[member.filename.removesuffix(".npy")] = _plain(array_of(archive.read(member)))
+            document[member.filename.removesuffix(".npy")] = _plain(array_of(archive, member))
     options = document.pop(_OPTIONS, "{}")
     return {**_with_numbers(json.loads(options)), **document}
 

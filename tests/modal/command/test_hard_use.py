@@ -59,6 +59,18 @@ def test_an_empty_name_is_no_folder(data, command, capsys):
     assert sorted(data.iterdir()) == before
 
 
+def test_a_link_to_nowhere_is_no_folder(data, capsys):
+    (data / "link").symlink_to(data / "gone")
+    assert status(["run", "a.csv", "-o", "link"]) == 2
+    assert "'link' is a link to a place that does not exist; make it, or remove it." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["1_0", "ten"])
+def test_a_step_is_a_number_as_everybody_writes_it(data, text, capsys):
+    assert status(["check", "a.csv", "--dt", text]) == 2
+    assert f"Invalid value for '--dt': {text!r} is no number; write seconds such as 0.001" in capsys.readouterr().err
+
+
 def test_a_link_to_a_record_is_that_record(data):
     (data / "link.csv").symlink_to("a.csv")
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):

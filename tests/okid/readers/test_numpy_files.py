@@ -5,8 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from okid.errors import InvalidDataError
+from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers import describe_file, read_record
+from okid.readers.arrays import npz_contents
 
 RNG = np.random.default_rng(7)
 VALUES = RNG.standard_normal((50, 5))
@@ -57,6 +58,21 @@ def test_a_large_npy_stays_on_disk(tmp_path):
     assert record.outputs.shape == (62_500, 64)
     assert not record.outputs.flags.owndata
     assert peak < 8e6
+
+
+def test_npz_is_unpacked_once_and_to_its_checksum(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", outputs=np.zeros((200_000, 5)), dt=0.01)
+    tracemalloc.start()
+    outputs = npz_contents(tmp_path / "a.npz")["outputs"]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.5 * np.asarray(outputs).nbytes
+    np.savez(tmp_path / "b.npz", outputs=np.arange(5000.0), dt=0.01)
+    data = bytearray((tmp_path / "b.npz").read_bytes())
+    data[data.index(np.float64(4999).tobytes())] ^= 1  # in the last number
+    (tmp_path / "b.npz").write_bytes(data)
+    with pytest.raises(UnreadableFileError, match="Bad CRC-32"):
+        read_record(tmp_path / "b.npz")
 
 
 def test_npz_with_roles_names_and_units(tmp_path):
