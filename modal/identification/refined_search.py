@@ -119,7 +119,7 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
     if not trials:
         return found
-    chosen = _chosen(everything)
+    chosen = _chosen(everything, lambda n: _estimation_share(found.ground, n))
     if len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
         grown = _grown(shop, chosen)
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
@@ -239,24 +239,38 @@ def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Ref
     return None if realisation is None else starting_parameters(realisation, shop.data, held_out=fold)
 
 
-def _chosen(trials: Sequence[Trial]) -> Trial:
+def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda order: 0.0) -> Trial:
     """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
 
     A refinement that may run until it stands still without harm has no early stop to be
-    explained, and its covariance is that of the least-squares estimate.
+    explained, and its covariance is that of the least-squares estimate. No other estimate beats it by more than
+    estimating costs it, so a smaller loss on held-out rows is chance and says nothing against it.
+
+    Args:
+        trials: by rising error.
+        share: of the squared error that estimating a model of an order adds.
     """
     good = [trial for trial in trials if as_good(trial, trials[0])]
     smallest = min(trial.model_order for trial in good)
-    same = [trial for trial in good if trial.model_order == smallest]
-    best = same[0]
+    best = next(trial for trial in good if trial.model_order == smallest)
+    most = best.error * np.sqrt(1.0 + share(smallest))
+    whole = [trial for trial in trials if trial.model_order == smallest and trial.refinement_steps == MOST_STEPS]
     longer = [
         trial
-        for trial in same
+        for trial in whole
         if (trial.observer_order, trial.ridge) == (best.observer_order, best.ridge)
-        and trial.refinement_steps == MOST_STEPS
         and as_good(trial, best)
+        and trial in good
     ]
+    longer += [trial for trial in whole if trial.error <= most]
     return longer[0] if longer else best
+
+
+def _estimation_share(ground: Ground, order: int) -> float:
+    """Share of the squared error that estimating adds: numbers of a model of this order over values of a fold."""
+    n_inputs, n_outputs = ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
+    values = n_outputs * sum(int(rows.sum()) for fold in ground.trained for rows in fold) / len(ground.trained)
+    return (order * (n_inputs + n_outputs) + n_inputs * n_outputs) / max(1.0, values)
 
 
 UNTIL_STILL = 30

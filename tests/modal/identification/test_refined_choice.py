@@ -206,6 +206,23 @@ def test_of_equal_trials_the_smallest_order_and_the_longest_refinement():
     assert choose(a_trial(4, 2, 0.00999), other).observer_order == 10
 
 
+def test_a_loss_that_estimating_explains_is_no_reason_to_leave_the_refinement():
+    """Worse in every block, yet by less than the numbers of the model cost: no other estimate is better by more."""
+    best, lost = a_trial(4, 0, 0.01), a_trial(4, MOST_STEPS, 0.01002, observer=20)
+    for share, chosen in ((0.0021, lost), (0.0019, best)):
+        assert refined_choice._chosen([best, lost], lambda order, share=share: share * order / 4) is chosen
+
+
+def test_what_estimating_costs_is_counted():
+    """Numbers of a model in modal form, over the values that one of the folds leaves to fit."""
+    ground = search([linear_record(4, n_samples=600)], observer_order=15, ridge=1e-4, model_order=6).ground
+    n, m, q = 6, ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
+    n_folds = len(ground.folds)
+    assert refined_choice._estimation_share(ground, n) == pytest.approx(
+        (n + n * q + (n * m - n) + m * q) / (q * 600 * (n_folds - 1) / n_folds), rel=0.05
+    )
+
+
 def test_orders_are_mostly_smaller_whole_pairs_above_a_few(linear):
     _, found, _ = linear
     for best in (1, 4, 12, 30):
