@@ -239,7 +239,7 @@ def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Ref
     return None if realisation is None else starting_parameters(realisation, shop.data, held_out=fold)
 
 
-def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda order: 0.0) -> Trial:
+def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda _order: 0.0) -> Trial:
     """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
 
     A refinement that may run until it stands still without harm has no early stop to be

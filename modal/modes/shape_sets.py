@@ -22,6 +22,7 @@ from modal.modes.modal_form import largest_component
 from modal.modes.mode import ModalModel, Mode
 from modal.modes.response_synthesis import continuous_residue
 from modal.modes.shape_comparison import pair_greatest_first
+from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
@@ -111,9 +112,10 @@ class ScaledShapes(Displayed):
     """Shapes for unit modal mass.
 
     Attributes:
-        shapes: (n_outputs, n_modes) of the system modes, as displacements, for unit modal mass [1/kg^0.5].
+        shapes: (n_outputs, n_modes) of the system modes, as displacements, for unit modal mass [1/kg^0.5]; nan for a
+            mode of which the driving point shows too little to tell the sign of its mass.
         shapes_std: (n_outputs, n_modes) standard deviations of their sizes; nan where not known.
-        modal_mass: (n_modes,) [kg] of the shape whose largest component is 1.
+        modal_mass: (n_modes,) [kg] of the shape whose largest component is 1; nan likewise.
         modal_mass_std: (n_modes,) [kg]; nan where not known.
         driving_point: names of the output and the input at one place and in one direction.
     """
@@ -277,12 +279,14 @@ def _unit_mass(
     shape = mode.shape / mode.pole**powers
     residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
     square = 2j * mode.pole.imag * residue
+    spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
+    if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
+        return np.full_like(shape, np.nan), np.nan
     if not square.real > 0:
         raise InvalidDataError(
             f"the mode at {mode.frequency:.4g} Hz has a negative modal mass at {model.output_names[output]} and "
             f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
         )
-    spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
     return shape * np.sqrt(square) / shape[output], spread
 
 

@@ -55,6 +55,22 @@ def test_a_pair_of_channels_that_is_no_driving_point_is_refused_where_it_shows()
         modal.normalise_shapes(volts, driving_point=("a", "fa"))
 
 
+def test_a_mode_that_the_driving_point_does_not_show_has_no_mass_and_spoils_no_other():
+    """At its node a residue is noise of either sign: known to 60 %, it refuses nothing; to 40 %, a sign is a sign."""
+    model = chain_model(UNITS)
+    fine, vague = np.full((3, 2), 0.01), np.full((3, 2), 0.6)
+    known = [dataclasses.replace(mode, mass_std=fine) for mode in model.modes]
+    known[1] = dataclasses.replace(known[1], mass_std=vague, participation=-known[1].participation)
+    scaled = modal.normalise_shapes(dataclasses.replace(model, modes=tuple(known)), driving_point=("a", "fa"))
+    whole = modal.normalise_shapes(model, driving_point=("a", "fa"))
+    assert np.isnan(scaled.modal_mass).tolist() == [False, True, False]
+    assert scaled.modal_mass[[0, 2]].tolist() == whole.modal_mass[[0, 2]].tolist()
+    assert np.isnan(scaled.shapes).any(axis=0).tolist() == [False, True, False]
+    known[1] = dataclasses.replace(known[1], mass_std=0.4 / 0.6 * vague)
+    with pytest.raises(InvalidDataError, match="negative modal mass at a and fa"):
+        modal.normalise_shapes(dataclasses.replace(model, modes=tuple(known)), driving_point=("a", "fa"))
+
+
 def test_sets_are_joined_by_the_names_of_their_channels():
     model = chain_model(("m",) * 3)
     names = ("c", "extra", "a", "b")
