@@ -38,7 +38,7 @@ from modal.modes.mode import ModalModel
 from modal.preparation.amplitude import clipping_power
 from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
-from modal.preparation.faults import free_of_clipping
+from modal.preparation.faults import free_of_clipping, mended
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -245,8 +245,8 @@ def identify(
 
 
 def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str]) -> FloatArray:
-    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes, on the samples as they came."""
-    several = [record.select(outputs=output_names) for record in records]
+    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they came."""
+    several = [record.select(outputs=output_names) for record in mended(records).records]
     half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
     return clipping_power(several, [mode.frequency for mode in modes.modes], half_widths)
 

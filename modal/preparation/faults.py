@@ -21,7 +21,7 @@ from modal.preparation.amplitude import (
 )
 from modal.preparation.channel import LEVELS, Channel, Finding, channels_of, named, spoken
 from modal.preparation.kind import KindFound, acts, rings_down
-from modal.preparation.samples import sharp_samples, spike_findings, spikes_of
+from modal.preparation.samples import sharp_samples, spike_findings, spikes_of, without_spikes
 from modal.wording.numbers import counted, percent
 from okid.arrays import BoolArray
 from okid.record import Record
@@ -71,9 +71,10 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
         if spiked:
             told.setdefault("spikes", []).append(spiked)
         left_out = driven and channel.role == "output"
-        clipped = clipping_findings(channel, len(kept), left_out=left_out)
+        limited = without_spikes(channel, [(i, int(k)) for i, own in enumerate(gone) for k in np.flatnonzero(own)])
+        clipped = clipping_findings(limited, len(kept), left_out=left_out)
         if clipped and left_out:
-            gone = [one | more for one, more in zip(gone, clipped_samples(channel), strict=True)]
+            gone = [one | more for one, more in zip(gone, clipped_samples(limited), strict=True)]
         if channel.role == "output":
             for mask, own in zip(masks, gone, strict=True):
                 mask[:, channel.index] = own
@@ -171,7 +172,8 @@ def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
     n = len(several)
     findings: list[Finding] = []
     for channel, resolution, sharp in _looked(several):
-        findings += [*constant_findings(channel, n), *clipping_findings(channel, n)]
+        limited = without_spikes(channel, spikes_of(channel, resolution, sharp)[0])
+        findings += [*constant_findings(channel, n), *clipping_findings(limited, n)]
         findings += spike_findings(channel, resolution, sharp, n)
     return tuple(sorted(findings, key=lambda finding: LEVELS.index(finding.level)))
 

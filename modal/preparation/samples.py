@@ -9,6 +9,7 @@ coefficients an output, and one row of the records gives one equation for them.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -34,7 +35,15 @@ from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
 
-__all__ = ["gap_findings", "length_findings", "missing_findings", "sharp_samples", "spike_findings", "spikes_of"]
+__all__ = [
+    "gap_findings",
+    "length_findings",
+    "missing_findings",
+    "sharp_samples",
+    "spike_findings",
+    "spikes_of",
+    "without_spikes",
+]
 
 LEFT_OVER = 0.2
 """Ask that the neighbours of a spike lie within this share of it, or a third of the limit, once it is taken out."""
@@ -99,6 +108,28 @@ def spikes_of(channel: Channel, resolution: float, hits: Sequence[BoolArray]) ->
             found.append((number, k))
             largest = max(largest, abs(float(off[k])))
     return found, largest
+
+
+def without_spikes(channel: Channel, found: Sequence[tuple[int, int]]) -> Channel:
+    """The channel with these samples missing, as `spikes_of` finds them: what lies beyond a limit hides it.
+
+    A value that several of them share stays, for that is a limit at which peaks of one sample end.
+    """
+    values = np.array([channel.parts[number][k] for number, k in found])
+    own, counts = np.unique(values, return_counts=True)
+    alone = [place for place, value in zip(found, values, strict=True) if counts[np.searchsorted(own, value)] == 1]
+    if not alone:
+        return channel
+    parts = [part.copy() for part in channel.parts]
+    for number, k in alone:
+        parts[number][k] = np.nan
+    return replace(
+        channel,
+        parts=tuple(parts),
+        smallest=float(np.fmin.reduce([np.fmin.reduce(part) for part in parts])),
+        largest=float(np.fmax.reduce([np.fmax.reduce(part) for part in parts])),
+        n_missing=channel.n_missing + len(alone),
+    )
 
 
 def _level(channel: Channel, share: float, largest: float) -> Level:

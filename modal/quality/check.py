@@ -15,7 +15,15 @@ from modal.preparation.amplitude import (
     stuck_findings,
 )
 from modal.preparation.channel import BLOCK, LEVELS, NEARLY_ALL, Channel, Finding, channels_of
-from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
+from modal.preparation.samples import (
+    gap_findings,
+    length_findings,
+    missing_findings,
+    sharp_samples,
+    spike_findings,
+    spikes_of,
+    without_spikes,
+)
 from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.quality.inputs import (
@@ -163,7 +171,8 @@ def _channel_findings(
         *missing_findings(channel, n),
         *stuck_findings(channel, records, resolution),
     ]
-    clipped = clipping_findings(channel, n)
+    limited = without_spikes(channel, spikes_of(channel, resolution, known.sharp)[0])
+    clipped = clipping_findings(limited, n)
     if clipped:  # the runs at the limit are those
         found = [finding for finding in found if finding.what != "stuck"]
     found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]

@@ -1,5 +1,7 @@
 """Faults that the identification mends or says; records from `tests/reference`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hard_records import FAMILIES
@@ -8,6 +10,7 @@ from made_records import KINDS, clean_record
 from modal.identification.pipeline import identify
 from modal.preparation.faults import free_of_clipping, mended
 from modal.preparation.kind import find_kind
+from modal.quality.check import check_quality
 from okid.record import Record
 
 
@@ -41,6 +44,24 @@ def test_modes_stand_through_spikes():
     found = np.array([mode.frequency for mode in result.modes.system])
     assert all((np.abs(found - f) < 0.005 * f).any() for f in made.frequencies)
     assert any("spikes" in warning for warning in result.warnings)
+
+
+def test_a_limit_is_seen_below_spikes():
+    """What lies beyond a limit refutes it, unless it is a spike: one of each side stands far outside both limits."""
+    motion = FAMILIES["driven"](5).outputs[:, 0]
+    limit = 1.5 * motion.std()
+    output = np.clip(motion, -limit, limit)
+    places = [np.flatnonzero(np.abs(motion) < 0.5 * limit)[k] for k in (100, 700)]
+    output[places] = 9.0 * limit, -11.0 * limit
+    record = Record([], output, 0.01)
+    (clipped,) = (finding for finding in check_quality(record).findings if finding.what == "clipped")
+    held = np.abs(motion) >= limit
+    assert clipped.share == pytest.approx(held.mean(), rel=1e-3)
+    assert f"at its limit {limit:.4g}" in clipped.sentence
+    assert f"and {-limit:.4g}" in clipped.sentence
+    driven = replace(record, inputs=np.random.default_rng(0).standard_normal((len(output), 1)), input_names=("force",))
+    (kept,) = mended((driven,), driven=True).records
+    assert np.isnan(kept.outputs[held]).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
