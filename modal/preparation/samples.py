@@ -2,7 +2,8 @@
 
 Each sample is compared with the cubic through its two neighbours on either side. A spike is off by six times what is
 usual nearby (a normal variable is so with `FALSE_ALARM`), and with it taken out the neighbours lie as they usually do:
-a hit, a step or the start of a ringing stays rough.
+a hit, a step or the start of a ringing stays rough. Beside missing samples the curve is a guess, and a spike is off by
+six deviations of the channel itself.
 
 The smallest observer that holds one mode looks two samples back: of n_channels channels it has 2 n_channels + n_inputs
 coefficients an output, and one row of the records gives one equation for them.
@@ -157,6 +158,12 @@ def _off_curve(part: FloatArray) -> FloatArray:
     return off
 
 
+def _bridged(part: FloatArray) -> FloatArray:
+    """Straight lines across what is missing."""
+    there = np.flatnonzero(~np.isnan(part))
+    return np.interp(np.arange(part.size), there, part[there]) if there.size else part
+
+
 def _limit(off: FloatArray, channel: Channel, resolution: float, quantile: float) -> FloatArray:
     """How far a sample may be off: six times what is usual in its block and the two beside it.
 
@@ -184,14 +191,21 @@ def _limit(off: FloatArray, channel: Channel, resolution: float, quantile: float
 
 def _sharp(part: FloatArray, off: FloatArray, channel: Channel, resolution: float) -> list[int]:
     """Samples that are far off while their neighbours are not once they are taken out."""
-    size = np.abs(off)
     limit = _limit(off, channel, resolution, CROWDED)
+    unknown = np.isnan(off) & ~np.isnan(part)
+    if unknown.any():
+        off = np.where(unknown, _off_curve(_bridged(part)), off)
+        limit = np.where(unknown, -scipy.special.ndtri(FALSE_ALARM) * channel.std, limit)
+    size = np.abs(off)
     candidates = np.flatnonzero(size > limit)
     found = []
     for k in candidates[:100_000].tolist():
         nearby = part[max(0, k - 2 * _REACH) : k + 2 * _REACH + 1].copy()
         middle = min(k, 2 * _REACH)
         nearby[middle] -= off[k]
+        if unknown[k]:
+            nearby[middle] = np.nan
+            nearby = _bridged(nearby)
         left = _off_curve(nearby)
         peak = size[k] >= np.nanmax(size[max(0, k - _REACH) : k + _REACH + 1])
         if (

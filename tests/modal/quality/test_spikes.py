@@ -32,6 +32,29 @@ def test_one_spike_is_doubtful(channel_of):
     assert "one sample" in finding.sentence
 
 
+@pytest.mark.parametrize("lost", [[299], [301], [298, 302], [301, 302, 303]])
+def test_a_spike_beside_missing_samples_is_found(channel_of, lost):
+    """The curve through its neighbours is not known there: it is off by more than the channel moves."""
+    values = motion()
+    values[300] += 12.0
+    values[lost] = np.nan
+    (finding,) = spikes(channel_of(values))
+    assert [round(start / 0.01) for _, start, _ in finding.spans] == [300]
+
+
+@pytest.mark.parametrize("kind", ["smooth", "white", "ringing", "held steps"])
+def test_nothing_beside_missing_samples_is_taken_for_a_spike(channel_of, kind):
+    rng, time = np.random.default_rng(5), np.arange(20_000)
+    values = {
+        "smooth": np.sin(0.3 * time) + 1e-3 * rng.standard_normal(time.size),
+        "white": rng.standard_normal(time.size),
+        "ringing": np.exp(-0.002 * (time % 4000)) * np.sin(0.7 * (time % 4000)),
+        "held steps": np.repeat(rng.standard_normal(4000), 5),
+    }[kind]
+    values[rng.random(time.size) < 0.05] = np.nan
+    assert spikes(channel_of(values)) == []
+
+
 def test_white_noise_has_no_spikes(channel_of):
     for seed in range(5):
         assert spikes(channel_of(np.random.default_rng(seed).standard_normal(50_000))) == []
