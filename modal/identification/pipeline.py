@@ -435,7 +435,8 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
     a_copy = n_channels * n_samples * ITEM
     need = COPIES * a_copy
     _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
-    kind = find_kind(records, given)
+    looked = mended(records).records if not records[0].n_inputs and need <= MOST_MEMORY else records
+    kind = find_kind(looked, given)  # one spike at its end would make a decay ambient
     if kind.kind not in ("driven", "ambient"):
         _refuse_beyond(need, n_samples, n_channels)
         return (tuple(records), kind) if given == "transient" else free_of_clipping(records, kind)

@@ -96,8 +96,10 @@ def free_of_clipping(records: Sequence[Record], kind: KindFound) -> tuple[tuple[
 
     Records that were not clipped are enough where every input moves in them; else each record is the decay that is left
     once no output is clipped and no input acts. Nothing changes where nothing is clipped, or where nothing is left.
+    A spike hides neither limits nor rest.
     """
-    names, ends = _last_clipped(records)
+    clean = mended(records).records
+    names, ends = _last_clipped(clean)
     if not any(ends):
         return tuple(records), kind
     whole = tuple(record for record, end in zip(records, ends, strict=True) if not end)
@@ -108,7 +110,11 @@ def free_of_clipping(records: Sequence[Record], kind: KindFound) -> tuple[tuple[
         return whole, replace(kind, warnings=(*kind.warnings, text))
     lasts = [last for _, last in acts(records)] if kind.kind == "transient" else kind.starts or [0] * len(records)
     starts = [max(end, last) for end, last in zip(ends, lasts, strict=True)]
-    left = [(one, first) for one, first in zip(records, starts, strict=True) if rings_down(one.outputs[first:])]
+    left = [
+        (one, first)
+        for one, seen, first in zip(records, clean, starts, strict=True)
+        if rings_down(seen.outputs[first:])
+    ]
     if not left:
         return tuple(records), kind
     text = (

@@ -128,10 +128,14 @@ def test_a_clipped_blow_is_left_out_where_another_was_not_clipped():
     assert "left out" in kind.warnings[0]
 
 
+@pytest.mark.parametrize("spike", [0.0, 3.0])
 @pytest.mark.parametrize("force", [True, False])
-def test_what_rings_on_after_clipping_is_a_decay(force):
+def test_what_rings_on_after_clipping_is_a_decay(force, spike):
     record, last = ringing(np.random.default_rng(4), limit=0.5, force=force)
-    (kept,), kind = free_of_clipping((record,), find_kind((record,)))
+    outputs = record.outputs.copy()
+    outputs[[2000, 2400]] += [[spike], [-spike]]
+    record = replace(record, outputs=outputs)
+    (kept,), kind = free_of_clipping((record,), find_kind(mended((record,)).records))
     assert (kept.n_inputs, kind.kind, kind.starts) == (0, "decay", (last - (0 if force else 51),))
     result = identify(record)
     found = [mode.frequency for mode in result.modes.system]
