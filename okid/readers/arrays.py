@@ -92,7 +92,7 @@ def table_from_arrays(contents: Mapping[str, Content], *, path: Path, file_forma
     """
     arrays = {name: value for name, value in contents.items() if isinstance(value, np.ndarray)}
     texts = {_last(name): list(value) for name, value in contents.items() if not isinstance(value, np.ndarray)}
-    dt = _stated_step(arrays)
+    steps = _stated_steps(arrays)
     series, left_out = _series(arrays)
     n_samples = _n_samples(series)
     columns: list[Column] = []
@@ -120,7 +120,8 @@ def table_from_arrays(contents: Mapping[str, Content], *, path: Path, file_forma
         format=file_format,
         columns=tuple(columns),
         values=blocks[0] if len(blocks) == 1 else np.column_stack(blocks),
-        dt=dt,
+        dt=next(iter(steps.values()), None),
+        steps=tuple(steps.items()),
         inputs=roles.get("inputs", ()) if "outputs" in roles else None,
         outputs=roles.get("outputs"),
         left_out=tuple(left_out),
@@ -131,15 +132,17 @@ def _last(name: str) -> str:
     return name.rpartition(".")[2].lower()
 
 
-def _stated_step(arrays: Mapping[str, npt.NDArray[np.generic]]) -> float | None:
+def _stated_steps(arrays: Mapping[str, npt.NDArray[np.generic]]) -> dict[str, float]:
+    """Time steps [s] by the names of the numbers that state them."""
+    steps: dict[str, float] = {}
     for name, value in arrays.items():
         if value.size == 1 and value.dtype.kind in "iuf":
             number = float(value.reshape(-1)[0])
             if _last(name) in STEP_NAMES:
-                return number
+                steps[name] = number
             if _last(name) in RATE_NAMES and number > 0:
-                return 1.0 / number
-    return None
+                steps[name] = 1.0 / number
+    return steps
 
 
 def _series(arrays: Mapping[str, npt.NDArray[np.generic]]) -> tuple[dict[str, FloatArray], list[LeftOut]]:

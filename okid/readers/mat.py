@@ -13,7 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.readers.arrays import Content, table_from_arrays
-from okid.readers.guard import DEFLATE_RATIO, MAX_DEPTH, Damage, check_memory, foreign, optional_package
+from okid.readers.guard import (
+    DEFLATE_RATIO,
+    MAX_CHANNELS,
+    MAX_DEPTH,
+    MAX_MEMBERS,
+    Damage,
+    check_memory,
+    foreign,
+    optional_package,
+)
 from okid.readers.mat_elements import Value, read_elements
 from okid.readers.table import Table
 
@@ -22,6 +31,9 @@ __all__ = ["mat_contents", "read_mat"]
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MATLAB_USER_BLOCK = 512
 """A 7.3 file begins with 512 bytes of its own, then comes HDF5."""
+
+LONGEST_TEXT = 2**16
+"""Leave out texts of more characters: they name no channel."""
 
 HDF5_VERSION = (b"\x00\x02IM", b"\x02\x00MI")
 
@@ -74,54 +86,95 @@ def _add_version_5(contents: dict[str, Content], name: str, value: Value, depth:
 
 def _read_hdf5(path: Path) -> dict[str, Content]:
     h5py = optional_package("h5py", path)
-    contents: dict[str, Content] = {}
     with h5py.File(path, "r") as file:
-        _add_group(contents, h5py, file, prefix="", path=path, depth=0)
-    return contents
+        found = _Hdf5(h5py, path)
+        found.add_group(file, prefix="", depth=0)
+    return found.contents
 
 
-def _add_group(contents: dict[str, Content], h5py: Any, group: Any, *, prefix: str, path: Path, depth: int) -> None:
-    for key in group:
-        if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
-            continue  # MATLAB's own tables; and links, which may lead to other files
-        item = group[key]
-        if isinstance(item, h5py.Group):
-            if depth < MAX_DEPTH:
-                _add_group(contents, h5py, item, prefix=f"{prefix}{key}.", path=path, depth=depth + 1)
-        elif isinstance(item, h5py.Dataset) and not (
-            item.external or item.is_virtual or item.attrs.get("MATLAB_empty", 0)
-        ):
-            value = _dataset(h5py, item, path)
-            if value is not None:
-                contents[f"{prefix}{key}"] = value
+class _Hdf5:
+    """What is read of a file so far. Names may be links of any number to one place: each place is entered once."""
 
+    def __init__(self, h5py: Any, path: Path) -> None:
+        self.h5py, self.path = h5py, path
+        self.contents: dict[str, Content] = {}
+        self.groups: set[int] = set()
+        self.n_names, self.n_bytes = 0, 0.0
 
-def _dataset(h5py: Any, item: Any, path: Path) -> Content | None:
-    if item.external or item.is_virtual or item.attrs.get("MATLAB_empty", 0):
-        return None
-    check_memory(path, 2.0 * float(item.nbytes))
-    if item.nbytes > DEFLATE_RATIO * max(item.id.get_storage_size(), 64):
-        raise Damage(f"{item.nbytes} bytes are announced in {item.id.get_storage_size()} that are there")
-    kind = item.attrs.get("MATLAB_class", b"")
-    if kind == b"char":
-        return [_characters(item)]
-    if kind == b"cell":
-        cells = [item.file[reference] for reference in item[()].ravel() if reference]
-        if all(isinstance(cell, h5py.Dataset) and cell.attrs.get("MATLAB_class", b"") == b"char" for cell in cells):
-            return [_characters(cell) for cell in cells]
-        return None
-    value = item[()]
-    if not isinstance(value, np.ndarray):
-        return None
-    if value.dtype.names == ("real", "imag"):
-        value = value["real"] + 1j * value["imag"]
-    return _vector(value.T) if kind else _vector(value)  # MATLAB stores columns first, so h5py sees the transpose
+    def add_group(self, group: Any, *, prefix: str, depth: int) -> None:
+        """Take up all that is read of a group and of the groups in it."""
+        place = self.h5py.h5o.get_info(group.id).addr
+        if place in self.groups:
+            return
+        self.groups.add(place)
+        self.count(len(group))
+        for key in group:
+            if key.startswith("#") or not isinstance(group.get(key, getlink=True), self.h5py.HardLink):
+                continue  # MATLAB's own tables; and links, which may lead to other files
+            item = group[key]
+            if isinstance(item, self.h5py.Group):
+                if depth < MAX_DEPTH:
+                    self.add_group(item, prefix=f"{prefix}{key}.", depth=depth + 1)
+            elif isinstance(item, self.h5py.Dataset):
+                value = self.content(item)
+                if value is not None:
+                    self.contents[f"{prefix}{key}"] = value
 
+    def count(self, more: int) -> None:
+        """Raise where a file has more names than channels can give it, whatever they are of."""
+        self.n_names += more
+        if self.n_names > MAX_MEMBERS:
+            raise Damage(f"it holds more than {MAX_MEMBERS} arrays")
 
-def _characters(item: Any) -> str:
-    if item.attrs.get("MATLAB_empty", 0):
-        return ""
-    return "".join(chr(code) for code in item[()].T.ravel()).strip()
+    def content(self, item: Any) -> Content | None:
+        """The array or the texts of a dataset; None where it is neither."""
+        if not self.is_own(item):
+            return None
+        kind = item.attrs.get("MATLAB_class", b"")
+        if kind == b"char":
+            text = self.text(item)
+            return None if text is None else [text]
+        if kind == b"cell":
+            return self.texts(item)
+        value = item[()]
+        if not isinstance(value, np.ndarray):
+            return None
+        if value.dtype.names == ("real", "imag"):
+            value = value["real"] + 1j * value["imag"]
+        return _vector(value.T) if kind else _vector(value)  # MATLAB stores columns first, so h5py sees the transpose
+
+    def texts(self, item: Any) -> list[str] | None:
+        """The texts of a cell array, None where it holds anything else or more than there are channels."""
+        if item.size > MAX_CHANNELS:
+            return None
+        found = []
+        for reference in item[()].ravel():
+            cell = item.file[reference] if reference else None
+            if cell is None:
+                continue
+            if not isinstance(cell, self.h5py.Dataset) or cell.attrs.get("MATLAB_class", b"") != b"char":
+                return None
+            text = "" if cell.attrs.get("MATLAB_empty", 0) else self.text(cell)
+            if text is None:
+                return None
+            found.append(text)
+        return found
+
+    def text(self, item: Any) -> str | None:
+        """The characters of a dataset, None where they are no name or are not in this file."""
+        if item.size > LONGEST_TEXT or not self.is_own(item):
+            return None
+        return "".join(chr(code) for code in item[()].T.ravel()).strip()
+
+    def is_own(self, item: Any) -> bool:
+        """Whether what a dataset holds is in this file, as much as it claims, and together not too much."""
+        if item.external or item.is_virtual or item.attrs.get("MATLAB_empty", 0):
+            return False
+        self.n_bytes += float(item.nbytes)
+        check_memory(self.path, 2.0 * self.n_bytes)
+        if item.nbytes > DEFLATE_RATIO * max(item.id.get_storage_size(), 64):
+            raise Damage(f"{item.nbytes} bytes are announced in {item.id.get_storage_size()} that are there")
+        return True
 
 
 def _vector(value: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:

@@ -1,6 +1,7 @@
 """Parquet: one column a channel, the unit in the column's metadata or in its name."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,11 @@ def read_parquet(path: Path) -> Table:
     with foreign(path, "Parquet file"), parquet.ParquetFile(path, page_checksum_verification=True) as file:
         check_channel_count(path, file.metadata.num_columns)
         check_memory(path, 24.0 * file.metadata.num_rows * file.metadata.num_columns)
-        table = file.read()
-    return table_of_arrow(table, path=path, file_format="Parquet")
+        fields = list(file.schema_arrow)
+        # texts and lists may unpack to thousands of times their size, and would be left out
+        table = file.read(columns=[field.name for field in fields if is_numbers(field.type)])
+    left_out = [_no_numbers(field) for field in fields if not is_numbers(field.type)]
+    return table_of_arrow(table, path=path, file_format="Parquet", left_out=left_out)
 
 
 def table_of_frame(frame: Any) -> Table:
@@ -51,25 +55,30 @@ def table_of_frame(frame: Any) -> Table:
     return table_of_arrow(table, path=Path("frame"), file_format="data frame")
 
 
-def table_of_arrow(table: Any, *, path: Path, file_format: str) -> Table:
+def table_of_arrow(table: Any, *, path: Path, file_format: str, left_out: Sequence[LeftOut] = ()) -> Table:
     """The columns of numbers of an Arrow table.
 
     Args:
         table: of pyarrow.
         path: where it comes from, for messages.
         file_format: in words.
+        left_out: what was not even read.
 
     Raises:
         UnreadableFileError: no column of numbers.
     """
-    headers, units, series, left_out = [], [], [], []
+    headers, units, series, without = [], [], [], list(left_out)
     for field, column in zip(table.schema, table.itercolumns(), strict=True):
-        with foreign(path, "Parquet file"):
-            values, unit = _numbers(column, field)
-        if values is None:
-            left_out.append(LeftOut(name=field.name, reason=f"it holds {field.type}, not numbers"))
+        if not is_numbers(field.type):
+            without.append(_no_numbers(field))
             continue
-        headers.append(field.name)
+        with foreign(path, "Parquet file"):
+            header = _header(field, table.schema)
+            values, unit = _numbers(column, field)
+        if not header:
+            without.append(LeftOut(name=field.name, reason="it is the index of the frame, which has no name"))
+            continue
+        headers.append(header)
         units.append(unit)
         series.append(values)
     if not series:
@@ -81,24 +90,54 @@ def table_of_arrow(table: Any, *, path: Path, file_format: str) -> Table:
         for name, unit, (_, written), header in zip(names, units, split, headers, strict=True)
     )
     return Table(
-        path=path, format=file_format, columns=columns, values=np.column_stack(series), left_out=tuple(left_out)
+        path=path, format=file_format, columns=columns, values=np.column_stack(series), left_out=tuple(without)
     )
 
 
-def _numbers(column: Any, field: Any) -> tuple[Any, str]:
-    """The column as float64 with its unit; None if it holds no numbers."""
+def is_numbers(kind: Any) -> bool:
+    """Whether a type of Arrow is one of numbers or of times."""
     import pyarrow as pa
+
+    return any(
+        is_one(kind)
+        for is_one in (
+            pa.types.is_timestamp,
+            pa.types.is_duration,
+            pa.types.is_integer,
+            pa.types.is_floating,
+            pa.types.is_boolean,
+            pa.types.is_decimal,
+        )
+    )
+
+
+def _no_numbers(field: Any) -> LeftOut:
+    return LeftOut(name=field.name, reason=f"it holds {field.type}, not numbers")
+
+
+def _header(field: Any, schema: Any) -> str:
+    """The name of a column; "time" where it is the times that pandas counts its rows by, "" where it counts only."""
+    import pyarrow as pa
+
+    index = (schema.pandas_metadata or {}).get("index_columns", ())
+    if field.name not in index or not re.fullmatch(r"__index_level_\d+__", field.name):
+        return str(field.name)
+    return "time" if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type) else ""
+
+
+def _numbers(column: Any, field: Any) -> tuple[Any, str]:
+    """The column as float64 with its unit."""
+    import pyarrow as pa
+    import pyarrow.compute
 
     metadata = field.metadata or {}
     unit = next((metadata[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in metadata), "")
     kind = field.type
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-        ticks = column.cast(pa.int64()).to_numpy()
-        if pa.types.is_timestamp(kind) and len(ticks):
-            ticks = ticks - ticks[0]  # as integers: nanoseconds since 1970 have more digits than a float64
-        return ticks.astype(np.float64), kind.unit
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
-        return column.cast(pa.float64()).to_numpy(), unit
-    if pa.types.is_decimal(kind):
-        return column.cast(pa.float64()).to_numpy(), unit
-    return None, ""
+        column, unit = column.cast(pa.int64()), kind.unit
+        known = column.drop_null()
+        if pa.types.is_timestamp(kind) and len(known):
+            # as integers: nanoseconds since 1970 have more digits than a float64
+            column = pa.compute.subtract(column, known[0])
+    safe = not pa.types.is_integer(column.type)  # the nearest number: a counter may have more digits
+    return column.cast(pa.float64(), safe=safe).to_numpy(), unit

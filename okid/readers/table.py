@@ -84,6 +84,7 @@ class Table:
         values: (n_samples, n_columns); NaN where a sample is missing; a view of the file if it is mapped.
         dt: time step that the file states [s]; None if it states none (a time column is a column).
         start_time: time of the first sample that the file states [s].
+        steps: names under which the file states time steps, and these [s], where it may state several.
         inputs: names of the inputs if the file tells them apart, else None.
         outputs: likewise.
         left_out: what else the file holds.
@@ -95,6 +96,7 @@ class Table:
     values: FloatArray
     dt: float | None = None
     start_time: float = 0.0
+    steps: tuple[tuple[str, float], ...] = ()
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -290,6 +292,12 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
 def stated_step(table: Table) -> tuple[float | None, float]:
     """Time step (None if the file gives none) and time of the first sample [s]; as `table_time_step` raises."""
     index = table.time_column()
+    several = [step for _, step in table.steps if step > 0]
+    if several and max(several) - min(several) > CONTRADICTION * min(several):
+        said = ", ".join(f"{name} says {step:.6g} s" for name, step in table.steps)
+        raise InvalidDataError(
+            f"{table.path.name} states more than one time step ({said}); keep the right one, or give it (--dt)."
+        )
     if index is None:
         if table.dt is not None and not (np.isfinite(table.dt) and table.dt > 0):
             raise InvalidDataError(

@@ -136,6 +136,52 @@ def test_links_out_of_the_file_are_not_followed(tmp_path):
     assert read_record(tmp_path / "a.mat").output_names == ("x",)
 
 
+@pytest.mark.parametrize("kind", ["external", "virtual"])
+def test_names_out_of_another_file_are_not_read(tmp_path, kind):
+    """A cell array may refer to characters that lie elsewhere."""
+    import h5py
+
+    letters = np.array([[ord(letter)] for letter in "secret"], dtype=np.uint16)
+    with h5py.File(tmp_path / "secret.h5", "w") as other:
+        other["letters"] = letters
+        offset = other["letters"].id.get_offset()
+    write_73(tmp_path / "a.mat", {"dt": 1.0, "outputs": TIPS[:, :2]})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        place, path = file.require_group("#refs#"), str(tmp_path / "secret.h5")
+        if kind == "external":
+            place.create_dataset("a", letters.shape, "u2", external=[(path, offset, letters.nbytes)])
+        else:
+            layout = h5py.VirtualLayout(letters.shape, "u2")
+            layout[:] = h5py.VirtualSource(path, "letters", letters.shape)
+            place.create_virtual_dataset("a", layout)
+        assert place["a"][0, 0] == ord("s")  # h5py itself follows it
+        place["a"].attrs["MATLAB_class"] = np.bytes_("char")
+        names = file.create_dataset("output_names", (2, 1), dtype=h5py.ref_dtype)
+        names[:, 0] = [place["a"].ref] * 2
+        names.attrs["MATLAB_class"] = np.bytes_("cell")
+    assert read_record(tmp_path / "a.mat").output_names == ("output_0", "output_1")
+
+
+def test_links_that_lead_back_and_texts_without_end_cost_nothing(tmp_path):
+    import h5py
+
+    write_73(tmp_path / "a.mat", {"dt": 1.0, "x": FORCE})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        for k in range(30):
+            file[f"again{k}"] = file["/"]
+        empty = file.require_group("#refs#").create_dataset("a", (1, 3 * 10**9), "u2", chunks=(1, 10**6))
+        empty.attrs["MATLAB_class"] = np.bytes_("char")
+        names = file.create_dataset("names", (1, 1), dtype=h5py.ref_dtype)
+        names[0, 0] = empty.ref
+        names.attrs["MATLAB_class"] = np.bytes_("cell")
+    assert read_record(tmp_path / "a.mat").output_names == ("x",)
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        for k in range(8200):
+            file[f"number{k}"] = 0.0
+    with pytest.raises(UnreadableFileError, match="more than 8192 arrays"):
+        read_record(tmp_path / "a.mat")
+
+
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.95])
 def test_cut_off(write, share):
     path = write(dt=1.0, y=np.tile(TIPS, (100, 1)))

@@ -131,6 +131,16 @@ def test_npz_time_and_step_must_agree(tmp_path):
         read_record(tmp_path / "a.npz")
 
 
+@pytest.mark.parametrize("stated", [{"dt": 0.01, "fs": 50}, {"dt": 0.01, "Ts": 0.02}])
+def test_npz_that_states_two_steps_is_not_guessed_at(tmp_path, stated):
+    np.savez(tmp_path / "a.npz", y=VALUES[:, 0], **stated)
+    with pytest.raises(InvalidDataError, match=r"more than one time step \(dt says 0\.01 s, (fs|Ts) says 0\.02 s\)"):
+        read_record(tmp_path / "a.npz")
+    assert read_record(tmp_path / "a.npz", dt=0.02).dt == 0.02
+    np.savez(tmp_path / "b.npz", y=VALUES[:, 0], dt=0.02, fs=50)
+    assert read_record(tmp_path / "b.npz").dt == 0.02
+
+
 def test_npz_names_must_fit(tmp_path):
     np.savez(tmp_path / "a.npz", dt=0.2, outputs=VALUES, output_names=["a", "b"])
     with pytest.raises(InvalidDataError, match=r"output_names of a.npz holds 2 texts, but outputs has 5 columns"):

@@ -1,6 +1,7 @@
 """Parquet written by pyarrow."""
 
 import datetime as dt
+import json
 
 import numpy as np
 import pyarrow as pa
@@ -62,6 +63,59 @@ def test_cut_off(tmp_path, share):
     (tmp_path / "a.parquet").write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(UnreadableFileError, match=r"a\.parquet is damaged, cut off or no Parquet file"):
         read_record(tmp_path / "a.parquet", dt=1.0)
+
+
+def of_pandas(tmp_path, index, name="__index_level_0__"):
+    """A file as pandas writes a frame whose rows are not counted from 0: the index is a column, marked as one."""
+    table = pa.table({"force": FORCE, "tip": TIP, name: index})
+    marked = {b"pandas": json.dumps({"index_columns": [name], "columns": []}).encode()}
+    pq.write_table(table.replace_schema_metadata(marked), tmp_path / "a.parquet")
+    return tmp_path / "a.parquet"
+
+
+def test_the_numbers_of_the_rows_are_no_channel(tmp_path):
+    path = of_pandas(tmp_path, np.arange(100, 100 + len(FORCE)))
+    record = read_record(path, inputs="force", dt=0.1)
+    assert record.output_names == ("tip",)
+    assert any("__index_level_0__ left out: it is the index" in remark for remark in describe_file(path).remarks)
+    assert read_record(of_pandas(tmp_path, np.arange(len(FORCE)), "b"), inputs="force", dt=0.1).output_names == (
+        "tip",
+        "b",
+    )
+    start = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
+    times = pa.array([start + dt.timedelta(milliseconds=20 * k) for k in range(len(FORCE))])
+    assert read_record(of_pandas(tmp_path, times), inputs="force").dt == pytest.approx(0.02)
+
+
+def test_a_counter_of_many_digits_spoils_no_other_column(tmp_path):
+    count = pa.array([2**60 + 1 + k for k in range(len(FORCE))])
+    pq.write_table(pa.table({"tip": TIP, "count": count}), tmp_path / "a.parquet")
+    record = read_record(tmp_path / "a.parquet", outputs=["tip", "count"], dt=0.1)
+    np.testing.assert_array_equal(record.outputs[:, 1], np.array(count.to_pylist(), dtype=float))
+
+
+def test_one_time_that_is_missing_is_one(tmp_path):
+    start = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
+    times = [None, *(start + dt.timedelta(milliseconds=20 * k) for k in range(1, len(FORCE)))]
+    pq.write_table(pa.table({"time": pa.array(times), "tip": TIP}), tmp_path / "a.parquet")
+    with pytest.raises(InvalidDataError, match=f"is missing in 1 of {len(FORCE)} rows, the first of them row 1"):
+        read_record(tmp_path / "a.parquet")
+
+
+def test_texts_are_not_even_unpacked(tmp_path):
+    """A hundred times the same text of a megabyte takes kilobytes in the file."""
+    note = pa.array(["x" * 1_000_000] * len(FORCE))
+    pq.write_table(pa.table({"tip": TIP, "note": note}), tmp_path / "a.parquet", compression="zstd", store_schema=False)
+    del note
+    usual, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        assert read_record(tmp_path / "a.parquet", dt=0.1).output_names == ("tip",)
+    finally:
+        pa.set_memory_pool(usual)
+    assert pool.max_memory() < 20_000_000
+    with pytest.raises(InvalidDataError, match=r"'note'.* not numbers"):
+        read_record(tmp_path / "a.parquet", outputs="note", dt=0.1)
 
 
 def test_no_numbers_and_no_rows(tmp_path):
