@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from modal.batch import Batch, ExecutorError, Workers, identify_batch
 from modal.batch.page import PAGE
@@ -25,7 +24,7 @@ from modal.command.options import (
     number_or_auto,
     whole_or_auto,
 )
-from modal.command.terminal import listing, plain, progress_bar, show_paths
+from modal.command.terminal import Screen, listing, plain, progress_bar, show_paths
 from modal.wording.names import shorten
 from okid.errors import InvalidDataError
 
@@ -121,7 +120,7 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
 
 def _show(result: Batch) -> int:
     """Print what became of the batch; the exit status."""
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     rows = result.records.select(["record", "status", "message"]).to_pylist()
     failed = [row for row in rows if row["status"] == "failed"]
     odd = [row for row in rows if row["status"] == "done" and row["message"]]

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
 from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources, sizes
-from modal.command.terminal import listing, plain, say_beforehand
+from modal.command.terminal import Screen, listing, plain, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
@@ -161,7 +161,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
         quality = check_quality(records)
         if json is not None:
             _write(json, quality_json(quality, records))
-    show_quality(Console(highlight=False), quality, records, remarks=(*remarks, *heard))
+    show_quality(Screen(highlight=False), quality, records, remarks=(*remarks, *heard))
     return quality
 
 

@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from modal.command.options import Overwrite, Traceback, examples, faults, folder_path
 from modal.command.run import Job, Live, Pdf, carry_out, exit_status, read_demo
-from modal.command.terminal import plain, show_comparison, show_files
+from modal.command.terminal import Screen, plain, show_comparison, show_files
 from modal.examples.demo import compare_with_truth, demo_geometry, demo_truth
 from modal.examples.files import write_files
 from modal.sections.provenance import Provenance
@@ -43,7 +42,7 @@ def demo(
     with faults(show=traceback):
         if files:
             written = write_files(folder, existing="replace" if overwrite else "refuse")
-            Console(highlight=False).print(
+            Screen(highlight=False).print(
                 plain(f"{len(written)} files written to {folder}, for the commands of README")
             )
             return

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modal.command.options import Overwrite, Traceback, examples, faults, folder_path
-from modal.command.terminal import listing, plain, show_paths
+from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift, read_result
@@ -116,7 +116,7 @@ def diff(
             refuse_existing_comparison(folder, existing)
         comparison = compare_results(read_result(before), read_result(after))
         files = None if folder is None else write_comparison(comparison, folder, existing=existing)
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
         show_difference(console, comparison)
         if files is not None:
             pages = ((files.html, "to read"), (files.markdown, "the same as Markdown"), (files.json, "every number"))

@@ -1,13 +1,40 @@
 """The first lines of `modal-report`: requests to stop are noted before anything else is imported."""
 
+import sys
+
 from modal.command.stopping import Requests
 
 __all__ = ["main"]
+
+LEAST_ADDRESSES, WITH_RECORDING = 2**30, 3 * 2**30
+"""Begin nothing where less may be mapped [bytes]: BLAS and the viewer's library wait for ever for memory, or abort."""
+
+WITHOUT_RECORDING = frozenset(["check", "diff", "view", "-h", "--help", "--version"])
 
 
 def main() -> None:
     """Run the command and leave with its exit status."""
     Requests.listen()
+    refused = _too_little_room(sys.argv[1:])
+    if refused:
+        sys.stderr.write(f"modal-report: {refused}\n")
+        sys.exit(2)
     from modal.command.main import leave
 
     leave()
+
+
+def _too_little_room(arguments: list[str]) -> str:
+    """Why the libraries cannot even be loaded, "" where they can."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return ""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    need = LEAST_ADDRESSES if WITHOUT_RECORDING & {*arguments[:1], *arguments[-1:]} else WITH_RECORDING
+    if limit == resource.RLIM_INFINITY or limit >= need:
+        return ""
+    return (
+        f"ulimit -v allows {limit / 2**30:.2g} GiB to be mapped, and the libraries map up to {need / 2**30:.0f} GiB, "
+        "of which they use little; raise it, or limit the memory by a control group."
+    )

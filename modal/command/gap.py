@@ -23,7 +23,7 @@ from modal.command.run import (
     refuse_sources,
     sizes,
 )
-from modal.command.terminal import listing, plain, say_beforehand, show_paths
+from modal.command.terminal import Screen, listing, plain, say_beforehand, show_paths
 from modal.discrepancy.diagnosis import diagnose, expected_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
@@ -223,7 +223,7 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
         if job.pdf is not None:
             tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     show_diagnosis(console, found, remarks=remarks)
     return found, files, console
 

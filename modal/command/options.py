@@ -109,8 +109,11 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
     except Exception as error:
         if show:
             raise
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO):
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EPIPE):
             complain(f"what is printed or written finds no room ({first_line(error)}); make some, or print elsewhere.")
+            raise typer.Exit(2) from error
+        if isinstance(error, FileNotFoundError) and not _stands():
+            complain("the folder that this runs in was removed; change to one that is there (cd).")
             raise typer.Exit(2) from error
         if _wants_memory(error):
             complain(
@@ -121,6 +124,14 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
         kind = type(error).__name__
         complain(f"a fault in modal-report stopped the work ({kind}: {error}); add --traceback to see where.")
         raise typer.Exit(3) from error
+
+
+def _stands() -> bool:
+    """Whether the working folder is there."""
+    try:
+        return Path.cwd().is_dir()
+    except OSError:
+        return False
 
 
 def _wants_memory(error: Exception) -> bool:

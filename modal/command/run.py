@@ -33,7 +33,7 @@ from modal.command.options import (
     plain_name,
     whole_or_auto,
 )
-from modal.command.terminal import Progress, live_view, progress_bar, say_beforehand, show_files, show_result
+from modal.command.terminal import Progress, Screen, live_view, progress_bar, say_beforehand, show_files, show_result
 from modal.examples.demo import demo_record
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry
@@ -367,7 +367,7 @@ def carry_out(
             tell("printing the report", WRITTEN)
             write_pdf(files.html, job.pdf)
         limits = () if specification is None else check_limits(result, specification)
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     show_result(console, result, remarks=(*remarks, *unseen), limits=limits, quality=quality)
     return Finished(result=result, files=files, pdf=job.pdf, limits=limits, console=console)
 

@@ -7,6 +7,7 @@ import codecs
 import contextlib
 import io
 import math
+import os
 import re
 import shlex
 import sys
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Progress",
+    "Screen",
     "listing",
     "live_view",
     "plain",
@@ -98,6 +100,16 @@ def _letters(letter: str) -> str:
     if unicodedata.category(letter) == "So":
         return "-"
     return unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode() or "?"
+
+
+class Screen(Console):
+    """A terminal or a pipe; where its reader leaves, the work goes on, and the exit status says how it ended."""
+
+    def on_broken_pipe(self) -> None:
+        """Print no more."""
+        self.quiet = True
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
 
 
 def plain(text: str, style: str = "") -> Text:
@@ -266,7 +278,7 @@ def progress_bar() -> Iterator[Progress]:
 
     Each step that it is told of is a place to stop at: there a KeyboardInterrupt answers a request.
     """
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), _TimeLeft())
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("starting", total=1.0)
@@ -293,7 +305,7 @@ def say_beforehand(n_samples: int, n_channels: int, seconds: tuple[float, float]
     time = f"{least} to {most}" if least < most else f"{most}"
     memory = f"{n_bytes / 2**30:.1f} GiB of memory"
     text = f"{n_samples} samples of {n_channels} channels: expect {time} min of one processor and up to {memory}."
-    Console(stderr=True, highlight=False).print(plain(text), soft_wrap=True)
+    Screen(stderr=True, highlight=False).print(plain(text), soft_wrap=True)
 
 
 def time_left_text(share: float, elapsed: float) -> str:

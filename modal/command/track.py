@@ -15,7 +15,7 @@ from rich.console import Console
 from modal.batch.tables import Batch
 from modal.command.options import Dt, Hold, Inputs, Outputs, Traceback, examples, faults, name_list
 from modal.command.stopping import Requests
-from modal.command.terminal import listing, plain, show_paths
+from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.identification.order_search import choose_orders
 from modal.recording.live import estimate_recording, live_recording, log_estimate
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
@@ -60,7 +60,7 @@ def track(
         batch = Batch(folder)
         found = follow_modes(batch, causes={} if causes is None else _read_causes(causes, batch))
         write_tracks(found, folder)
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
         console.print()
         console.print(plain(tracks_headline(found), "bold"))
         reasons = [
@@ -158,7 +158,7 @@ def live(
     wrong use or unreadable input; 130 stopped.
     """
     with faults(show=traceback):
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
 
         def tell(text: str) -> None:
             console.print(plain(text, "yellow"))

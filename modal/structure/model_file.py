@@ -244,7 +244,7 @@ def _text(path: Path) -> str:
         raise UnreadableFileError(
             f"{path} has {path.stat().st_size} bytes, and a model in words at most {_MOST_TEXT}; use NPZ."
         )
-    return path.read_text(encoding="utf-8")
+    return path.read_text(encoding="utf-8-sig")
 
 
 def _read_toml(path: Path) -> Any:
@@ -252,7 +252,16 @@ def _read_toml(path: Path) -> Any:
 
 
 def _read_json(path: Path) -> Any:
-    return _with_numbers(json.loads(_text(path)))
+    return _with_numbers(json.loads(_text(path), object_pairs_hook=_once))
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON, whose names must differ as those of TOML do: of two values nobody could say which is meant."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(name for name, _ in pairs if sum(name == other for other, _ in pairs) > 1)
+        raise ValueError(f"{twice!r} is given twice")
+    return found
 
 
 def _with_numbers(value: Any) -> Any:

@@ -13,7 +13,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,8 @@ Content = npt.NDArray[np.generic] | Sequence[str]
 STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"])
 RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
 ROLES = ("inputs", "outputs")
+LOADED = 2**24
+"""Map a larger array into memory: the system ends a process whose mapped file is cut while it is read."""
 
 
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
@@ -207,7 +209,7 @@ def _listed(contents: Mapping[str, Content]) -> str:
 
 
 def read_npy(path: Path) -> Table:
-    """One array, (n_samples, n_channels), mapped and not loaded; its channels are column_0, column_1, ...
+    """One array, (n_samples, n_channels), mapped where it is large; its channels are column_0, column_1, ...
 
     The fields of a structured array are channels by their names.
 
@@ -216,7 +218,8 @@ def read_npy(path: Path) -> Table:
     """
     with foreign(path, ".npy file"), path.open("rb") as file:
         _check_header(file, path.stat().st_size)
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        mapped: Literal["r"] | None = "r" if path.stat().st_size > LOADED else None
+        array = np.load(path, mmap_mode=mapped, allow_pickle=False)
     if array.dtype.names:
         fields: dict[str, Content] = {name: np.asarray(array[name]) for name in array.dtype.names}
         return table_from_arrays(fields, path=path, file_format="NPY")

@@ -71,6 +71,54 @@ def test_a_step_is_a_number_as_everybody_writes_it(data, text, capsys):
     assert f"Invalid value for '--dt': {text!r} is no number; write seconds such as 0.001" in capsys.readouterr().err
 
 
+COMMAND = [sys.executable, "-c", "from modal.command.entry import main; main()"]
+
+
+def test_a_reader_that_leaves_changes_no_exit_status(data):
+    """The head of a page is enough for many: what was done is done, and its status is that of the result."""
+    command = [*COMMAND, "check", "a.csv", "--inputs", "force"]
+    whole = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(HERE)}, capture_output=True, check=False)
+    read, write = os.pipe()
+    os.close(read)
+    left = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(HERE)}, stdout=write, stderr=subprocess.PIPE, check=False
+    )
+    os.close(write)
+    assert (left.returncode, left.stderr) == (whole.returncode, b"")
+    assert whole.returncode == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no folder that somebody stands in")
+def test_a_working_folder_that_was_removed_is_a_sentence(data):
+    script = "import os; os.mkdir('g'); os.chdir('g'); os.rmdir('../g');" + COMMAND[-1]
+    run = subprocess.run(
+        [*COMMAND[:-1], script, "check", "a.csv"],
+        env={**os.environ, "PYTHONPATH": str(HERE)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 2
+    assert run.stderr == ("modal-report: the folder that this runs in was removed; change to one that is there (cd).\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ulimit -v is of Linux")
+@pytest.mark.parametrize(("command", "leaves", "needs"), [("check", 0.6, 1), ("run", 2.0, 3)])
+def test_libraries_that_could_not_be_loaded_are_not_tried(data, command, leaves, needs):
+    """They wait for memory for ever, or abort the process."""
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({int(leaves * 2**30)},) * 2);"
+    run = subprocess.run(
+        [*COMMAND[:-1], limit + COMMAND[-1], command, "a.csv"],
+        env={**os.environ, "PYTHONPATH": str(HERE)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert run.returncode == 2
+    assert f"ulimit -v allows {leaves:.2g} GiB to be mapped, and the libraries map up to {needs} GiB" in run.stderr
+
+
 def test_a_link_to_a_record_is_that_record(data):
     (data / "link.csv").symlink_to("a.csv")
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):

@@ -121,6 +121,11 @@ def test_short_names_of_matrices_and_pairs(tmp_path: Path) -> None:
     path.write_text(json.dumps({**plain, "elements": [[0, "ground"], [0, 1]]}))
     from_json = read_model(path)
     assert [element.name for element in from_json.elements] == ["element_0", "element_1"]
+    path.write_text(json.dumps(plain).replace("{", '{"M": [[3.0]], ', 1))
+    with pytest.raises(UnreadableFileError, match="'M' is given twice"):
+        read_model(path)
+    path.write_text(json.dumps({**plain, "elements": [[0, "ground"], [0, 1]]}), encoding="utf-8-sig")  # as Notepad does
+    assert same(read_model(path), from_json)
     np.savez(tmp_path / "m.npz", **{key: np.array(value) for key, value in plain.items()}, elements=[[0, -1], [0, 1]])
     assert same(read_model(tmp_path / "m.npz"), from_json)
 

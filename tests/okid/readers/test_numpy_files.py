@@ -1,5 +1,6 @@
 """NPY and NPZ written by numpy: mapped where possible, never unpickled."""
 
+import os
 import tracemalloc
 
 import numpy as np
@@ -73,6 +74,14 @@ def test_npz_is_unpacked_once_and_to_its_checksum(tmp_path):
     (tmp_path / "b.npz").write_bytes(data)
     with pytest.raises(UnreadableFileError, match="Bad CRC-32"):
         read_record(tmp_path / "b.npz")
+
+
+def test_a_small_npy_is_its_own(tmp_path):
+    """What is cut after it was read changes nothing: of a mapped file the process would die."""
+    np.save(tmp_path / "a.npy", VALUES)
+    record = read_record(tmp_path / "a.npy", dt=1.0)
+    os.truncate(tmp_path / "a.npy", 100)
+    np.testing.assert_array_equal(record.outputs, VALUES)
 
 
 def test_npz_with_roles_names_and_units(tmp_path):
