@@ -123,11 +123,11 @@ def prepare(
     n_rest: tuple[int, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
-        centring, n_rest = _MEAN, (0,) * len(banded)
+        centring, n_rest = (_MEAN,), (0,) * len(banded)
     else:
         lost = filter_half_length(factor) if factor > 1 else 0
         n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in rested.n_rest)
-        centring = rested.choice
+        centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
     else:
@@ -154,7 +154,7 @@ def prepare(
             *gaps,
             *lines.choices,
             *filling.choices,
-            centring,
+            *centring,
             band,
             integrating.choice,
             delay.choice,
