@@ -18,7 +18,7 @@ from modal.preparation.drift import (
     summed_inputs,
     without_drift,
 )
-from modal.preparation.faults import mended
+from modal.preparation.faults import mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind
@@ -114,6 +114,7 @@ def prepare(
     parts, gaps = _parts(mend.records)
     rested = with_rest(parts) if kind in ("transient", "decay") else None
     centred = tuple(one.detrended() for one in parts) if rested is None else rested.records
+    centred, floor = no_finer_than_sensors(centred) if kind == "ambient" else (centred, ())
     lines = machine_lines(centred) if rested is None else MachineLines(records=centred, frequencies=np.empty(0))
     filling = _filling(lines.records, missing)
     trials = FreedTrials.of(filling.records)
@@ -152,6 +153,7 @@ def prepare(
         n_slow_functions=drifting.n_functions,
         choices=(
             *gaps,
+            *floor,
             *lines.choices,
             *filling.choices,
             *centring,
