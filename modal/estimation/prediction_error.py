@@ -317,13 +317,16 @@ class CanonicalVariates:
         return 1 + int(np.argmin(criteria))
 
     def predictor(self, order: int) -> Realisation | None:
-        """The model with so many states, in the units of the records; None where there are not so many."""
+        """The model with so many states, in the units of the records; None where there are not so many, or no noise."""
         if order > len(self.states):
             return None
         c = self.outputs[:order]
         own = np.block([[np.eye(order), c], [c.T, self.now]])
         after = np.vstack([self.next_of_states[:order, :order], self.next_of_outputs[:, :order]])
-        closed = np.linalg.solve(own, after).T
+        try:
+            closed = np.linalg.solve(own, after).T
+        except np.linalg.LinAlgError:
+            return None
         size = self.scaling.output_scale
         C, nothing = c.T * size[:, np.newaxis], np.zeros((size.size, 0))
         return _model(closed[:, :order], closed[:, order:] / size, C, nothing, self.dt)

@@ -8,28 +8,46 @@ white noise:  from (J'WJ)^-1 (J'W S W J) (J'WJ)^-1, S the variance of each outpu
               W = S^-1
 any colour:   from the score J'W e of each of the blocks of rows, which are nearly independent of each other when they
               are long against the memory of noise and modes (batch means; known to sqrt(1 / (2 n_blocks)), about 11 %)
+forces:       from scores J'W e of noise e that is drawn: white on the outputs, and what white forces on each mode and
+              white noise on the inputs where they act make of it, with powers that explain the spectrum of what is left
+
+References:
+    Whittle, Arkiv for Matematik 2, 1953, 423-434, doi 10.1007/BF02590998 (likelihood of a spectrum); Fevotte, Bertin,
+    Durrieu, Neural Computation 21(3), 2009, 793-830, doi 10.1162/neco.2008.04-08-771 (its multiplicative steps).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from era.state_recursion import PoleRecursion
+from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
-from modal.estimation.modal_states import signal_grams
+from modal.estimation.modal_states import LONGEST_CHUNK, signal_grams, signals_of
 from modal.estimation.output_error import NONE, LinearPart, PolesAndParticipations, gram_of_training, step_equations
 from modal.identification.feedback import inputs_made_by
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
-from okid.arrays import ComplexArray, FloatArray
+from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.record import Record
+from okid.rows import runs_of
 
 __all__ = ["NOT_UNDERSTOOD", "NO_INTERVAL", "feedback_bias", "judged_deviations", "output_error_uncertainty"]
 
 NOT_UNDERSTOOD = 1.3
-"""Say that the noise is not understood where its colour moves a deviation by more: thrice the scatter of the blocks."""
+"""Say that the noise is not understood where it moves a deviation by more: thrice the scatter of the blocks."""
 NO_INTERVAL = 3.0
-"""Give no interval beyond: what the blocks do not see of the colour may be as much again."""
+"""Give no interval beyond: what the blocks do not see of the noise may be as much again."""
+N_DRAWS = 100
+"""Draw so much noise of forces: a deviation is then known to 7 %."""
+N_BLOCK_DRAWS = 10
+"""Look at so many of them block by block, as many numbers as blocks each."""
+N_STEPS = 100
+"""Take so many steps to the powers of the noises, from all alike."""
+LONGEST_LOOK = 32_768
+"""Look at the spectrum of so many rows of a record at most."""
 LEAST_CURVATURE = 1e-12
 """Relative curvature below which a direction of the parameters is not in the data."""
 
@@ -107,12 +125,13 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
     )
 
 
-def _white(model: RefinedModel) -> _Loadings:
+def _white(model: RefinedModel, variance: FloatArray | None = None) -> _Loadings:
+    """Of white noise with this variance on each output; what the model leaves unless given."""
     step, data, weights = model.step, model.data, model.weights
     n_rows = model.n_rows
     normal = step_equations(step, data, held_out=NONE, weights=weights)
     fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
-    variance = step.linear.squared_errors / max(1.0, n_rows - fitted)
+    variance = step.linear.squared_errors / max(1.0, n_rows - fitted) if variance is None else variance
     meat = step_equations(step, data, held_out=NONE, weights=weights @ np.diag(variance) @ weights).matrix
     # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
     size = _sizes(meat)
@@ -152,6 +171,125 @@ def _of_feedback(model: RefinedModel) -> _Loadings:
     for part, of_no_input in ((layout.regressors, layout.n_records), (layout.real, own), (layout.imaginary, own)):
         products[part.stop - of_no_input : part.stop] = 0.0  # no error makes a level or an initial state
     return _pulled(model, products[np.newaxis], float("inf"))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Powers:
+    """Of the white noises that explain what a model leaves.
+
+    Attributes:
+        modes: (n_poles,) of a force on each mode alone.
+        inputs: (n_inputs,) on each input in the rows in which it acts, zero for one that always does.
+        outputs: (n_outputs,) on each output.
+    """
+
+    modes: FloatArray
+    inputs: FloatArray
+    outputs: FloatArray
+
+
+def _acting(record: Record) -> BoolArray:
+    """(n_samples, n_inputs) True where an input acts that rests most of the time."""
+    away = record.inputs != np.median(record.inputs, axis=0)
+    return np.asarray(away & (away.mean(axis=0) < 0.5))
+
+
+def _powers(model: RefinedModel) -> _Powers:
+    """By Whittle's likelihood of the spectrum of what is left."""
+    step, data = model.step, model.data
+    poles, b, c = step.parameters.poles, step.parameters.inputs, step.linear.shapes
+    n, m, q = poles.size, b.shape[1], c.shape[0]
+    D = step.linear.coefficients[2 * n : 2 * n + m]
+    looks: list[tuple[FloatArray, ...]] = []
+    for number, (left, record) in enumerate(zip(errors_of(step, data), data.records, strict=True)):
+        error, acting = np.nan_to_num(left), _acting(record)
+        several = [(one.first, one.last) for one in data.blocks if one.record == number]
+        for first, last in several if acting.any() else [(0, min(len(error), LONGEST_LOOK))]:
+            blows = np.zeros((1 + (last - first) // 2, m, q))
+            for j in range(m):
+                for begin, end in runs_of(acting[:last, j]):
+                    pulse = (powers_of(poles, last - begin) * b[:, j]) @ c.T
+                    pulse = np.concatenate([D[[j]], pulse[:-1].real])[max(0, first - begin) :]
+                    blows[:, j] += (end - begin) * np.abs(np.fft.rfft(pulse, last - first, axis=0)) ** 2
+            rings = _spectra(poles, step.parameters.is_pair, last - first)
+            looks.append(
+                (
+                    (np.abs(np.fft.rfft(error[first:last], axis=0)) ** 2)[1:],
+                    rings[1:],
+                    blows[1:],
+                    np.full((len(rings) - 1, 1), float(last - first)),
+                )
+            )
+    measured, rings, blows, white = (np.concatenate(own) for own in zip(*looks, strict=True))
+    measured = measured + np.finfo(float).eps * measured.max()
+    seen = np.abs(c.T) ** 2
+
+    def of_each(weights: FloatArray) -> FloatArray:
+        """(n + m + q,) sums of what a unit of each power makes, with (n_frequencies, q) weights."""
+        own = ((rings.T @ weights) * seen).sum(axis=1)
+        return np.concatenate([own, np.einsum("kmo,ko->m", blows, weights), (white * weights).sum(axis=0)])
+
+    made = of_each(np.ones_like(measured))
+    powers = np.divide(measured.sum(), made, out=np.zeros_like(made), where=made > 0.0)
+    for _ in range(N_STEPS):
+        explained = rings @ (powers[:n, np.newaxis] * seen) + np.tensordot(blows, powers[n : n + m], axes=(1, 0))
+        explained += white * powers[n + m :]
+        there = of_each(1.0 / explained)
+        ratio = np.divide(of_each(measured / explained**2), there, out=np.zeros_like(there), where=there > 0.0)
+        powers = powers * np.sqrt(ratio)
+    return _Powers(modes=powers[:n], inputs=powers[n : n + m], outputs=powers[n + m :])
+
+
+def _spectra(poles: ComplexArray, is_pair: BoolArray, n_rows: int) -> FloatArray:
+    """(n_frequencies, n_poles) expected squares of the transform of so many rows of modes that white forces drive.
+
+    Lagged products of a mode that is driven by unit noise, in both quadratures where it has two, fall as its pole's
+    powers do; the transform of what n rows hold of them is exact.
+    """
+    powers = powers_of(poles, n_rows + 1)
+    share = np.arange(n_rows)[:, np.newaxis] / n_rows
+    lagged = (1.0 - share) * powers[:-1] + share * powers[:0:-1].conj()
+    own = np.fft.fft(lagged / (1.0 - np.abs(poles) ** 2), axis=0).real
+    both = 0.5 * (own + np.roll(own[::-1], 1, axis=0))
+    spectra: FloatArray = n_rows * np.maximum(np.where(is_pair, both, own), 0.0)[: 1 + n_rows // 2]
+    return spectra
+
+
+def _of_forces(model: RefinedModel, powers: _Powers) -> tuple[_Loadings, _Loadings]:
+    """Of noise that is drawn, forces on the modes and noise of inputs where they act: all rows, and block by block."""
+    step, data = model.step, model.data
+    parameters, layout = step.parameters, step.layout
+    n, m = layout.n_poles, layout.n_inputs
+    D = step.linear.coefficients[2 * n : 2 * n + m].T
+    rng = np.random.default_rng(0)
+    whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
+    parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
+    size = np.sqrt(powers.modes)[:, np.newaxis]
+    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+        recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, LONGEST_CHUNK))
+        states = np.zeros((N_DRAWS, n), dtype=np.complex128)
+        acting = (np.sqrt(powers.inputs) * _acting(record)).T
+        places = layout.places(number)
+        own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
+        for first, every in signals_of(parameters, number, record, n_direct=layout.n_direct):
+            rows = slice(first, first + len(every))
+            signals = every * counted[rows, np.newaxis]
+            for k in range(N_DRAWS):
+                force = rng.standard_normal((2, n, len(signals)))
+                drive = size * (force[0] + 1j * parameters.is_pair[:, np.newaxis] * force[1])
+                noise = acting[:, rows] * rng.standard_normal((m, len(signals)))
+                drive += parameters.inputs @ noise
+                state, states[k] = recursion.run(drive, states[k])
+                left = ((step.linear.shapes @ state).real + D @ noise).T
+                whole[k, places] += signals.T @ left
+                for i, block in own if k < N_BLOCK_DRAWS else ():
+                    there = slice(max(0, block.first - first), max(0, block.last - first))
+                    parts[k, i, places] += signals[there].T @ left[there]
+    each = parts.reshape(-1, *whole.shape[1:])
+    return (
+        _pulled(model, whole / np.sqrt(N_DRAWS), float(N_DRAWS)),
+        _pulled(model, each / np.sqrt(N_BLOCK_DRAWS), float(N_BLOCK_DRAWS)),
+    )
 
 
 def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float) -> _Loadings:
@@ -328,7 +466,11 @@ def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) ->
 def judged_deviations(
     model: RefinedModel, modes: Sequence[Mode], *, n_lags: int, fed_back: bool
 ) -> tuple[Uncertainty, FloatArray, FloatArray]:
-    """What the colour that is left does to the deviations: the larger ones, nan where it does too much.
+    """What the colour that is left does to the deviations, nan where it does too much.
+
+    Where it is not white, the deviations are those under noises that explain its spectrum: white on the outputs, forces
+    on the modes, noise of inputs where they act. Then the scores of the blocks judge: as many times larger as they are
+    than those that such noises make, and never smaller, the deviations are stated.
 
     Args:
         model: from `refined_model`.
@@ -337,30 +479,44 @@ def judged_deviations(
         fed_back: the outputs seem to be fed back: the bias by that stands beside the deviations in quadrature.
 
     Returns:
-        The deviations, (n_modes,) how many times larger they are than under white noise, and (n_modes,) how many of
+        The deviations, (n_modes,) how many times larger they are than such noises make them, and (n_modes,) how many of
         them feedback moves each mode by.
     """
-    known = plain = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
+    known = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
     inflation, moved = np.ones(len(modes)), np.zeros(len(modes))
     if not model.leaves_white_noise:
-        known = _together(np.fmax, output_error_uncertainty(model, modes, n_lags=n_lags), plain)
-        inflation = _times(known, plain)
+        powers = _powers(model)
+        loadings = (_white(model, powers.outputs), *_of_forces(model, powers), _of_blocks(model))
+        white, forces, by_blocks, blocks = (_deviations(one, model, modes, n_lags) for one in loadings)
+        times = _together(_at_least_once, blocks, _together(np.hypot, white, by_blocks))
+        inflation = np.fmax(times.frequency_std, times.damping_ratio_std)
+        known = _together(np.multiply, times, _together(np.hypot, white, forces))
     if fed_back:
         pull = feedback_bias(model, modes, n_lags=n_lags)
         moved = _times(pull, known)
         known = _together(np.hypot, known, pull)
     lost = np.where(inflation > NO_INTERVAL, np.nan, 1.0)
     known = replace(known, frequency_std=known.frequency_std * lost, damping_ratio_std=known.damping_ratio_std * lost)
-    return known, np.fmax(inflation, 1.0), moved
+    return known, inflation, moved
 
 
-def _together(both: np.ufunc, one: Uncertainty, other: Uncertainty) -> Uncertainty:
+def _at_least_once(one: FloatArray, other: FloatArray) -> FloatArray:
+    """How many times the other one is, at least once."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        times: FloatArray = np.fmax(1.0, one / other)
+    return times
+
+
+def _together(
+    both: Callable[[FloatArray, FloatArray], FloatArray], one: Uncertainty, other: Uncertainty
+) -> Uncertainty:
     return replace(
         one,
         frequency_std=both(one.frequency_std, other.frequency_std),
         damping_ratio_std=both(one.damping_ratio_std, other.damping_ratio_std),
         shape_std=both(one.shape_std, other.shape_std),
         markov_std=both(one.markov_std, other.markov_std),
+        mass_std=None if one.mass_std is None or other.mass_std is None else both(one.mass_std, other.mass_std),
     )
 
 

@@ -268,8 +268,9 @@ def with_deviations(
         records: that it was fitted to.
 
     Returns:
-        The modes, their deviations, (n_modes,) how many times larger those of a mode are than under white noise, and
-        (n_modes,) how many of the stated ones feedback moves it by: none where the model is that of a predictor.
+        The modes, their deviations, (n_modes,) how many times larger those of a mode are than noise that is understood
+        makes them, and (n_modes,) how many of the stated ones feedback moves it by: none where the model is that of a
+        predictor.
     """
     inflation, moved = np.ones(len(model)), np.zeros(len(model))
     if final.noise is not None:

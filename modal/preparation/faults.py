@@ -24,13 +24,21 @@ from modal.preparation.kind import KindFound, acts, rings_down
 from modal.preparation.samples import sharp_samples, spike_findings, spikes_of, without_spikes
 from modal.wording.numbers import counted, percent
 from okid.arrays import BoolArray
+from okid.errors import InsufficientDataError
+from okid.gram import lag_gram
 from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["Mended", "free_of_clipping", "mended", "spoiled_channels"]
+__all__ = ["Mended", "free_of_clipping", "mended", "no_finer_than_sensors", "spoiled_channels"]
 
 
+FINEST = 1e-4
+"""Take no output for finer than this share of its size, 13 bits of what moves: sensors and converters are not."""
+PAST = 32
+"""Foretell outputs by so many samples of their past,"""
+ROWS_A_NUMBER = 10
+"""or fewer where there are not so many rows for each of them."""
 MOST_TOLD = 4
 """Tell the same fault of so many channels, and count the others."""
 
@@ -89,6 +97,48 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
             for record, mask in zip(kept, masks, strict=True)
         )
     return Mended(records=kept, warnings=tuple(_told(told)))
+
+
+def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+    """Ambient outputs with the noise of a good sensor, where their past foretells a combination of them more finely.
+
+    What fewer forces drive than there are sensors, or forces behind a steep filter, has combinations without any
+    innovation once there is no noise: no model with noise is likely then, and one that fits rounding is sure of it all.
+
+    Args:
+        records: without inputs.
+
+    Example:
+        >>> tip = np.convolve(np.random.default_rng(0).standard_normal(4000), [1.0, 1.6, 1.5, 0.8])
+        >>> noisy, choices = no_finer_than_sensors([Record([], np.column_stack([tip, 2.0 * tip]), 0.01)])
+        >>> choices[0].what, bool(np.ptp(noisy[0].outputs[:, 1] - 2.0 * noisy[0].outputs[:, 0]) > 0.0)
+        ('noise floor', True)
+    """
+    scaling, q = channel_scaling(records), records[0].n_outputs
+    n_rows = sum(int(record.complete_rows().sum()) for record in records)
+    try:
+        gram = lag_gram(records, max(1, min(PAST, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
+    except InsufficientDataError:
+        return tuple(records), ()
+    level = gram.matrix[1:, 0] / gram.n_rows
+    covariance = gram.matrix[1:, 1:] / gram.n_rows - np.outer(level, level)
+    foretold = np.linalg.lstsq(covariance[q:, q:], covariance[q:, :q], rcond=FINEST**3)[0].T @ covariance[q:, :q]
+    least = float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance[:q, :q] - foretold)[0])))
+    if least >= FINEST:
+        return tuple(records), ()
+    rng = np.random.default_rng(0)
+    noisy = tuple(
+        replace(
+            record,
+            outputs=record.outputs + FINEST * scaling.output_scale * rng.standard_normal(record.outputs.shape),
+        )
+        for record in records
+    )
+    reason = (
+        f"their past foretells a combination of the outputs to {least:.0e} of their size, which no sensor measures: "
+        "without noise of that size nothing tells what is certain from rounding"
+    )
+    return noisy, (Choice(what="noise floor", value=f"{FINEST:g} of each output", reason=reason),)
 
 
 def free_of_clipping(records: Sequence[Record], kind: KindFound) -> tuple[tuple[Record, ...], KindFound]:

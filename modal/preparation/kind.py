@@ -22,7 +22,17 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["GivenKind", "KindFound", "RecordKind", "acts", "find_kind", "given_kind", "rings_down", "variance"]
+__all__ = [
+    "GivenKind",
+    "KindFound",
+    "RecordKind",
+    "acting_rows",
+    "acts",
+    "find_kind",
+    "given_kind",
+    "rings_down",
+    "variance",
+]
 
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
@@ -151,18 +161,23 @@ def acts(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
     A record in which none acts is rest to its end: (n_samples, 0).
     """
-    found = [(record.n_samples, 0) for record in records]
+    rows = [np.flatnonzero(own.any(axis=1)) for own in acting_rows(records)]
+    return tuple(
+        (int(own[0]), int(own[-1]) + 1) if own.size else (record.n_samples, 0)
+        for own, record in zip(rows, records, strict=True)
+    )
+
+
+def acting_rows(records: Sequence[Record]) -> list[BoolArray]:
+    """(n_samples, n_inputs) a record: rows in which an input is away from rest, beyond chance and 1 % of its peak."""
+    found = []
     for j in range(records[0].n_inputs):
         each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
         squares = np.concatenate(each)
         chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
         level = max(chance, 1e-4 * float(squares.max()))
-        rows = [np.flatnonzero(own > level) for own in each]
-        found = [
-            (min(first, *own[:1].tolist(), first), max(last, *(own[-1:] + 1).tolist(), last))
-            for (first, last), own in zip(found, rows, strict=True)
-        ]
-    return tuple(found)
+        found.append([own > level for own in each])
+    return [np.array(own).T for own in zip(*found, strict=True)]
 
 
 def _active_share(columns: Sequence[FloatArray]) -> float:

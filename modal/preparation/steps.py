@@ -18,7 +18,7 @@ from modal.preparation.drift import (
     summed_inputs,
     without_drift,
 )
-from modal.preparation.faults import mended
+from modal.preparation.faults import mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind
@@ -114,6 +114,7 @@ def prepare(
     parts, gaps = _parts(mend.records)
     rested = with_rest(parts) if kind in ("transient", "decay") else None
     centred = tuple(one.detrended() for one in parts) if rested is None else rested.records
+    centred, floor = no_finer_than_sensors(centred) if kind == "ambient" else (centred, ())
     lines = machine_lines(centred) if rested is None else MachineLines(records=centred, frequencies=np.empty(0))
     filling = _filling(lines.records, missing)
     trials = FreedTrials.of(filling.records)
@@ -123,11 +124,11 @@ def prepare(
     n_rest: tuple[int, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
-        centring, n_rest = _MEAN, (0,) * len(banded)
+        centring, n_rest = (_MEAN,), (0,) * len(banded)
     else:
         lost = filter_half_length(factor) if factor > 1 else 0
         n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in rested.n_rest)
-        centring = rested.choice
+        centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
     else:
@@ -152,9 +153,10 @@ def prepare(
         n_slow_functions=drifting.n_functions,
         choices=(
             *gaps,
+            *floor,
             *lines.choices,
             *filling.choices,
-            centring,
+            *centring,
             band,
             integrating.choice,
             delay.choice,

@@ -134,6 +134,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--seeds", default="1-6")
     parser.add_argument("--records", type=int, default=None, help="records a structure")
+    parser.add_argument("--cell", type=float, default=0.0, help="noise of the sensors of force, over their peak")
     parser.add_argument("--show", action="store_true", help="a line a record")
     arguments = parser.parse_args()
     first, _, last = arguments.seeds.partition("-")
@@ -143,7 +144,8 @@ def main() -> None:
         for seed in range(int(first), int(last or first) + 1):
             if arguments.show:
                 print(f"{kind} {seed}", end="")
-            score_one(score, random_records(kind, seed, n_records=arguments.records), show=arguments.show)
+            truth = random_records(kind, seed, n_records=arguments.records, cell=arguments.cell)
+            score_one(score, truth, show=arguments.show)
         scores.append(score)
         print(score.line(), flush=True)
 

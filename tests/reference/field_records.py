@@ -6,7 +6,7 @@ common to the records, the state that each record starts from, and a level of ea
 noise of known size) is the inverse of the information J' R^-1 J, with the scale that shapes and states share held.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -48,11 +48,15 @@ class KindRecords:
         return -self.poles.real / np.abs(self.poles)
 
 
-def random_records(kind: RecordKind, seed: int, *, n_records: int | None = None) -> KindRecords:
-    """Records of this kind; all follows from the seed."""
+def random_records(kind: RecordKind, seed: int, *, n_records: int | None = None, cell: float = 0.0) -> KindRecords:
+    """Records of this kind; all follows from the seed. The sensors of force add white noise, `cell` of their peaks."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     several = int(rng.choice([1, 1, 1, 2, 3, 4, 6, 10])) if n_records is None else n_records
-    return {"driven": _driven, "transient": _struck, "decay": _decaying, "ambient": _ambient}[kind](rng, several)
+    made = {"driven": _driven, "transient": _struck, "decay": _decaying, "ambient": _ambient}[kind](rng, several)
+    if not cell:
+        return made
+    rng, peak = np.random.default_rng([seed, 77]), max(np.abs(u).max() for u, _ in made.records)
+    return replace(made, records=tuple((u + cell * peak * rng.standard_normal(u.shape), y) for u, y in made.records))
 
 
 # --- the four kinds --------------------------------------------------------------------------------------------------

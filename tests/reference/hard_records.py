@@ -106,6 +106,19 @@ def ambient(seed: int, *, n_samples: int = 20_000) -> HardRecord:
     return _unmeasured(_record(rng, made, rng.standard_normal((n_samples, 5)), sensor=0.03))
 
 
+def noiseless(seed: int, *, n_samples: int = 5000) -> HardRecord:
+    """One or two hidden forces behind a steep low-pass move four to eight sensors that have no noise at all."""
+    rng = np.random.default_rng([seed, 2])
+    n_inputs, order = int(rng.integers(1, 3)), int(rng.integers(6, 13))
+    made = _structure(
+        rng, n_modes=int(rng.integers(2, 6)), n_inputs=n_inputs, n_outputs=int(rng.integers(4, 9)), highest=0.25
+    )
+    filtered = scipy.signal.butter(order, rng.uniform(0.3, 0.8), output="sos")
+    force = scipy.signal.sosfilt(filtered, rng.standard_normal((n_samples + 3000, n_inputs)), axis=0)
+    whole = _unmeasured(_record(rng, made, force, sensor=0.0))
+    return replace(whole, inputs=whole.inputs[3000:], outputs=whole.outputs[3000:])
+
+
 def machine_lines(seed: int) -> HardRecord:
     """Ambient motion with a machine: a line with two multiples, or two lines, 0.3 to 2 times the motion."""
     rng = np.random.default_rng([seed, 1])
@@ -226,7 +239,7 @@ FAMILIES = {
     one.__name__: one
     for one in (
         tones, distorted_tones, tones_in_noise, stepped_sine, low_fit, light_damping, driven, ambient,
-        machine_lines, coloured_noise, spikes, clipped, coarse, dead_channel, skewed, dry_friction,
+        noiseless, machine_lines, coloured_noise, spikes, clipped, coarse, dead_channel, skewed, dry_friction,
         drifting_stiffness, hidden_earthquake,
     )
 }  # fmt: skip

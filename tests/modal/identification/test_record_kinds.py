@@ -58,6 +58,13 @@ def test_a_decay_is_never_worse_than_era_on_the_same_samples():
     assert [c.value for c in result.choices if c.what == "release"] == ["one a record"]
 
 
+def test_noise_of_the_force_sensor_costs_a_struck_structure_no_interval():
+    truth = random_records("transient", 202, cell=0.005)
+    result = identified(truth)
+    assert_told_right(result, truth)
+    assert [c.value for c in result.choices if c.what == "force window"] == ["used"]
+
+
 def test_gaps_in_a_decay():
     truth = random_records("decay", 204, n_records=1)
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ from hard_records import FAMILIES
 from made_records import KINDS, clean_record
 
 from modal.identification.pipeline import identify
-from modal.preparation.faults import free_of_clipping, mended
+from modal.preparation.faults import free_of_clipping, mended, no_finer_than_sensors
 from modal.preparation.kind import find_kind
 from modal.quality.check import check_quality
 from okid.record import Record
@@ -154,3 +154,22 @@ def test_a_sensor_that_drifts_makes_no_mode_of_a_decay():
     settling = 0.4 * (1 - np.exp(-np.linspace(0.0, 4.0, record.n_samples)))[:, np.newaxis] * [1.0, 0.3]
     result = identify(Record([], record.outputs + settling, record.dt))
     assert [mode.kind for mode in result.modes.system] == ["oscillatory", "oscillatory"]
+
+
+def test_ambient_outputs_without_noise_make_nothing_certain_that_is_not():
+    """Exact outputs of few forces behind a steep filter: intervals were up to twelve deviations off."""
+    made, record = record_of("noiseless", 9)
+    result = identify(record)
+    assert "noise floor" in [choice.what for choice in result.choices]
+    for frequency, ratio in zip(made.frequencies, made.damping_ratios, strict=True):
+        mode = min(result.modes.system, key=lambda m: abs(m.frequency - frequency))
+        assert abs(mode.frequency - frequency) < 4 * mode.frequency_std < 0.02 * frequency
+        assert abs(mode.damping_ratio - ratio) < 4 * mode.damping_ratio_std
+    assert len(result.modes.system) == made.frequencies.size
+
+
+def test_outputs_with_a_sensor_s_noise_stay_the_very_same():
+    _, record = record_of("ambient", 1)
+    records, choices = no_finer_than_sensors((replace(record, inputs=record.inputs[:, :0]),))
+    assert records[0].outputs is record.outputs
+    assert not choices

@@ -1,6 +1,7 @@
 """Rest before a blow: believed only where the record shows it, and the release that stands for a decay."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,10 +39,10 @@ def test_rest_is_put_in_front(at, noise):
 def test_motion_before_the_blow_is_no_rest(noise):
     moving, resting = struck(200, noise=noise, before=0.3), struck(200, noise=noise, seed=1)
     assert with_rest([moving]).n_rest == (0,)
-    assert with_rest([moving]).choice.value == "not used"
+    assert with_rest([moving]).choices[0].value == "not used"
     both = with_rest([moving, resting])
     assert both.n_rest[0] == 0 < both.n_rest[1]
-    assert both.choice.value == "used in part"
+    assert both.choices[0].value == "used in part"
 
 
 def test_a_release_for_each_of_the_strongest():
@@ -66,4 +67,26 @@ def test_a_gap_hides_no_rest():
     outputs[900:1300] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert with_rest([Record(force, outputs, 0.01)]).choice.value == "used"
+        assert with_rest([Record(force, outputs, 0.01)]).choices[0].value == "used"
+
+
+@pytest.mark.parametrize("at", [0, 700])
+def test_what_the_sensor_shows_between_blows_is_no_force(at):
+    rng = np.random.default_rng(2)
+    record = struck(at, noise=0.001)
+    record = replace(record, inputs=record.inputs + 0.01 * rng.standard_normal((2000, 1)))
+    found = with_rest([record])
+    force = found.records[0].inputs[found.n_rest[0] :, 0]
+    assert [choice.value for choice in found.choices] == ["used", "used"]
+    np.testing.assert_allclose(force[at : at + 3], [0.5, 1.0, 0.5], atol=0.05)
+    assert not force[at + 10 :].any()
+
+
+def test_a_force_between_the_blows_that_explains_more_is_kept():
+    """A shaker holds the structure between its bursts: what little it pushes is real."""
+    rng = np.random.default_rng(3)
+    force = struck(700).inputs[:, 0] - 4.0 + 0.002 * rng.standard_normal(2000)
+    outputs = np.convolve(force, RING)[:2000] + 1e-4 * rng.standard_normal(2000)
+    found = with_rest([Record(force, outputs, 0.01)])
+    assert found.choices[1].value == "not used"
+    np.testing.assert_allclose(found.records[0].inputs[found.n_rest[0] :, 0], force, atol=1e-3)
