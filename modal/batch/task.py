@@ -228,8 +228,8 @@ class Outcome:
         trust: "carried", "with care" or "not carried"; "" where it failed.
         start_time: of the first sample [s].
         dt: time step as measured [s].
-        inputs: channels, with their units.
-        outputs: likewise.
+        inputs: channels identified, with their units: one that stood still is left out.
+        outputs: likewise, in the order of the shapes' components.
     """
 
     record: str
@@ -290,7 +290,7 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         return write_failure(
             replace(blank, message=_said(fault), seconds=time.perf_counter() - began, lasting=False), place
         )
-    first = records[0]
+    first, known = records[0], result.channels
     outcome = replace(
         blank,
         status="done",
@@ -298,8 +298,8 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         seconds=time.perf_counter() - began,
         start_time=first.start_time,
         dt=first.dt,
-        inputs=_channels(first.input_names, first.input_units),
-        outputs=_channels(first.output_names, first.output_units),
+        inputs=_channels(known.input_names, known.input_units),
+        outputs=_channels(known.output_names, known.output_units),
     )
 
     def write(made: Path) -> None:

@@ -251,6 +251,20 @@ def test_channels_that_a_record_lacks_are_nan_in_the_shapes(tmp_path):
     assert np.isfinite([*shapes["x"][:2], shapes["y"][0], shapes["y"][2]]).all()
 
 
+def test_a_dead_channel_is_nan_in_the_shapes_and_named(runs, tmp_path):
+    dead = runs / "run_2.csv"
+    heading, *lines = dead.read_text().splitlines()
+    dead.write_text("\n".join([heading, *(f"{line.rpartition(',')[0]},0" for line in lines)]) + "\n")
+    batch = modal.identify_batch(runs, tmp_path / "out", **QUICK)
+    assert {row["status"] for row in batch.records.to_pylist()} == {"done"}
+    shapes = {row["record"]: [one["real"] for one in row["shape"]] for row in batch.modes.to_pylist()}
+    assert np.isfinite(shapes["run_1"]).all()
+    assert np.isfinite(shapes["run_2"]).tolist() == [True, False]
+    told = {name: row["message"] for name, row in rows(batch).items() if row["message"]}
+    assert list(told) == ["run_2"]
+    assert "outputs (a; most: a, b)" in told["run_2"]
+
+
 def test_wrong_use_is_one_sentence(runs, tmp_path, capsys):
     def refused(*arguments):
         status = _status(["batch", *arguments])
