@@ -228,8 +228,9 @@ class Outcome:
         trust: "carried", "with care" or "not carried"; "" where it failed.
         start_time: of the first sample [s].
         dt: time step as measured [s].
-        inputs: channels identified, with their units: one that stood still is left out.
+        inputs: channels identified, with their units.
         outputs: likewise, in the order of the shapes' components.
+        left_out: outputs of the file that never moved.
     """
 
     record: str
@@ -244,6 +245,7 @@ class Outcome:
     dt: float = 0.0
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def folder_of(unit: Unit, folder: Path) -> Path:
@@ -291,6 +293,7 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
             replace(blank, message=_said(fault), seconds=time.perf_counter() - began, lasting=False), place
         )
     first, known = records[0], result.channels
+    outputs = _channels(known.output_names, known.output_units)
     outcome = replace(
         blank,
         status="done",
@@ -299,7 +302,8 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         start_time=first.start_time,
         dt=first.dt,
         inputs=_channels(known.input_names, known.input_units),
-        outputs=_channels(known.output_names, known.output_units),
+        outputs=outputs,
+        left_out=tuple(one for one in _channels(first.output_names, first.output_units) if one not in outputs),
     )
 
     def write(made: Path) -> None:

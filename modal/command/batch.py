@@ -1,6 +1,7 @@
 """`modal-report batch`: many files identified, each once, by several processes or a cluster; one table of all modes."""
 
 import contextlib
+import shlex
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -126,7 +127,7 @@ def _show(result: Batch) -> int:
     failed = [row for row in rows if row["status"] == "failed"]
     odd = [row for row in rows if row["status"] == "done" and row["message"]]
     console.print()
-    console.print(plain(f"{len(rows) - len(failed)} of {len(rows)} records identified", "bold"))
+    console.print(plain(f"{len(rows) - len(failed)} of {len(rows)} records identified.", "bold"))
     for heading, several in (("Failed", failed), ("Not like the other records", odd)):
         lines = [f"{row['record']}: {row['message']}" for row in several[:LISTED]]
         more = [f"and {len(several) - LISTED} more, see {PAGE}"] if len(several) > LISTED else []
@@ -138,6 +139,7 @@ def _show(result: Batch) -> int:
         (at / MODE_TABLE, "one row a pole and record"),
         (at / MODE_CSV, "the same without shapes"),
         (at / RECORD_TABLE, "one row a record"),
-        (at / "recording.rrd", "to look at: rerun recording.rrd"),
+        (at / "recording.rrd", f"to look at: modal-report view {shlex.quote(str(at))}"),
     )
+    console.print(plain(f"To follow each mode through the records: modal-report track {shlex.quote(str(at))}", ""))
     return 1 if failed or odd else 0

@@ -125,8 +125,8 @@ def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys)
     assert {name for name, row in found.items() if row["status"] == "failed"} == {"empty", "cut", "twin"}
     assert "run_0" in found["twin"]["message"]
     assert "0 bytes" in found["empty"]["message"]
-    assert "time step (0.04 s; most: 0.02 s)" in found["slow"]["message"]
-    assert "outputs (a [m/s], b; most: a, b)" in found["unit"]["message"]
+    assert "time step 0.04 s (most: 0.02 s)" in found["slow"]["message"]
+    assert "without output a; with output a [m/s]" in found["unit"]["message"]
     assert all(not row["message"] for name, row in found.items() if name.startswith("run_"))
     said = capsys.readouterr().out
     assert "6 of 9 records identified" in said
@@ -262,7 +262,7 @@ def test_a_dead_channel_is_nan_in_the_shapes_and_named(runs, tmp_path):
     assert np.isfinite(shapes["run_2"]).tolist() == [True, False]
     told = {name: row["message"] for name, row in rows(batch).items() if row["message"]}
     assert list(told) == ["run_2"]
-    assert "outputs (a; most: a, b)" in told["run_2"]
+    assert "with a dead output b" in told["run_2"]
 
 
 def test_wrong_use_is_one_sentence(runs, tmp_path, capsys):
