@@ -43,7 +43,7 @@ def first_looks(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     groups = (
         (failed, "failed: see why below"),
         (poor, "identified, but the result is not reliable"),
-        (odd, "not like the others in time step, channels or units"),
+        (odd, "not like the others in time step, length, channels or units"),
     )
     return tuple(f"{len(names)} {what}: {_few(names)}" for names, what in groups if names)
 

@@ -31,6 +31,8 @@ PLACES = "records"
 """Folder of the folders of all records."""
 OUTPUTS = b"outputs"
 """Name of the list of channels in the description of the column "shape"."""
+SHORT = 0.9
+"""Name a record that is shorter than this share of the usual length: its file may be cut off."""
 ROWS_AT_ONCE = 500
 """Write the modes of so many records at once: some ten megabytes."""
 
@@ -104,7 +106,10 @@ def read_written(path: Path) -> Any:
 
 
 def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
-    """The same, with a sentence on each record whose time step, channels or units are not those of most records."""
+    """The same, with a sentence on each record whose time step, channels or units are not those of most, or is shorter.
+
+    A length is usual where more than half of the records have it, or nearly so.
+    """
     done = [one for one in outcomes if one.status == "done"]
     if not done:
         return tuple(outcomes)
@@ -112,12 +117,17 @@ def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
         Counter(values).most_common(1)[0][0]
         for values in ([_step(one) for one in done], [one.inputs for one in done], [one.outputs for one in done])
     )
-    usual = replace(next(one for one in done if _step(one) == step), inputs=inputs, outputs=outputs)
+    lengths = np.array([one.n_samples for one in done])
+    middle = int(np.median(lengths))
+    length = middle if np.mean((lengths >= SHORT * middle) & (SHORT * lengths <= middle)) > 0.5 else 0
+    usual = replace(next(one for one in done if _step(one) == step), inputs=inputs, outputs=outputs, n_samples=length)
     return tuple(replace(one, message=_oddity(one, usual)) if one.status == "done" else one for one in outcomes)
 
 
 def _oddity(one: Outcome, usual: Outcome) -> str:
     differs = [] if _step(one) == _step(usual) else [f"time step {_step(one)} (most: {_step(usual)})"]
+    if one.n_samples < SHORT * usual.n_samples:
+        differs.append(f"{one.n_samples} samples (most: {usual.n_samples}), so its file may be cut off")
     for role, own, common in (("input", one.inputs, usual.inputs), ("output", one.outputs, usual.outputs)):
         dead = [name for name in common if name in one.left_out]
         several = [

@@ -228,6 +228,7 @@ class Outcome:
         trust: "carried", "with care" or "not carried"; "" where it failed.
         start_time: of the first sample [s].
         dt: time step as measured [s].
+        n_samples: of all its files.
         inputs: channels identified, with their units.
         outputs: likewise, in the order of the shapes' components.
         left_out: outputs of the file that never moved.
@@ -243,6 +244,7 @@ class Outcome:
     trust: str = ""
     start_time: float = 0.0
     dt: float = 0.0
+    n_samples: int = 0
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -301,6 +303,7 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         seconds=time.perf_counter() - began,
         start_time=first.start_time,
         dt=first.dt,
+        n_samples=sum(one.n_samples for one in records),
         inputs=_channels(known.input_names, known.input_units),
         outputs=outputs,
         left_out=tuple(one for one in _channels(first.output_names, first.output_units) if one not in outputs),

@@ -72,7 +72,7 @@ def batch(
     """Identify each of many records once; give the same command again to take up what is missing.
 
     Exit status: 0 all identified; 1 a record failed, or is not like
-    the others in time step, channels or units; 2 wrong use.
+    the others in time step, length, channels or units; 2 wrong use.
     """
     with faults(show=traceback):
         if workers is not None and scheduler is not None:

@@ -251,6 +251,14 @@ def test_channels_that_a_record_lacks_are_nan_in_the_shapes(tmp_path):
     assert np.isfinite([*shapes["x"][:2], shapes["y"][0], shapes["y"][2]]).all()
 
 
+def test_a_file_that_was_cut_off_at_a_whole_row_is_named(runs, tmp_path):
+    cut = runs / "run_2.csv"
+    cut.write_text("".join(cut.read_text().splitlines(keepends=True)[:130])[:-4])  # within the last number
+    told = {name: row["message"] for name, row in rows(modal.identify_batch(runs, tmp_path / "out", **QUICK)).items()}
+    assert [name for name, message in told.items() if message] == ["run_2"]
+    assert "129 samples (most: 250), so its file may be cut off" in told["run_2"]
+
+
 def test_a_dead_channel_is_nan_in_the_shapes_and_named(runs, tmp_path):
     dead = runs / "run_2.csv"
     heading, *lines = dead.read_text().splitlines()
