@@ -1,5 +1,6 @@
 """One page on a batch: what to look at first, frequencies against time, records that failed or differ."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ import numpy as np
 from modal.batch.tables import part_file
 from modal.batch.task import Outcome
 from modal.plots.records import frequencies_of_records, places_of_records
-from modal.plots.vector import svg_text
-from modal.report.pages import environment
+from modal.report.pages import environment, inline
+from modal.report.pictures import drawn
 from modal.sections.provenance import installed_version
 
 __all__ = ["PAGE", "batch_headline", "write_page"]
@@ -30,7 +31,7 @@ def batch_headline(outcomes: Sequence[Outcome]) -> str:
     n_failed = sum(one.status == "failed" for one in outcomes)
     records = f"{len(outcomes)} record{'s' * (len(outcomes) != 1)}"
     if not n_failed:
-        return f"All of {records} identified."
+        return f"{'All ' * (len(outcomes) > 1)}{records} identified."
     return f"{len(outcomes) - n_failed} of {records} identified; {n_failed} failed."
 
 
@@ -42,7 +43,7 @@ def first_looks(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     groups = (
         (failed, "failed: see why below"),
         (poor, "identified, but the result is not reliable"),
-        (odd, "not like the others in time step, channels or units"),
+        (odd, "not like the others in time step, length, channels or units"),
     )
     return tuple(f"{len(names)} {what}: {_few(names)}" for names, what in groups if names)
 
@@ -50,6 +51,18 @@ def first_looks(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
 def _few(names: Sequence[str]) -> str:
     more = f" and {len(names) - 5} more" if len(names) > 5 else ""
     return ", ".join(names[:5]) + more
+
+
+def _modes_of_each(done: Sequence[Outcome], modes: Any) -> list[int]:
+    """Modes of the system in each record."""
+    system = zip(modes.column("record").to_pylist(), modes.column("verdict").to_pylist(), strict=True)
+    found = Counter(name for name, verdict in system if verdict == "system")
+    return [found[one.record] for one in done]
+
+
+def _caption(along: str) -> str:
+    counted = " Records are counted by name from 1, those that failed included." if along == "record" else ""
+    return f"A dot for each mode in each record.{counted} Poles judged as noise are not drawn; modes.parquet has them."
 
 
 def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
@@ -63,8 +76,9 @@ def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
     Raises:
         InvalidDataError: the folder cannot be written.
     """
-    done = [one for one in outcomes if one.status == "done"]
-    along, label = places_of_records(np.array([one.start_time for one in done]))
+    numbers = [number for number, one in enumerate(outcomes, start=1) if one.status == "done"]
+    done = [outcomes[number - 1] for number in numbers]
+    along, label = places_of_records(np.array([one.start_time for one in done]), numbers)
     place = {one.record: float(where) for one, where in zip(done, along, strict=True)}
     verdicts = modes.column("verdict").to_pylist()
     chart = frequencies_of_records(
@@ -84,11 +98,11 @@ def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
                 ("records", str(len(outcomes))),
                 ("identified", str(len(done))),
                 ("failed", str(len(outcomes) - len(done))),
-                ("modes of the system", str(verdicts.count("system"))),
-                ("time of work", f"{sum(one.seconds for one in outcomes):.0f} s"),
+                ("modes a record, median", f"{np.median(_modes_of_each(done, modes)):g}" if done else "–"),
+                ("time of all workers", f"{sum(one.seconds for one in outcomes):.0f} s"),
             ),
             first_looks=first_looks(outcomes),
-            picture=svg_text(chart, name="frequencies", description="Frequencies of all records") if done else "",
+            pictures={"frequencies": inline(drawn(chart, "frequencies", _caption(label)))} if done else {},
             rows=[(one.record, one.status, one.message) for one in told[:MOST_LISTED]],
             n_more=max(0, len(told) - MOST_LISTED),
             version=installed_version(),

@@ -8,7 +8,7 @@ import json
 import os
 import secrets
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from modal.comparison.shifts import ResultSummary, read_result
 from modal.identification.result import Identification, load
 from modal.modes.mode import numbered
 from modal.wording.names import shorten, visible
+from modal.wording.numbers import listed
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -30,6 +31,8 @@ PLACES = "records"
 """Folder of the folders of all records."""
 OUTPUTS = b"outputs"
 """Name of the list of channels in the description of the column "shape"."""
+SHORT = 0.9
+"""Name a record that is shorter than this share of the usual length: its file may be cut off."""
 ROWS_AT_ONCE = 500
 """Write the modes of so many records at once: some ten megabytes."""
 
@@ -103,26 +106,42 @@ def read_written(path: Path) -> Any:
 
 
 def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
-    """The same, with a sentence on each record whose time step, channels or units are not those of most records."""
+    """The same, with a sentence on each record whose time step, channels or units are not those of most, or is shorter.
+
+    A length is usual where more than half of the records have it, or nearly so.
+    """
     done = [one for one in outcomes if one.status == "done"]
-    usual = {what: Counter(value(one) for one in done).most_common(1)[0][0] for what, value in _TRAITS.items() if done}
+    if not done:
+        return tuple(outcomes)
+    step, inputs, outputs = (
+        Counter(values).most_common(1)[0][0]
+        for values in ([_step(one) for one in done], [one.inputs for one in done], [one.outputs for one in done])
+    )
+    lengths = np.array([one.n_samples for one in done])
+    middle = int(np.median(lengths))
+    length = middle if np.mean((lengths >= SHORT * middle) & (SHORT * lengths <= middle)) > 0.5 else 0
+    usual = replace(next(one for one in done if _step(one) == step), inputs=inputs, outputs=outputs, n_samples=length)
     return tuple(replace(one, message=_oddity(one, usual)) if one.status == "done" else one for one in outcomes)
 
 
-_TRAITS: Mapping[str, Callable[[Outcome], str]] = {
-    "time step": lambda one: f"{one.dt:.6g} s",
-    "inputs": lambda one: ", ".join(one.inputs) or "none",
-    "outputs": lambda one: ", ".join(one.outputs),
-}
+def _oddity(one: Outcome, usual: Outcome) -> str:
+    differs = [] if _step(one) == _step(usual) else [f"time step {_step(one)} (most: {_step(usual)})"]
+    if one.n_samples < SHORT * usual.n_samples:
+        differs.append(f"{one.n_samples} samples (most: {usual.n_samples}), so its file may be cut off")
+    for role, own, common in (("input", one.inputs, usual.inputs), ("output", one.outputs, usual.outputs)):
+        dead = [name for name in common if name in one.left_out]
+        several = [
+            (f"without {role}", [name for name in common if name not in own and name not in dead]),
+            (f"with a dead {role}", dead),
+            (f"with {role}", [name for name in own if name not in common]),
+        ]
+        told = [f"{what}{'s' * (len(names) > 1)} {shorten(listed(names), 120)}" for what, names in several if names]
+        differs += told or ([f"{role}s in another order"] if own != common else [])
+    return f"unlike most records: {'; '.join(differs)}; compare its modes with care." if differs else ""
 
 
-def _oddity(one: Outcome, usual: Mapping[str, str]) -> str:
-    differs = [
-        f"{what} ({shorten(value(one), 120)}; most: {shorten(usual[what], 120)})"
-        for what, value in _TRAITS.items()
-        if value(one) != usual[what]
-    ]
-    return f"unlike most records in {' and '.join(differs)}; compare its modes with care." if differs else ""
+def _step(one: Outcome) -> str:
+    return f"{one.dt:.6g} s"
 
 
 def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Path) -> None:

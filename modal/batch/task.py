@@ -228,8 +228,10 @@ class Outcome:
         trust: "carried", "with care" or "not carried"; "" where it failed.
         start_time: of the first sample [s].
         dt: time step as measured [s].
-        inputs: channels, with their units.
-        outputs: likewise.
+        n_samples: of all its files.
+        inputs: channels identified, with their units.
+        outputs: likewise, in the order of the shapes' components.
+        left_out: outputs of the file that never moved.
     """
 
     record: str
@@ -242,8 +244,10 @@ class Outcome:
     trust: str = ""
     start_time: float = 0.0
     dt: float = 0.0
+    n_samples: int = 0
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def folder_of(unit: Unit, folder: Path) -> Path:
@@ -290,7 +294,8 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         return write_failure(
             replace(blank, message=_said(fault), seconds=time.perf_counter() - began, lasting=False), place
         )
-    first = records[0]
+    first, known = records[0], result.channels
+    outputs = _channels(known.output_names, known.output_units)
     outcome = replace(
         blank,
         status="done",
@@ -298,8 +303,10 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         seconds=time.perf_counter() - began,
         start_time=first.start_time,
         dt=first.dt,
-        inputs=_channels(first.input_names, first.input_units),
-        outputs=_channels(first.output_names, first.output_units),
+        n_samples=sum(one.n_samples for one in records),
+        inputs=_channels(known.input_names, known.input_units),
+        outputs=outputs,
+        left_out=tuple(one for one in _channels(first.output_names, first.output_units) if one not in outputs),
     )
 
     def write(made: Path) -> None:

@@ -1,6 +1,7 @@
 """`modal-report batch`: many files identified, each once, by several processes or a cluster; one table of all modes."""
 
 import contextlib
+import shlex
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -70,7 +71,7 @@ def batch(
     """Identify each of many records once; give the same command again to take up what is missing.
 
     Exit status: 0 all identified; 1 a record failed, or is not like
-    the others in time step, channels or units; 2 wrong use.
+    the others in time step, length, channels or units; 2 wrong use.
     """
     with faults(show=traceback):
         if workers is not None and scheduler is not None:
@@ -125,7 +126,7 @@ def _show(result: Batch) -> int:
     failed = [row for row in rows if row["status"] == "failed"]
     odd = [row for row in rows if row["status"] == "done" and row["message"]]
     console.print()
-    console.print(plain(f"{len(rows) - len(failed)} of {len(rows)} records identified", "bold"))
+    console.print(plain(f"{len(rows) - len(failed)} of {len(rows)} records identified.", "bold"))
     for heading, several in (("Failed", failed), ("Not like the other records", odd)):
         lines = [f"{row['record']}: {row['message']}" for row in several[:LISTED]]
         more = [f"and {len(several) - LISTED} more, see {PAGE}"] if len(several) > LISTED else []
@@ -137,6 +138,7 @@ def _show(result: Batch) -> int:
         (at / MODE_TABLE, "one row a pole and record"),
         (at / MODE_CSV, "the same without shapes"),
         (at / RECORD_TABLE, "one row a record"),
-        (at / "recording.rrd", "to look at: rerun recording.rrd"),
+        (at / "recording.rrd", f"to look at: modal-report view {shlex.quote(str(at))}"),
     )
+    console.print(plain(f"To follow each mode through the records: modal-report track {shlex.quote(str(at))}", ""))
     return 1 if failed or odd else 0

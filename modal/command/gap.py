@@ -30,12 +30,14 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
 from modal.report.folder import standing
+from modal.report.pages import hold_text
 from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
 from modal.sections.discrepancy_values import effect_text, found_value, interval_text, times_text
 from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
+from modal.wording.numbers import listed
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 
@@ -57,9 +59,11 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
     console.print()
     console.print(plain(words.diagnosis_headline(diagnosis), "bold"))
     console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
-    if diagnosis.findings:
+    width = max([len(found_value(one)) for finding in diagnosis.findings for one in finding.parameters], default=0)
+    for finding in diagnosis.findings:
         console.print()
-        console.print(_findings(diagnosis.findings))
+        console.print(plain(effect_text(finding.effect), "bold green") + plain(f" at {finding.where}"))
+        console.print(_findings(finding, width))
     listing(console, "Why", [_why(finding) for finding in diagnosis.findings], "")
     listing(console, "Where they disagreed, before any effect was tried", words.where_sentences(diagnosis), "")
     stages = stages_of(diagnosis)
@@ -72,42 +76,45 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
     listing(console, "What the data could still hide", [hidden] if limits else [], "")
     listing(console, "Next", words.next_sentences(diagnosis), "cyan")
     listing(console, "Warnings", words.read_first(diagnosis), "yellow")
-    listing(console, "Data", (*words.floor_summary(diagnosis), *remarks), "")
+    listing(console, "Data", (*_holds(diagnosis), *words.floor_summary(diagnosis), *remarks), "")
 
 
 def show_diagnosis_files(console: Console, files: DiagnosisFiles, *, pdf: Path | None = None) -> None:
-    """Where the report is, one line a file."""
+    """Where the report is, one line a file that one opens next."""
+    folder, others = files.recording.parent, (files.markdown, files.json, files.csv)
     show_paths(
         console,
-        (files.html, "report to read"),
-        (files.markdown, "the same as Markdown"),
-        (files.json, "every number"),
-        (files.csv, "one row a parameter found"),
-        (files.recording, f"to look at: modal-report view {shlex.quote(str(files.recording.parent))}"),
+        (files.html, "the report"),
+        (pdf, "the same on paper"),
+        (files.recording, f"to look at: modal-report view {shlex.quote(str(folder))}"),
         (files.model, "the updated model, to go on with"),
-        (pdf, "the report on paper"),
+        (folder, f"also {', '.join(path.name for path in others)}"),
     )
 
 
-def _findings(findings: Sequence[Finding]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
-    for heading in ("effect", "place", ""):
-        table.add_column(heading)
-    table.add_column("value ± std", justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    table.add_column("95 %", no_wrap=True)
-    for finding in findings:
-        head = (plain(effect_text(finding.effect), "bold green"), plain(finding.where))
-        if not finding.parameters:
-            table.add_row(*head)
-        for number, one in enumerate(finding.parameters):
-            table.add_row(
-                *(head if number == 0 else ("", "")),
-                plain(one.name),
-                plain(found_value(one), "bold"),
-                plain(one.unit),
-                plain(interval_text(one.value, one.std), "bright_black"),
-            )
+def _holds(diagnosis: Diagnosis) -> list[str]:
+    """What the inputs were taken to do between samples, and how that was said."""
+    ways: dict[InputHold, list[str]] = {}
+    for record in diagnosis.held_out:
+        ways.setdefault(record.input_hold, []).extend(record.input_names)
+    return [
+        f"Input {listed(list(dict.fromkeys(names)))}: {hold_text(way)} (--hold {way})."
+        for way, names in ways.items()
+        if names
+    ]
+
+
+def _findings(finding: Finding, width: int) -> Table:
+    """The parameters of an effect, the value in a column of a width that all effects share."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, min_width=max([len(one.name) for one in finding.parameters], default=0))
+    table.add_column(justify="right", no_wrap=True, min_width=width)
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    for one in finding.parameters:
+        interval = interval_text(one.value, one.std)
+        known = "" if interval == "–" else f"95 %: {interval}"
+        table.add_row(plain(one.name), plain(found_value(one), "bold"), plain(one.unit), plain(known, "bright_black"))
     return table
 
 
@@ -119,13 +126,13 @@ def _why(finding: Finding) -> str:
 
 
 def _before_after(stages: Sequence[Stage]) -> Table:
-    """By output and by record; bands only as far as there is room."""
+    """By output and by record; the report has the bands of frequency too."""
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("by", no_wrap=True)
     table.add_column("")
     for stage in stages:
         table.add_column(stage.name, justify="right", no_wrap=True)
-    for row in rows_of(stages)[:MOST_PARTS]:
+    for row in [row for row in rows_of(stages) if row.part != "band"][:MOST_PARTS]:
         cells = [plain(times_text(size), _STAGES[stage.kind]) for stage, size in zip(stages, row.sizes, strict=True)]
         table.add_row(plain(row.part, "bright_black"), plain(row.name), *cells)
     return table

@@ -302,7 +302,7 @@ def say_beforehand(n_samples: int, n_channels: int, seconds: tuple[float, float]
     least, most = (math.ceil(bound / 60.0) for bound in seconds)
     if seconds[1] < LONG:
         return
-    time = f"{least} to {most}" if least < most else f"{most}"
+    time = f"{least} to {most}" if 1 < least < most else f"up to {most}" if least < most else f"{most}"
     memory = f"{n_bytes / 2**30:.1f} GiB of memory"
     text = f"{n_samples} samples of {n_channels} channels: expect {time} min of one processor and up to {memory}."
     Screen(stderr=True, highlight=False).print(plain(text), soft_wrap=True)

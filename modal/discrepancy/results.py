@@ -5,6 +5,7 @@ inputs, no effect can be missing that the data could show. "Nothing missing" mus
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal
 
@@ -38,6 +39,7 @@ __all__ = [
     "explained_shares",
     "explained_words",
     "in_words",
+    "masses_text",
     "other_masses",
     "unexplained_outputs",
 ]
@@ -98,7 +100,19 @@ def other_masses(diagnosis: "Diagnosis") -> str:
     """What explains the records where other masses do and no effect is found: "another mass of dof_0"; else ""."""
     changed = changed_masses(diagnosis)
     explains = not diagnosis.findings and diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
-    return f"another {listed(list(changed))}" if changed and explains else ""
+    return masses_text(changed) if changed and explains else ""
+
+
+def masses_text(names: Sequence[str]) -> str:
+    """Masses that are not those given, by their names.
+
+    Example:
+        >>> masses_text([]), masses_text(["mass of lower"]), masses_text(["mass of lower", "mass of upper"])
+        ('', 'another mass of lower', 'other masses of lower and upper')
+    """
+    if len(names) < 2:
+        return "".join(f"another {name}" for name in names)
+    return f"other masses of {listed([name.removeprefix(MASS) for name in names])}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)

@@ -179,9 +179,16 @@ def markov_parameters(
 
 
 def density_label(unit: str) -> str:
-    """What the axis of a power spectral density is called."""
+    """What the axis of a power spectral density is called.
+
+    Example:
+        >>> density_label("m"), density_label("m/s^2"), density_label("")
+        ('m²/Hz', '(m/s^2)²/Hz', 'power / Hz')
+    """
     short = plot_label(unit, limit=12)
-    return f"({short})²/Hz" if short else "power / Hz"
+    if not short:
+        return "power / Hz"
+    return f"({short})²/Hz" if set(unit) & set("/ ^*") else f"{short}²/Hz"
 
 
 def _typical(size: FloatArray) -> FloatArray:

@@ -45,7 +45,7 @@ def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: P
     starts = np.zeros(len(names))
     starts[row] = modes.column("start_time").to_numpy(zero_copy_only=False)
     seen = np.unique(row)
-    along, label = places_of_records(starts[seen])
+    along, label = places_of_records(starts[seen], seen + 1)
     places = np.full(len(names), np.nan)
     places[seen] = along
     digest = hashlib.blake2b(repr(names).encode("utf-8", "backslashreplace"), digest_size=12)

@@ -31,6 +31,7 @@ from modal.sections.discrepancy_values import (
     value_text,
 )
 from modal.sections.provenance import Provenance, installed_version
+from modal.simulation.plant import MASS
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import exact_percent, number
 from okid.arrays import FloatArray
@@ -198,13 +199,14 @@ def _behind(gap: float) -> str:
 def _calibrated(diagnosis: Diagnosis) -> list[dict[str, object]]:
     rows = []
     for one in diagnosis.calibrated:
-        change = signed_change(one)
+        given = one.name.startswith(MASS) and one.value == one.nominal
+        change = np.nan if given else signed_change(one)
         rows.append(
             {
                 "name": one.name,
                 "unit": one.unit,
-                "nominal": beside_text(one.nominal, one.value, one.std),
-                "value": value_text(one.value, one.std),
+                "nominal": f"{one.nominal:.6g}" if given else beside_text(one.nominal, one.value, one.std),
+                "value": "taken as given" if given else value_text(one.value, one.std),
                 "change": f"{100.0 * change:+.2g} %" if np.isfinite(change) else "–",
                 "at_bound": one.at_bound,
             }

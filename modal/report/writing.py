@@ -228,5 +228,5 @@ def _beside(files: ReportFiles) -> str:
         f"{files.markdown.name} (the same words), {files.json.name} (the numbers; {files.schema.name} says how it is "
         f"laid out), {files.csv.name} (one row a pole), {files.uff55.name} (the modes for other tools), "
         f"{files.result.name} (the result itself, or its summary where it is above {LARGEST_KEPT >> 20} MiB, for "
-        f"modal.load and modal-report diff), and {files.recording.name} (open it with: rerun {files.recording.name})"
+        f"modal.load and modal-report diff), and {files.recording.name} (modal-report view with this folder opens it)"
     )

@@ -14,6 +14,7 @@ from modal.discrepancy.results import (
     LawCurve,
     Parameter,
     changed_masses,
+    masses_text,
 )
 from modal.effects.catalogue import effect_name
 from modal.wording.numbers import NINETY_FIVE, listed, number
@@ -52,7 +53,7 @@ effect_text = effect_name
 
 def hypothesis_text(hypothesis: Hypothesis) -> str:
     """What a hypothesis has that the calibrated model has not: effects and other masses, or "no effect"."""
-    masses = f"another {listed(list(hypothesis.masses))}" if hypothesis.masses else ""
+    masses = masses_text(hypothesis.masses)
     if not hypothesis.effects:
         return masses or effects_text(())
     return f"{effects_text(hypothesis.effects)}{f' and {masses}' if masses else ''}"

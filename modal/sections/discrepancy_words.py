@@ -8,7 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modal.discrepancy.results import EVEN, Diagnosis, Finding, Step, other_masses, unexplained_outputs
+from modal.discrepancy.results import (
+    EVEN,
+    Diagnosis,
+    Finding,
+    Step,
+    changed_masses,
+    masses_text,
+    other_masses,
+    unexplained_outputs,
+)
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
@@ -93,7 +102,8 @@ def judge_diagnosis(diagnosis: Diagnosis) -> Judgement:
 
 def remaining_sentence(diagnosis: Diagnosis) -> str:
     """How far the model is from the held-out data before, after calibration and after, in times of the floor."""
-    effects = {0: "", 1: "with the effect"}.get(len(diagnosis.findings), "with the effects")
+    masses = masses_text(changed_masses(diagnosis)) if not diagnosis.findings else ""
+    effects = {0: masses and f"with {masses}", 1: "with the effect"}.get(len(diagnosis.findings), "with the effects")
     parts = [_left(step, effects) for step in _milestones(diagnosis)]
     last = times_floor(diagnosis.steps[-1].held_out_level)
     verdict = ", which is noise" if last <= NAMED_WITHIN else ""

@@ -7,10 +7,11 @@ import numpy as np
 
 from modal.batch.tables import part_file
 from modal.plots.records import frequencies_in_time
-from modal.plots.vector import svg_text
-from modal.report.pages import environment
+from modal.report.pages import environment, inline
+from modal.report.pictures import drawn
 from modal.sections.provenance import installed_version
 from modal.tracking.tracks import Tracks
+from modal.wording.names import shorten
 from modal.wording.numbers import hertz
 
 __all__ = ["TRACK_PAGE", "TRACK_TABLE", "moment_text", "tracks_headline", "write_tracks"]
@@ -21,9 +22,10 @@ EPOCH_FROM = 1e9
 
 
 def moment_text(time: float, tracks: Tracks) -> str:
-    """A time as a date, as days since the first record, or as the number of a record."""
+    """A time as a date, as days since the first record, or as the number and name of a record."""
     if not tracks.clock:
-        return f"record {time:.0f}"
+        name = tracks.records[int(time) - 1] if 0 < time <= len(tracks.records) else ""
+        return f"record {time:.0f}{f' ({shorten(name, 40)})' if name else ''}"
     if time >= EPOCH_FROM:
         return datetime.fromtimestamp(time, tz=UTC).strftime("%Y-%m-%d %H:%M")
     start = min(float(one.times[0]) for one in tracks.tracks)
@@ -39,7 +41,7 @@ def tracks_headline(tracks: Tracks) -> str:
         return f"{modes}; nothing changed beyond chance."
     n = len(tracks.alarms)
     first = moment_text(tracks.alarms[0].since, tracks)
-    return f"{modes}; {n} change{'s' * (n != 1)} beyond chance, the first since {first}."
+    return f"{modes}; {n} change{'s' * (n != 1)} beyond chance, {'the first ' * (n != 1)}since {first}."
 
 
 def _verdict(tracks: Tracks) -> tuple[str, str]:
@@ -53,6 +55,15 @@ def _explained(share: float) -> str:
     if not np.isfinite(share):
         return "–"
     return f"{100 * share:.1f} %" if share > 0.0 else "nothing"
+
+
+def _caption(tracks: Tracks) -> str:
+    causes = ", ".join(tracks.causes) or "none was given, or none helps"
+    marked = " Upright lines: since when something changed." if tracks.alarms else ""
+    return (
+        "Above, a dot for each mode in each record; below, how far each frequency is off its level before the first "
+        f"change once the causes ({causes}) are taken off, as means of neighbouring records.{marked}"
+    )
 
 
 def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
@@ -74,7 +85,7 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
             (
                 one.number,
                 hertz(middle),
-                one.frequency.size,
+                f"{one.frequency.size} of {len(tracks.records)}",
                 f"{100 * (one.frequency.min() / middle - 1):+.2f} to {100 * (one.frequency.max() / middle - 1):+.2f} %",
                 _explained(one.explained),
                 "; ".join(
@@ -91,11 +102,11 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
         .render(
             headline=tracks_headline(tracks),
             verdict=_verdict(tracks),
-            causes=", ".join(tracks.causes),
             alarms=[
                 (moment_text(one.since, tracks), moment_text(one.time, tracks), one.reason) for one in tracks.alarms
             ],
-            picture=svg_text(chart, name="tracks", description="Frequencies of all modes through time"),
+            pictures={"tracks": inline(drawn(chart, "tracks", _caption(tracks)))},
+            clock=tracks.clock,
             rows=rows,
             version=installed_version(),
         )

@@ -92,7 +92,8 @@ class Tracks(Displayed):
         tracks: by median frequency.
         alarms: by time.
         causes: what the frequencies were found to depend on, in words; empty where no cause was given or helps.
-        clock: times are seconds; else numbers of records, because they have no times of their own.
+        clock: times are seconds; else numbers of records from 1, because they have no times of their own.
+        records: names of all records, in their order.
         enough: there are enough records to tell a change from chance; no alarm says nothing where there are not.
     """
 
@@ -101,6 +102,7 @@ class Tracks(Displayed):
     alarms: tuple[Alarm, ...]
     causes: tuple[str, ...]
     clock: bool
+    records: tuple[str, ...] = ()
     enough: bool = False
 
     def __repr__(self) -> str:
@@ -147,7 +149,8 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     rows = np.flatnonzero((verdict != "noise") & np.isfinite(frequency) & (frequency > 0.0))
     rows = rows[np.argsort(place[record[rows]], kind="stable")]
     if not rows.size:
-        return Tracks(modes=_with_tracks(table, owner), tracks=(), alarms=(), causes=(), clock=clock)
+        modes = _with_tracks(table, owner)
+        return Tracks(modes=modes, tracks=(), alarms=(), causes=(), clock=clock, records=tuple(names))
     owner[rows] = followed(place[record[rows]], frequency[rows], _shapes(table)[rows], verdict[rows] == "doubtful")
     n_tracks = int(owner.max(initial=-1)) + 1
     values = np.full((order.size, n_tracks), np.nan)
@@ -169,6 +172,7 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
         causes=environment.names,
         enough=enough_records(times, clock=clock),
         clock=clock,
+        records=tuple(names),
     )
 
 

@@ -343,9 +343,15 @@ def _uniform_step(stamps: FloatArray, factor: float, name: str) -> float:
         return factor * rounded
     if step <= 0 or back.any():
         row = int(back.argmax()) + 1
+        repeats = 2 * np.count_nonzero(np.diff(time) == 0) > n_samples
+        remedy = (
+            "most times repeat, so they were written with too few digits: write more, or give the time step (dt)"
+            if repeats
+            else "sort the rows, or cut the file into one file a record"
+        )
         raise InvalidDataError(
-            f"{name} must increase, but goes from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row + 1} of "
-            f"{n_samples}; sort the rows, or cut the file into one file a record."
+            f"{name} must increase, but goes from {time[row - 1]:.12g} s to {time[row]:.12g} s at row {row + 1} of "
+            f"{n_samples}; {remedy}."
         )
     worst = int(off.argmax())
     if off[worst] > JITTER:

@@ -399,7 +399,7 @@ def lowered_floor(floor: NoiseFloor, records: Record | Sequence[Record], residua
         lower = (left.variance < variance[i]) & (left.standard_error < error[i])
         variance[i, lower], error[i, lower] = left.variance[lower], left.standard_error[lower]
         if lower.any():
-            reasons[i] += f" Lower by the residual of a model: {left.words(record, lower)}."
+            reasons[i] += f" What a fitted model leaves is less and counts instead: {left.words(record, lower)}."
     return replace(
         floor,
         variance=frozen_with_gaps(variance, name="variance"),
@@ -427,7 +427,7 @@ def raised_floor(floor: NoiseFloor, left: FloatArray) -> NoiseFloor:
         higher = left[i] > variance[i]
         if method in ("quiet band", "incoherent part") and higher.any():
             variance[i, higher] = left[i, higher]
-            reasons[i] += " Higher by the residual of a model that leaves nothing but coloured noise."
+            reasons[i] += " What the model leaves is more, but coloured noise and nothing else, and counts instead."
     return replace(floor, variance=frozen_with_gaps(variance, name="variance"), reason=tuple(reasons))
 
 
@@ -459,7 +459,7 @@ def _repeated(
     return _one_floor(
         np.maximum(scatter.variance, smallest_variance(record)),
         method,
-        f"{words} differ{dropped}: {scatter.n_rows} samples, sure to {100 * error.max():.2g} %{more}.",
+        f"{words} differ{dropped}: {scatter.n_rows} samples, known to {50 * error.max():.2g} %{more}.",
         error,
         random=scatter.variance,
         distortion=_line_distortion(record),

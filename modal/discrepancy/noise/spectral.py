@@ -281,8 +281,8 @@ def _level(band: QuietBand, steady: SteadyLevel | None, dt: float, missing: floa
         variance=variance,
         standard_error=error,
         driven_share=band.driven_share,
-        note=f"by its level from {band.low / dt:.4g} to {band.high / dt:.4g} Hz{how} "
-        f"({2 * band.freedom:.0f} samples' worth{bridges}), sure to {100 * error:.2g} %{doubt}",
+        note=f"by its level from {band.low / dt:.4g} to {band.high / dt:.4g} Hz{how}"
+        f"{bridges}, known to {50 * error:.2g} %{doubt}",  # root mean square: half of the error of a variance
     )
 
 

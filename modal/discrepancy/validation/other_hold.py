@@ -95,7 +95,7 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
             return found
         words = (
             f"the inputs are declared {declared}, and then the model leaves something that depends on them; as "
-            f'{better} it leaves noise, so that is what was taken; declare input_hold="{better}"'
+            f"{better} it leaves noise, so that is what was taken; {_declare(better)}"
         )
         other = diagnosed(catalogue, better)
         return replace(other, warnings=(words, *other.warnings)) if other.status == "none" else found
@@ -110,9 +110,13 @@ def by_the_better_hold(found: Diagnosis, diagnose: Diagnose, catalogue: Mapping[
         return found
     words = (
         f"the inputs are declared {declared}, but as {hold} the records need {_named(other)} instead of "
-        f'{_named(found)}, so that is what was taken; declare input_hold="{hold}"'
+        f"{_named(found)}, so that is what was taken; {_declare(hold)}"
     )
     return replace(other, warnings=(words, *other.warnings))
+
+
+def _declare(hold: InputHold) -> str:
+    return f'declare input_hold="{hold}" (in the command --hold {hold})'
 
 
 def _leaves_an_input(found: Diagnosis) -> bool:
@@ -131,6 +135,8 @@ def _better(other: Diagnosis, found: Diagnosis) -> bool:
         return _explains(other)
     if _n_besides(other) != _n_besides(found):
         return _n_besides(other) < _n_besides(found)
+    if _made_by_input(other) != _made_by_input(found):
+        return _made_by_input(found)
     return AT_FLOOR * other.steps[-1].held_out_level < found.steps[-1].held_out_level
 
 
@@ -184,7 +190,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
     why = "was held by its source" if other == "zero_order" else "was measured rather than set"
     return (
         f"Check the hold: the motion reaches up to {number(frequency)} Hz, {number(1.0 / (frequency * first.dt), 2)} "
-        f'samples a period, and the input is declared {first.input_hold}. If it {why}, declare input_hold="{other}": '
+        f"samples a period, and the input is declared {first.input_hold}. If it {why}, {_declare(other)}: "
         "a wrong hold looks like half a sample of delay, or like damping."
     )
 

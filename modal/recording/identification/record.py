@@ -11,6 +11,7 @@ import numpy as np
 
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
+from modal.plots.responses import density_label
 from modal.preparation.channel import Finding
 from modal.quality.findings import DataQuality
 from modal.recording.figure import (
@@ -300,9 +301,7 @@ def _density_unit(quality: DataQuality, role: str) -> str:
     """Of the channels of a role: their own where they have one unit."""
     units = {one.unit for one in quality.channels if one.role == role}
     unit = units.pop() if len(units) == 1 else ""
-    if not unit:
-        return "unit²/Hz"
-    return f"({label(unit, 12)})²/Hz" if set(unit) & set("/ ^*") else f"{label(unit, 12)}²/Hz"
+    return density_label(unit) if unit else "unit²/Hz"
 
 
 ONE_COLUMN: Final = 4

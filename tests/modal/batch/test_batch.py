@@ -125,8 +125,8 @@ def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys)
     assert {name for name, row in found.items() if row["status"] == "failed"} == {"empty", "cut", "twin"}
     assert "run_0" in found["twin"]["message"]
     assert "0 bytes" in found["empty"]["message"]
-    assert "time step (0.04 s; most: 0.02 s)" in found["slow"]["message"]
-    assert "outputs (a [m/s], b; most: a, b)" in found["unit"]["message"]
+    assert "time step 0.04 s (most: 0.02 s)" in found["slow"]["message"]
+    assert "without output a; with output a [m/s]" in found["unit"]["message"]
     assert all(not row["message"] for name, row in found.items() if name.startswith("run_"))
     said = capsys.readouterr().out
     assert "6 of 9 records identified" in said
@@ -249,6 +249,28 @@ def test_channels_that_a_record_lacks_are_nan_in_the_shapes(tmp_path):
     assert np.isnan(shapes["x"][2])
     assert np.isnan(shapes["y"][1])
     assert np.isfinite([*shapes["x"][:2], shapes["y"][0], shapes["y"][2]]).all()
+
+
+def test_a_file_that_was_cut_off_at_a_whole_row_is_named(runs, tmp_path):
+    cut = runs / "run_2.csv"
+    cut.write_text("".join(cut.read_text().splitlines(keepends=True)[:130])[:-4])  # within the last number
+    told = {name: row["message"] for name, row in rows(modal.identify_batch(runs, tmp_path / "out", **QUICK)).items()}
+    assert [name for name, message in told.items() if message] == ["run_2"]
+    assert "129 samples (most: 250), so its file may be cut off" in told["run_2"]
+
+
+def test_a_dead_channel_is_nan_in_the_shapes_and_named(runs, tmp_path):
+    dead = runs / "run_2.csv"
+    heading, *lines = dead.read_text().splitlines()
+    dead.write_text("\n".join([heading, *(f"{line.rpartition(',')[0]},0" for line in lines)]) + "\n")
+    batch = modal.identify_batch(runs, tmp_path / "out", **QUICK)
+    assert {row["status"] for row in batch.records.to_pylist()} == {"done"}
+    shapes = {row["record"]: [one["real"] for one in row["shape"]] for row in batch.modes.to_pylist()}
+    assert np.isfinite(shapes["run_1"]).all()
+    assert np.isfinite(shapes["run_2"]).tolist() == [True, False]
+    told = {name: row["message"] for name, row in rows(batch).items() if row["message"]}
+    assert list(told) == ["run_2"]
+    assert "with a dead output b" in told["run_2"]
 
 
 def test_wrong_use_is_one_sentence(runs, tmp_path, capsys):

@@ -121,6 +121,8 @@ def test_a_good_run_writes_everything_and_says_where(data, quick, capsys):
     assert status == 0, captured
     assert "The simulation lacks cubic stiffness at the link lower-upper." in captured.out
     assert "out/report.html" in captured.out
+    assert "- Input force: " in captured.out
+    assert "(--hold " in captured.out
     assert captured.err == ""
     assert len(list((data / "out").iterdir())) == 6
     StructuralModel.load(data / "out" / "model.json")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modal.command.terminal import MOST_NOISE, show_comparison, show_files, show_result
+from modal.command.terminal import MOST_NOISE, say_beforehand, show_comparison, show_files, show_result
 from modal.examples.demo import ModeComparison
 from modal.report.writing import ReportFiles
 from modal.wording.numbers import hertz
@@ -108,3 +108,9 @@ def test_paths_stay_on_one_line(tmp_path):
     folder = tmp_path / ("long" * 40)
     text = printed(show_files, ReportFiles.in_folder(folder))
     assert str(folder / "report.html") in text
+
+
+def test_less_than_a_minute_is_no_minute_at_least(capsys):
+    for seconds, time in (((18.0, 350.0), "up to 6"), ((100.0, 350.0), "2 to 6"), ((350.0, 360.0), "6")):
+        say_beforehand(9000, 3, seconds, 2.0**30)
+        assert f"expect {time} min of one processor" in capsys.readouterr().err

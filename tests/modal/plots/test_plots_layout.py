@@ -1,6 +1,7 @@
 """Where panels, ticks and keys lie: inside the chart, beside each other, at round values."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from modal.plots.layout import Key, grid_of, row_of
 from modal.plots.panels import Panel, text_width, ticks_between
+from modal.plots.records import frequencies_in_time, places_of_records
 from modal.plots.vector import page_of, svg_text
 
 
@@ -128,3 +130,17 @@ def test_a_picture_is_a_file_of_its_own_with_a_name_space():
     text = page_of(svg_text(filled(1, 1), name="x", description="x"))
     assert text.startswith('<svg xmlns="http://www.w3.org/2000/svg"')
     assert text.endswith("</svg>\n")
+
+
+def test_records_that_failed_keep_their_numbers_and_the_panels_of_tracks_share_their_axis():
+    places, along = places_of_records(np.zeros(3), [1, 2, 4])
+    assert (places.tolist(), along) == ([1.0, 2.0, 4.0], "record")
+    times = np.arange(1.0, 41.0)
+    tracks = [SimpleNamespace(frequency=f + 0 * times, times=times, left=0.01 * times) for f in (2.0, 5.0)]
+    chart = frequencies_in_time(tracks, [31.0], clock=False)
+    chart.arrange()
+    above, below = chart.panels
+    assert above.x.limits == below.x.limits
+    assert above.place(np.array([31.0, 2.0]))[0] == pytest.approx(below.place(np.array([31.0, 0.0]))[0])
+    assert chart.key is not None  # outside: no key hides a dot
+    assert above.key is None

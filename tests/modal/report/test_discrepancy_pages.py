@@ -234,3 +234,15 @@ def test_a_browser_has_nothing_to_complain_about(pages, tmp_path):
     run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert "CONSOLE" not in run.stderr
     assert run.stdout.count("<svg") == pages["nasty"][0].count("<svg")
+
+
+def test_masses_that_were_not_released_have_no_deviation_of_their_own(make_gap):
+    found = make_gap()
+    mass = replace(found.calibrated[0], name="mass of dof_0", nominal=1.2, value=1.2, std=0.12, unit="kg")
+    other = replace(mass, name="mass of dof_1", value=1.5, std=0.01)
+    page = page_of(replace(found, calibrated=(*found.calibrated, mass, other)))
+    starts = [re.search(f"mass of (dof_{k}|{name})", page).start() for k, name in enumerate(("lower", "upper"))]
+    row_of_mass, row_of_other = (page[start : page.index("</tr>", start)] for start in starts)
+    assert "taken as given" in row_of_mass
+    assert "±" not in row_of_mass
+    assert "1.500 ± 0.010" in row_of_other

@@ -68,6 +68,10 @@ def test_lost_samples(file_with_time):
         (np.r_[TIME[:50], TIME[49:]], r"must increase, but goes from 0\.49 s to 0\.49 s at row 51"),
         (np.r_[TIME[:50], TIME[:50]], r"must increase, but goes from 0\.49 s to 0 s at row 51 .*one file a record"),
         (TIME[::-1], r"must increase, .* at row 2"),
+        (
+            1.7e9 + np.round(TIME / 50),
+            r"from 1700000000 s to 1700000000 s at row 2 .*too few digits: .*\(dt\)",
+        ),
         (np.where(np.arange(N_SAMPLES) == 3, np.nan, TIME), r"missing in 1 of 200 rows, the first of them row 4"),
     ],
 )

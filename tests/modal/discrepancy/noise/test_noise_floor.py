@@ -180,7 +180,7 @@ def test_a_models_residual_uncovers_the_noise_below_friction(responses):
     assert floor.variance[0, 0] > 1.5 * std**2
     assert abs(lower.variance[0, 0] / std**2 - 1) < 0.15
     assert lower.standard_error[0, 0] < 0.15
-    assert "residual" in lower.reason[0]
+    assert "a fitted model leaves" in lower.reason[0]
     # a model that explains nothing lowers nothing
     same = lowered_floor(floor, record, [record.outputs])
     np.testing.assert_array_equal(same.variance, floor.variance)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nonlinear_chain import run_chain
 
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.results import LackOfFit
@@ -96,3 +97,52 @@ def test_a_hold_that_leaves_less_than_any_effect_is_taken_back_too():
     assert not any(words.startswith("Check the hold") for words in diagnosis.advice)
     left = LackOfFit(kind="input", where="force", p_value=1e-9, share=0.02, size=0.002)
     assert hold_words(replace(diagnosis, lack_of_fit=(left,))).startswith("Check the hold")
+
+
+def driven_frame(delay, *, fine=8, n=1500, dt=0.01, level=(4.0, 15.0, 8.0)):
+    """Two masses, a cubic spring between them, a force below 9 Hz; held between samples (delay None) or late by a time.
+
+    A late force is the band-limited one itself, followed at `fine` steps a sample by the reference integrator.
+    """
+    rng, size = np.random.default_rng(6), fine * n
+    spectrum = np.zeros((3, size // 2 + 1), dtype=complex)
+    frequency = np.fft.rfftfreq(size, dt / fine)
+    there = (frequency > 0.2) & (frequency < 9.0)
+    spectrum[:, there] = np.exp(2j * np.pi * rng.random((3, there.sum())))
+    forces = np.fft.irfft(spectrum, size)
+    scale = np.array(level)[:, np.newaxis] / forces.std(axis=1, keepdims=True)
+    force = scale * forces[:, ::fine]
+    if delay is None:
+        outputs = run_chain([1.2, 0.8], [420.0, 360.0], [0.8, 0.6], force, dt, law=cubic, element=1)
+    else:
+        late = np.fft.irfft(spectrum * np.exp(-2j * np.pi * frequency * (delay - dt / fine / 2)), size)
+        outputs = run_chain([1.2, 0.8], [420.0, 360.0], [0.8, 0.6], scale * late, dt / fine, law=cubic, element=1)
+        outputs = outputs[:, ::fine]
+    outputs = outputs + 0.01 * outputs.std(axis=1, keepdims=True) * rng.standard_normal(outputs.shape)
+    return [
+        Record(u, y, dt, input_names=["force"], input_hold="band_limited") for u, y in zip(force, outputs, strict=True)
+    ]
+
+
+def cubic(d, _v, _t):
+    return 25000.0 * d**3
+
+
+def frame_diagnosis(delay):
+    *fit, held_out = driven_frame(delay)
+    model = StructuralModel.chain([1.2, 0.8], [400.0, 360.0], [0.8, 0.5], force_dofs=[0], sensor_dofs=[0, 1])
+    return diagnose(model, fit, held_out, catalogue={key: CATALOGUE[key] for key in ("cubic_stiffness", "input_delay")})
+
+
+def test_a_wrong_hold_is_no_delay_where_the_delay_leaves_something_of_the_input():
+    found = frame_diagnosis(None)
+    assert (found.status, [one.effect for one in found.findings]) == ("named", ["cubic_stiffness"])
+    assert 'declare input_hold="zero_order" (in the command --hold zero_order)' in found.warnings[0]
+
+
+def test_a_delay_of_half_a_sample_stays_a_delay_where_the_hold_is_right():
+    found = frame_diagnosis(0.005)
+    values = {one.effect: one.parameters[0].value for one in found.findings}
+    assert values["input_delay"] == pytest.approx(0.005, rel=0.02)
+    assert values["cubic_stiffness"] == pytest.approx(25000.0, rel=0.01)
+    assert all(record.input_hold == "band_limited" for record in found.fit)
