@@ -40,7 +40,7 @@ from modal.structure.given import given_model
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["Progress", "diagnose", "expected_work"]
+__all__ = ["Progress", "diagnose", "expected_diagnosis_work"]
 
 UNKNOWN_STATES = 6
 """Take a callable, of which nobody knows how many states it has, for three degrees of freedom."""
@@ -50,7 +50,9 @@ def _silent(what: str, share: float) -> None:
     del what, share
 
 
-def expected_work(model: Any, fit: Sequence[Record], held_out: Sequence[Record]) -> tuple[tuple[float, float], float]:
+def expected_diagnosis_work(
+    model: Any, fit: Sequence[Record], held_out: Sequence[Record]
+) -> tuple[tuple[float, float], float]:
     """CPU seconds, least and most, and bytes that `diagnose` will take without a budget, about."""
     black_box = callable(model) and not hasattr(model, "A")
     n_states = UNKNOWN_STATES if black_box else given_model(model, fit).plant.n_states

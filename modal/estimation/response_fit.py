@@ -21,7 +21,7 @@ __all__ = [
     "ResponseFit",
     "ResponseLines",
     "fit_at",
-    "powers_of",
+    "pole_energies",
     "realised",
     "refined",
     "start_of",
@@ -364,7 +364,7 @@ def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
     return Realisation(A, B / into, C * out, fit.feedthrough * out / into, table.dt)
 
 
-def powers_of(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
+def pole_energies(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
     """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
     plus, minus = table.basis(fit.poles)[0]
     minus = minus * fit.is_pair

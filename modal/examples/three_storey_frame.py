@@ -36,7 +36,7 @@ from modal.report.writing import write_report
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["PARTS", "TEST_FILE", "Parts", "frame", "main", "measured_record", "study", "summary", "truth"]
+__all__ = ["PARTS", "TEST_FILE", "Parts", "frame", "main", "storeys_record", "study", "summary", "truth"]
 
 SENSORS = ("11X+", "11Y+", "13Y-", "21X+", "21Y+", "23Y-", "31X+", "31Y+", "33Y-")
 SHAKERS = ("32X+", "23Y+")
@@ -112,7 +112,7 @@ def truth() -> DemoTruth:
     )
 
 
-def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: float = 0.05) -> Record:
+def storeys_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: float = 0.05) -> Record:
     """The test: two random forces [N], nine accelerations [m/s^2]; the frame is moving already when it starts.
 
     Args:
@@ -121,7 +121,7 @@ def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: f
         noise: standard deviation of the noise as a share of what each sensor sees.
 
     Example:
-        >>> measured_record(np.random.default_rng(1), n_samples=400).output_names[:3]
+        >>> storeys_record(np.random.default_rng(1), n_samples=400).output_names[:3]
         ('11X+', '11Y+', '13Y-')
     """
     forces = random_forces(rng, n_samples, np.array([20.0, 15.0]))
@@ -191,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 where all limits are met, 1 otherwise.
     """
     given = sys.argv[1:] if arguments is None else list(arguments)
-    record = measured_record(np.random.default_rng(1))
+    record = storeys_record(np.random.default_rng(1))
     result, specification, outcomes = study(record)
     print(summary(compare_with_truth(truth(), result.modes), outcomes))
     for folder in map(Path, given[:1]):

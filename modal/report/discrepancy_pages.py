@@ -74,7 +74,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "warnings": words.read_first(diagnosis),
         "findings": [_finding(number, one) for number, one in enumerate(diagnosis.findings, start=1)],
         "found_sentences": [words.finding_sentence(one) for one in diagnosis.findings[: words.MOST_NAMED]],
-        "next_sentences": words.next_sentences(diagnosis),
+        "next_sentences": words.next_steps(diagnosis),
         "where_sentences": words.where_sentences(diagnosis),
         "limits_sentence": words.hidden_sentence(diagnosis),
         "stages": stages,

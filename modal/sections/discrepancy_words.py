@@ -40,7 +40,7 @@ __all__ = [
     "floor_summary",
     "hidden_sentence",
     "judge_diagnosis",
-    "next_sentences",
+    "next_steps",
     "read_first",
     "remaining_sentence",
     "runner_up_sentence",
@@ -187,7 +187,7 @@ def hidden_sentence(diagnosis: Diagnosis) -> str:
     return f"{COULD_HIDE}{'; '.join(parts)}{rest}."
 
 
-def next_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
+def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to do next: go on with the model where it is proved, and what to measure."""
     if diagnosis.status == "named":
         first = "Simulate with the updated model; it holds the effects with their values."

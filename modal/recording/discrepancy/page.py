@@ -69,7 +69,7 @@ def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
     parts.append(_before_after(plan))
     runners_up = [words.runner_up_sentence(finding) for finding in diagnosis.findings if finding.runner_up]
     parts += bullets(judgement.reasons, runners_up)
-    parts += ["**Next**", *bullets(words.next_sentences(diagnosis))]
+    parts += ["**Next**", *bullets(words.next_steps(diagnosis))]
     limits = words.hidden_sentence(diagnosis)
     return "\n\n".join([*parts, *([cell(limits)] if limits else [])])
 
