@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from modal.effects.catalogue import CATALOGUE, check_effect, register
-from modal.effects.cubic_stiffness import CubicStiffness
 from modal.effects.effect import ForceEffect, InputEffect, Motion, SensorEffect, Situation
+from modal.effects.springs import CubicStiffness
 from okid.errors import InvalidDataError
 
 CONTRACT = {  # keys and parameter names that scripts outside read, in the order of the design

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from modal.effects.catalogue import register
-from modal.effects.constant_force import ConstantForce
-from modal.effects.cubic_stiffness import CubicStiffness
 from modal.effects.effect import ForceEffect, InputEffect, ParameterKind
-from modal.effects.input_gain import InputGain
+from modal.effects.inputs import InputGain
 from modal.effects.missing_mode import MissingMode
-from modal.effects.sensor_gain import SensorGain
+from modal.effects.outside_forces import ConstantForce
+from modal.effects.sensors import SensorGain
+from modal.effects.springs import CubicStiffness
 from okid.errors import InvalidDataError
 
 

@@ -6,7 +6,7 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.coulomb_friction import CoulombFriction
+from modal.effects.dampers import CoulombFriction
 from modal.effects.effect import Motion
 from modal.effects.jump import NEAR, jump, jump_line
 

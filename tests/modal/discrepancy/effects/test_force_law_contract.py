@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.bilinear_stiffness import BilinearStiffness
-from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
-from modal.effects.coulomb_friction import CoulombFriction
-from modal.effects.cubic_stiffness import CubicStiffness
+from modal.effects.dampers import CoulombFriction, QuadraticDrag
 from modal.effects.effect import Motion, Situation
-from modal.effects.gap_spring import GapSpring
-from modal.effects.quadratic_drag import QuadraticDrag
-from modal.effects.quadratic_stiffness import QuadraticStiffness
-from modal.effects.sine_softening import SineSoftening
-from modal.effects.slack_in_hysteresis import SlackInHysteresis
-from modal.effects.time_varying_stiffness import TimeVaryingStiffness
+from modal.effects.hysteresis import BoucWenHysteresis, SlackInHysteresis
+from modal.effects.springs import (
+    BilinearStiffness,
+    CubicStiffness,
+    GapSpring,
+    QuadraticStiffness,
+    SineSoftening,
+    TimeVaryingStiffness,
+)
 
 LAWS = {
     CubicStiffness(): (-2.3,),
