@@ -22,8 +22,17 @@ from dataclasses import replace
 import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
-from modal.discrepancy.fitting.masses import with_released_masses
-from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, loaded, node_of, polished, rested
+from modal.discrepancy.fitting.nodes import (
+    SMALLEST_FALL,
+    Node,
+    Task,
+    counts,
+    loaded,
+    node_of,
+    polished,
+    rested,
+    with_released_masses,
+)
 from modal.discrepancy.fitting.observed_fits import (
     CLEAR,
     MUCH_LESS,

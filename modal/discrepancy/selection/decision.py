@@ -34,7 +34,6 @@ from modal.discrepancy.fitting.estimation import (
     sensitivity_of,
     weights_along,
 )
-from modal.discrepancy.fitting.masses import needed_masses
 from modal.discrepancy.fitting.nodes import (
     MOST_ON_FIT,
     SMALLEST_FALL,
@@ -44,12 +43,20 @@ from modal.discrepancy.fitting.nodes import (
     counts,
     explains_both,
     log_likelihood_gain,
+    needed_masses,
 )
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
-from modal.discrepancy.selection.absorbed_gain import AbsorbedGain, absorbed_gain
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
-from modal.discrepancy.selection.smaller_models import has_limit, run_without, with_limits, with_twins, without
+from modal.discrepancy.selection.smaller_models import (
+    AbsorbedGain,
+    absorbed_gain,
+    has_limit,
+    run_without,
+    with_limits,
+    with_twins,
+    without,
+)
 from modal.discrepancy.setup import circumstances_of
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
