@@ -291,14 +291,7 @@ def _moves(rest: FloatArray, records: Sequence[Record]) -> BoolArray:
 
 
 def _in_units(
-    model: Realisation,
-    fit: ScoredGain,
-    active: BoolArray,
-    size: FloatArray,
-    *,
-    n_rows: int,
-    ratio: float,
-    reason: str,
+    model: Realisation, fit: ScoredGain, active: BoolArray, size: FloatArray, *, n_rows: int, ratio: float, reason: str
 ) -> GainEstimate:
     """The fit of scaled outputs in the units of the records; outputs without noise have a zero gain."""
     gain, spread = np.zeros((2, model.order, model.n_outputs))

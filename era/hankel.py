@@ -65,12 +65,7 @@ def hankel_energy(markov: FloatArray, n_block_rows: int, n_block_columns: int) -
 
 
 def block_sizes(
-    n_lags: int,
-    n_outputs: int,
-    n_inputs: int,
-    *,
-    n_block_rows: int | None = None,
-    n_block_columns: int | None = None,
+    n_lags: int, n_outputs: int, n_inputs: int, *, n_block_rows: int | None = None, n_block_columns: int | None = None
 ) -> tuple[int, int]:
     """Block rows and columns that use every lag, H(0) and H(1) together: rows + columns = n_lags.
 

@@ -147,10 +147,7 @@ def _inputs_only(record: Record) -> Record:
 def _inputs_scaling(scaling: ChannelScaling) -> ChannelScaling:
     nothing = np.empty(0)
     return ChannelScaling(
-        input_mean=nothing,
-        input_scale=nothing,
-        output_mean=scaling.input_mean,
-        output_scale=scaling.input_scale,
+        input_mean=nothing, input_scale=nothing, output_mean=scaling.input_mean, output_scale=scaling.input_scale
     )
 
 

@@ -416,11 +416,7 @@ def coherent_response(spectra: AveragedSpectra) -> tuple[ComplexArray, FloatArra
         response[lines] = np.linalg.solve(uu[lines].transpose(0, 2, 1), yu[lines].transpose(0, 2, 1)).transpose(0, 2, 1)
         multiple = np.einsum("fqm,fqm->fq", response, yu.conj()).real / output_power
         response = response * unit[:, np.newaxis]
-    return (
-        np.asarray(response, dtype=np.complex128),
-        np.clip(ordinary, 0.0, 1.0),
-        np.clip(multiple, 0.0, 1.0),
-    )
+    return (np.asarray(response, dtype=np.complex128), np.clip(ordinary, 0.0, 1.0), np.clip(multiple, 0.0, 1.0))
 
 
 def estimate_response(

@@ -250,10 +250,7 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
     mean = np.concatenate([scaling.input_mean, scaling.output_mean])
     size = np.concatenate([scaling.input_scale, scaling.output_scale])
     repeated = ChannelScaling(
-        input_mean=nothing,
-        input_scale=nothing,
-        output_mean=np.tile(mean, n_turns),
-        output_scale=np.tile(size, n_turns),
+        input_mean=nothing, input_scale=nothing, output_mean=np.tile(mean, n_turns), output_scale=np.tile(size, n_turns)
     )
     gram = lag_gram(folded, -(-(order + 1) // n_turns) - 1, scaling=repeated)
     kept = 1 + (order + 1) * mean.size

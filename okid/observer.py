@@ -95,12 +95,7 @@ class ObserverFit(Displayed):
         return self.feedthrough.shape[0]
 
 
-def fit_observer(
-    records: Record | Sequence[Record],
-    *,
-    order: int,
-    ridge: float | None = None,
-) -> ObserverFit:
+def fit_observer(records: Record | Sequence[Record], *, order: int, ridge: float | None = None) -> ObserverFit:
     """Fit the observer equation to one record or to several of one system.
 
     The first `order` samples of every record are dropped, so any initial state is right; a missing sample drops the

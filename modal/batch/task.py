@@ -326,11 +326,7 @@ def _identified(unit: Unit, settings: Settings) -> tuple[tuple[Record, ...], Ide
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what a reader must know stands in the result
         records = read_records(
-            unit.paths,
-            inputs=settings.inputs,
-            outputs=settings.outputs,
-            dt=settings.dt,
-            input_hold=settings.input_hold,
+            unit.paths, inputs=settings.inputs, outputs=settings.outputs, dt=settings.dt, input_hold=settings.input_hold
         )
         if len(unit.paths) == 1 or len(records) == 1:
             records = tuple(replace(record, name=unit.record) for record in records)

@@ -64,10 +64,7 @@ class Difference(Displayed):
 
 def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Difference, ...]:
     """Everything that differs but the modes, in this order: channels, units, sampling, settings, fit."""
-    found = [
-        *_channels("input", before.inputs, after.inputs),
-        *_channels("output", before.outputs, after.outputs),
-    ]
+    found = [*_channels("input", before.inputs, after.inputs), *_channels("output", before.outputs, after.outputs)]
     if not math.isclose(before.dt, after.dt):
         found.append(_difference("sampling", "time step", f"{before.dt:.6g} s", f"{after.dt:.6g} s"))
     lengths = [", ".join(map(str, one.n_samples)) for one in (before, after)]

@@ -342,10 +342,7 @@ def frequency_shift(before: Mode, after: Mode, freedom: tuple[float, float]) -> 
         freedom: degrees of freedom behind the standard deviations of the two.
     """
     return _shift(
-        "frequency",
-        (before.frequency, after.frequency),
-        (before.frequency_std, after.frequency_std),
-        freedom,
+        "frequency", (before.frequency, after.frequency), (before.frequency_std, after.frequency_std), freedom
     )
 
 
@@ -456,22 +453,13 @@ def _shift(
     variances = deviations[0] ** 2, deviations[1] ** 2
     std = math.sqrt(sum(variances))
     shift = Shift(
-        what=what,
-        before=before,
-        after=after,
-        change=(after - before) / size,
-        half_width=math.nan,
-        p_value=math.nan,
+        what=what, before=before, after=after, change=(after - before) / size, half_width=math.nan, p_value=math.nan
     )
     if not (math.isfinite(std) and std > 0.0):
         return replace(shift, remark=f"the uncertainty of the {what} is not known")
     joint = _joint_freedom(variances, freedom)
     statistic = abs(after - before) / std
-    return replace(
-        shift,
-        half_width=_t_quantile(joint) * std / size,
-        p_value=_t_tail(statistic, joint),
-    )
+    return replace(shift, half_width=_t_quantile(joint) * std / size, p_value=_t_tail(statistic, joint))
 
 
 def _joint_freedom(variances: tuple[float, float], freedom: tuple[float, float]) -> float:

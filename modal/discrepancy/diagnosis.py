@@ -24,11 +24,7 @@ from modal.discrepancy.setup import (
     with_uncovered_floor,
 )
 from modal.discrepancy.validation.cautions import with_cautions
-from modal.discrepancy.validation.other_hold import (
-    by_the_better_hold,
-    cut_into_spans,
-    span_words,
-)
+from modal.discrepancy.validation.other_hold import by_the_better_hold, cut_into_spans, span_words
 from modal.discrepancy.validation.summary import diagnosis_of
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
@@ -111,13 +107,7 @@ def diagnose(
             fits: Sequence[Record], helds: Sequence[Record], tried: Mapping[str, Effect]
         ) -> Diagnosis:  # modes are those of the samples, whatever the inputs do between them
             return _diagnosed(
-                model,
-                fits,
-                helds,
-                catalogue=tried,
-                sensor_kind=sensor_kind,
-                report=report,
-                modes=found.location.modes,
+                model, fits, helds, catalogue=tried, sensor_kind=sensor_kind, report=report, modes=found.location.modes
             )
 
         return with_cautions(by_the_better_hold(found, otherwise, catalogue))

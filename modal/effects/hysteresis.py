@@ -114,10 +114,7 @@ def _at(curve: _Curve, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     cell = np.minimum(inside / STEP, curve.forward.shape[1] - 1).astype(np.intp)
     share, beyond = np.minimum(q / STEP - cell, 1.0), np.maximum(q - REACH, 0.0)
     found = curve.forward.take(cell, axis=1)
-    return (
-        _cubic(found[:4], share) + beyond * curve.last[0],
-        _cubic(found[4:], share) + beyond * curve.last[1],
-    )
+    return (_cubic(found[:4], share) + beyond * curve.last[0], _cubic(found[4:], share) + beyond * curve.last[1])
 
 
 @functools.lru_cache(maxsize=64)

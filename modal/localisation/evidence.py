@@ -81,12 +81,7 @@ def locate(gap: Gap, *, modes: LevelModes | None = None, lines: Lines | None = N
         statements += [] if lines is None or not lines.measured else line_statements(lines)
         statements += [] if modes is None or modes.levels.size < 2 else mode_statements(modes)
     return Location(
-        statements=tuple(statements),
-        agrees=agrees,
-        output=output,
-        output_shares=shares,
-        coherent=coherent,
-        modes=modes,
+        statements=tuple(statements), agrees=agrees, output=output, output_shares=shares, coherent=coherent, modes=modes
     )
 
 

@@ -22,14 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.localisation.bands import (
-    BandTable,
-    CellTable,
-    WindowTable,
-    octave_bands,
-    spectral_tables,
-    window_table,
-)
+from modal.localisation.bands import BandTable, CellTable, WindowTable, octave_bands, spectral_tables, window_table
 from modal.simulation.tolerances import ROUNDING, SURE, UNLIKELY
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
@@ -409,11 +402,7 @@ class Gap:
         return int(self.level_numbers.max())
 
 
-def measure_gap(
-    measured: Record | Sequence[Record],
-    simulated: Record | Sequence[Record],
-    floor: npt.ArrayLike,
-) -> Gap:
+def measure_gap(measured: Record | Sequence[Record], simulated: Record | Sequence[Record], floor: npt.ArrayLike) -> Gap:
     """Compare measured records with their simulations.
 
     Args:

@@ -71,11 +71,7 @@ class Repeatability:
 
 
 def pulses(
-    modes: Sequence[Mode],
-    *,
-    dt: float,
-    output_scale: FloatArray | None = None,
-    input_scale: FloatArray | None = None,
+    modes: Sequence[Mode], *, dt: float, output_scale: FloatArray | None = None, input_scale: FloatArray | None = None
 ) -> Pulses:
     """Pulse responses of modes, outputs divided by `output_scale` and inputs by `input_scale` (ones unless given)."""
     modes = tuple(modes)
@@ -150,9 +146,7 @@ def _geometric(ratio: ComplexArray, n_steps: int) -> ComplexArray:
     near_one = np.abs(step) < 0.5
     with np.errstate(divide="ignore"):
         growth = np.where(
-            near_one,
-            0.5 * np.log1p(np.where(near_one, 2 * step.real + np.abs(step) ** 2, 0.0)),
-            np.log(np.abs(ratio)),
+            near_one, 0.5 * np.log1p(np.where(near_one, 2 * step.real + np.abs(step) ** 2, 0.0)), np.log(np.abs(ratio))
         )
     growth, angle = n_steps * growth, n_steps * np.angle(ratio)
     power = np.expm1(growth) * np.cos(angle) - 2 * np.sin(angle / 2) ** 2 + 1j * np.exp(growth) * np.sin(angle)

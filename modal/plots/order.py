@@ -84,12 +84,7 @@ def order_fits(evidence: OrderEvidence) -> Chart:
     return figure
 
 
-def stabilisation_diagram(
-    evidence: OrderEvidence,
-    modes: ModalModel,
-    *,
-    measured: Sequence[Record] = (),
-) -> Chart:
+def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measured: Sequence[Record] = ()) -> Chart:
     """Every pole of every model order over the power of the measured outputs, coloured by how well it is found again.
 
     Args:

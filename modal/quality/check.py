@@ -18,12 +18,7 @@ from modal.preparation.channel import BLOCK, LEVELS, NEARLY_ALL, Channel, Findin
 from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
-from modal.quality.inputs import (
-    copy_findings,
-    excitation_findings,
-    timing_findings,
-    together_findings,
-)
+from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
 from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
 from modal.quality.spectrum import (
     HumLines,
@@ -149,11 +144,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
 
 
 def _channel_findings(
-    channel: Channel,
-    records: Sequence[Record],
-    known: _Inputs,
-    *,
-    resolution: float,
+    channel: Channel, records: Sequence[Record], known: _Inputs, *, resolution: float
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
     n = len(records)

@@ -83,11 +83,7 @@ def chain_elements(stiffnesses: FloatArray, dampings: FloatArray) -> tuple[Eleme
     """The elements of a chain: element 0 joins DOF 0 and the ground, element e DOF e - 1 and DOF e."""
     return tuple(
         Element(
-            name=f"element_{e}",
-            start=max(e - 1, 0),
-            end=e or None,
-            stiffness=float(stiffness),
-            damping=float(damping),
+            name=f"element_{e}", start=max(e - 1, 0), end=e or None, stiffness=float(stiffness), damping=float(damping)
         )
         for e, (stiffness, damping) in enumerate(zip(stiffnesses, dampings, strict=True))
     )

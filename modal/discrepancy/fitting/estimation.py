@@ -290,12 +290,7 @@ def simulate_at(
 
 
 def estimate(
-    start: Estimate,
-    problem: Problem,
-    *,
-    iterations: int,
-    standstill: float = STANDSTILL,
-    budget: Budget | None = None,
+    start: Estimate, problem: Problem, *, iterations: int, standstill: float = STANDSTILL, budget: Budget | None = None
 ) -> Estimate:
     """Fit from a simulated start.
 

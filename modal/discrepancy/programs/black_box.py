@@ -58,13 +58,7 @@ __all__ = ["diagnose_callable", "proved", "without_search"]
 
 
 def proved(
-    found: Diagnosis,
-    runs: Runs,
-    proof: Proof,
-    *,
-    realisation: Realisation,
-    decision: Decision,
-    between: Sequence[Step],
+    found: Diagnosis, runs: Runs, proof: Proof, *, realisation: Realisation, decision: Decision, between: Sequence[Step]
 ) -> Diagnosis:
     """What was found in the linear part, with the callable's own figures.
 

@@ -73,13 +73,7 @@ def _nodes(motion: Motion, firsts: IndexArray) -> IndexArray:
 
 
 def _solved(
-    effect: ForceEffect,
-    shapes: Sequence[Values],
-    motion: Motion,
-    *,
-    nodes: IndexArray,
-    firsts: IndexArray,
-    dt: float,
+    effect: ForceEffect, shapes: Sequence[Values], motion: Motion, *, nodes: IndexArray, firsts: IndexArray, dt: float
 ) -> list[FloatArray | None]:
     """The states at the nodes for each shape, by Newton's method on all shapes; None where they do not settle."""
     n, n_shapes = len(nodes), len(shapes)
@@ -176,12 +170,7 @@ def _trials_of(
     item = replace(
         item, effect=effect, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale
     )
-    situation = Situation(
-        motion=motion,
-        residual_frequencies=peaks,
-        dt=drive.dt,
-        longest=float(drive.time.max()),
-    )
+    situation = Situation(motion=motion, residual_frequencies=peaks, dt=drive.dt, longest=float(drive.time.max()))
     shapes = effect.starts(situation)
     motions: list[Motion | None] = [motion] * len(shapes)
     if isinstance(effect, ForceEffect) and effect.n_memory and shapes:

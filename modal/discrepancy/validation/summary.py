@@ -21,16 +21,10 @@ from modal.discrepancy.results import (
 from modal.discrepancy.selection.decision import Decision
 from modal.discrepancy.selection.form_free import unsettled
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.setup import (
-    Setup,
-    circumstances_of,
-    simulated_outputs,
-)
+from modal.discrepancy.setup import Setup, circumstances_of, simulated_outputs
 from modal.discrepancy.validation.cautions import grid_error
 from modal.discrepancy.validation.law_curves import law_curves
-from modal.discrepancy.validation.other_hold import (
-    half_a_sample,
-)
+from modal.discrepancy.validation.other_hold import half_a_sample
 from modal.effects.ambiguity import Circumstance, ambiguous_with
 from modal.effects.catalogue import effect_name, one_of, parameter_units
 from modal.effects.effect import ForceEffect, is_form_free
@@ -41,12 +35,7 @@ from modal.wording.numbers import listed, number, quantity, times_floor_text
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = [
-    "calibrated_parameters",
-    "detection_limits",
-    "diagnosis_of",
-    "with_findings",
-]
+__all__ = ["calibrated_parameters", "detection_limits", "diagnosis_of", "with_findings"]
 
 
 def hypothesis_of(node: Node, root: Node, task: Task) -> Hypothesis:
@@ -311,13 +300,7 @@ def with_findings(decision: Decision, root: Node, setup: Setup) -> Decision:
         moves = unsettled(best, setup.task, laws[-1].motion)
         laws = (*laws[:-1], replace(laws[-1], deviation=np.hypot(laws[-1].deviation, moves)))
     found = findings_of(
-        decision,
-        root,
-        setup.task,
-        plant,
-        deviations=deviations,
-        circumstances=_circumstances(best, setup),
-        laws=laws,
+        decision, root, setup.task, plant, deviations=deviations, circumstances=_circumstances(best, setup), laws=laws
     )
     return replace(decision, findings=found, laws=laws)
 

@@ -360,7 +360,7 @@ def _play_lines(
     columns = [
         *rr.LineStrips2D.columns(
             strips=strips, colors=colours, radii=[rr.Radius.ui_points(width)] * len(strips)
-        ).partition(counts),
+        ).partition(counts)
     ]
     _send(recording, path, plan, columns)
     recording.log(path, rr.LineStrips2D.from_fields(draw_order=8.0), static=True, strict=True)

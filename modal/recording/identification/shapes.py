@@ -198,13 +198,7 @@ def _log_envelope(
 
 
 def _log_motion(
-    path: str,
-    recording: "rerun.RecordingStream",
-    scene: Scene,
-    pace: Pace,
-    *,
-    times: FloatArray,
-    moving: _Moving,
+    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
 ) -> None:
     import rerun as rr
 

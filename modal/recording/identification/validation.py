@@ -234,12 +234,7 @@ def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
 
 
 def _draw_response(
-    identification: Identification,
-    recording: "rerun.RecordingStream",
-    evidence: Gathered,
-    *,
-    output: int,
-    source: int,
+    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, *, output: int, source: int
 ) -> None:
     """Magnitude over phase over coherence, one axis of frequency."""
     measured = evidence.measured
@@ -293,12 +288,7 @@ def _draw_magnitude(
 
 
 def _draw_density(
-    identification: Identification,
-    recording: "rerun.RecordingStream",
-    evidence: Gathered,
-    pane: Pane,
-    *,
-    output: int,
+    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, pane: Pane, *, output: int
 ) -> None:
     first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]

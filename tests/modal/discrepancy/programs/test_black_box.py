@@ -76,12 +76,7 @@ def measured(truth, *, seed, levels=(1.0, 3.0, 2.0), n_samples=500, noise=0.01):
 
 def diagnosed(simulator, records, catalogue=SOME):
     return diagnose_callable(
-        simulator,
-        *records,
-        catalogue=catalogue,
-        sensor_kind=None,
-        progress=lambda what, share: None,
-        notes=("a note",),
+        simulator, *records, catalogue=catalogue, sensor_kind=None, progress=lambda what, share: None, notes=("a note",)
     )
 
 
