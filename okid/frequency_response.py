@@ -29,6 +29,7 @@ from okid.record import Record, check_names, labels
 from okid.rows import as_records, runs_of
 
 __all__ = [
+    "FEWEST_AVERAGES",
     "AveragedSpectra",
     "Estimator",
     "FrequencyResponse",

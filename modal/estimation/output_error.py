@@ -24,6 +24,7 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
 __all__ = [
+    "FIRST_DAMPING",
     "Coordinates",
     "LinearPart",
     "Normal",

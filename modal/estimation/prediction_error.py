@@ -36,7 +36,9 @@ from okid.record import Record
 from okid.scaling import ROUNDING, ChannelScaling, channel_scaling
 
 __all__ = [
+    "NOISE_FREE",
     "ROWS_A_NUMBER",
+    "SMALLEST_NOISE",
     "STILL",
     "CanonicalVariates",
     "LikeliestFit",

@@ -24,7 +24,14 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = ["NOT_UNDERSTOOD", "NO_INTERVAL", "feedback_bias", "judged_deviations", "output_error_uncertainty"]
+__all__ = [
+    "LEAST_CURVATURE",
+    "NOT_UNDERSTOOD",
+    "NO_INTERVAL",
+    "feedback_bias",
+    "judged_deviations",
+    "output_error_uncertainty",
+]
 
 NOT_UNDERSTOOD = 1.3
 """Say that the noise is not understood where its colour moves a deviation by more: thrice the scatter of the blocks."""

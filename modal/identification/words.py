@@ -388,10 +388,6 @@ MOST_CAUTION = 0.3
 """Say that the classical indicators test the observer rather than the data where n / (p q) is greater."""
 
 
-LONGEST_NAME = 40
-"""Write at most so many letters of a channel name into a sentence; the tables have the whole of it."""
-
-
 Trust = Literal["carried", "with care", "not carried"]
 
 
@@ -444,7 +440,7 @@ def fit_sentence(result: Identification) -> str:
     if result.response is not None:
         how, what = "In units of their standard deviations", "responses from the other half of the averages"
     sentence = f"{how}, the model reproduces {reproduced(fit)} of {what}"
-    least = f" (least of {shorten(names[worst], LONGEST_NAME)}: {reproduced(fits[worst])})"
+    least = f" (least of {shorten(names[worst])}: {reproduced(fits[worst])})"
     return sentence + (least if reproduced(fits[worst]) != reproduced(fit) else "") + "."
 
 

@@ -16,7 +16,7 @@ from modal.preparation.amplitude import (
 )
 from modal.preparation.channel import BLOCK, LEVELS, NEARLY_ALL, Channel, Finding, channels_of
 from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
-from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
 from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
@@ -30,7 +30,7 @@ from modal.quality.spectrum import (
     white_findings,
 )
 from okid.arrays import BoolArray, FloatArray
-from okid.frequency_response import AveragedSpectra, averaged_spectra, segment_length
+from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling

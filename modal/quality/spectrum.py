@@ -28,7 +28,7 @@ from modal.preparation.channel import (
 from modal.wording.numbers import percent
 from okid.arrays import FloatArray
 from okid.record import Record
-from okid.residuals import centred, whiteness
+from okid.residuals import WHITENESS_LAGS, centred, whiteness
 
 __all__ = [
     "HumLines",
@@ -45,9 +45,6 @@ SMOOTHED = 16
 
 FEW_PERIODS = 10
 """Doubt a record that holds fewer periods of its strongest motion."""
-
-WHITE_LAGS = 20
-"""Test an output for white noise over so many lags."""
 
 WHITE = 1.5
 """Call an output white below this portmanteau statistic over its freedom: white noise is so in 93 of 100 cases."""
@@ -169,11 +166,11 @@ def white_findings(records: Sequence[Record], explained: FloatArray) -> list[Fin
     found: list[Finding] = []
     for i, name in enumerate(longest.output_names):
         values = longest.outputs[:MOST_ROWS, [i]]
-        if len(values) < 10 * WHITE_LAGS or np.isnan(values).any() or values.std() == 0.0:
+        if len(values) < 10 * WHITENESS_LAGS or np.isnan(values).any() or values.std() == 0.0:
             continue
         if longest.n_inputs and not explained[i] < HARDLY:
             continue
-        ratio = whiteness(centred([values / values.std()]), n_lags=WHITE_LAGS, n_fitted=0).ratio
+        ratio = whiteness(centred([values / values.std()]), n_lags=WHITENESS_LAGS, n_fitted=0).ratio
         if not ratio < WHITE:
             continue
         found.append(

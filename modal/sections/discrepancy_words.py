@@ -24,7 +24,7 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
-from modal.wording.numbers import exact_percent, listed, number, percent
+from modal.wording.numbers import MOST_NAMED, exact_percent, listed, number, percent
 
 __all__ = [
     "COULD_HIDE",
@@ -50,8 +50,6 @@ __all__ = [
 COULD_HIDE = "What the data could still hide: "
 UPPER_LIMIT = 0.3
 """Relative deviation of a floor's variance above which it is rather an upper limit, as `NoiseFloor` has it."""
-MOST_NAMED = 3
-"""Linear parameters or limits named in one sentence; the tables have all."""
 
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:

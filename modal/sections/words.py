@@ -11,7 +11,7 @@ from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.verdict.judgement import FOUND_AGAIN
 from modal.wording.names import shorten, visible
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, counted, hertz
+from modal.wording.numbers import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
@@ -92,9 +92,6 @@ def data_sentences(result: Identification) -> tuple[str, ...]:
 
 LONGEST_LIMIT = 60
 """Letters of the name of a limit in a sentence; the table has the whole of it."""
-
-MOST_NAMED = 3
-"""Limits that a sentence names; the table has all of them."""
 
 
 def limits_sentence(outcomes: "Sequence[LimitOutcome]") -> str:

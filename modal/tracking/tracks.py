@@ -25,7 +25,7 @@ from modal.comparison.shifts import DOUBT, POLE_SCALE, SHAPE_SCALE, TOO_FAR, Shi
 from modal.comparison.words import percent_text
 from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, find_changes
 from modal.wording.names import shorten
-from modal.wording.numbers import hertz, listed
+from modal.wording.numbers import NINETY_FIVE, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
 from okid.display import Displayed
 from okid.errors import InvalidDataError
@@ -37,8 +37,6 @@ IndexArray = npt.NDArray[np.intp]
 COLUMNS = ("record", "start_time", "frequency", "verdict", "shape")
 MOST_NAMED = 4
 """Name so many modes in a reason, those that moved most surely."""
-NINETY_FIVE = 1.96
-"""Name a mode in a reason where zero is not within its 95 % interval of so many deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)

@@ -11,6 +11,7 @@ from typing import Literal
 __all__ = [
     "GOOD_FIT",
     "LEAST_FIT",
+    "MOST_NAMED",
     "NINETY_FIVE",
     "Statement",
     "Subject",
@@ -33,6 +34,9 @@ __all__ = [
 
 NINETY_FIVE = 1.96
 """Take so many standard deviations on either side as a 95 % interval, the quantile of a normal distribution."""
+
+MOST_NAMED = 3
+"""Name so many things in a sentence and count the others: a table has them all."""
 
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from modal.effects.memoryless import WALL
+from modal.estimation.output_error import FIRST_DAMPING
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import step_compliance
@@ -164,8 +165,6 @@ def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray
     return after
 
 
-FIRST_DAMPING = 1e-3
-"""Damp the first step by this share of the diagonal (Marquardt)."""
 TRIALS = 5
 """Give an iteration up after so many steps, each ten times more damped than the one before."""
 STANDSTILL = 1e-4

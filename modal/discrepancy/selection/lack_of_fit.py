@@ -43,7 +43,7 @@ from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
 from modal.wording.numbers import percent
 from okid.arrays import TINY, BoolArray, FloatArray
 
-__all__ = ["SLIGHT", "lack_of_fit", "only_noise", "something", "what_is_left", "worst_left"]
+__all__ = ["INDISTINCT", "SLIGHT", "lack_of_fit", "only_noise", "something", "what_is_left", "worst_left"]
 
 N_SPLINES = 7
 """Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the

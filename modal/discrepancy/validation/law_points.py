@@ -30,6 +30,7 @@ import numpy.typing as npt
 import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, score_equations, weighted_residual, weights_along
+from modal.discrepancy.selection.lack_of_fit import INDISTINCT
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.sensitivity import Sensitivity, Source, respond, sensitivity
@@ -53,8 +54,6 @@ IndexArray = npt.NDArray[np.intp]
 
 N_BINS = 12
 """Cut a motion into so many bins."""
-INDISTINCT = 0.01
-"""Leave a correction to the rest of the model that can stand for all but this share of its response."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
