@@ -43,29 +43,8 @@ __all__ = [
     "first_gain",
     "gain_from_innovations",
     "riccati_gain",
-    "stabilised_gain",
     "usable_gain",
 ]
-
-
-def stabilised_gain(realisation: Realisation, gain: FloatArray, innovation_covariance: FloatArray) -> FloatArray:
-    """The gain itself where A - K C is stable; else the stable one of the same innovation spectrum, or zero if none is.
-
-    Args:
-        realisation: A and C.
-        gain: (order, n_outputs).
-        innovation_covariance: (n_outputs, n_outputs) of the innovations that the gain gives.
-
-    Example:
-        >>> model = Realisation([[0.9]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.01)
-        >>> stabilised_gain(model, np.array([[2.9]]), np.eye(1)).round(9)
-        array([[1.4]])
-    """
-    A, C = realisation.A, realisation.C
-    if np.abs(np.linalg.eigvals(A - gain @ C)).max(initial=0.0) < 1.0:
-        return gain
-    S = gain @ innovation_covariance
-    return riccati_gain(A, C, S @ gain.T, innovation_covariance, S)
 
 
 def riccati_gain(A: FloatArray, C: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray:

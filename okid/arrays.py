@@ -126,10 +126,9 @@ def frozen_with_gaps(values: npt.ArrayLike, *, name: str, shape: tuple[int | Non
     return _read_only(array)
 
 
-def frozen_complex(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | None = None) -> ComplexArray:
-    """As `frozen`, for complex128."""
+def frozen_complex(values: npt.ArrayLike, *, name: str) -> ComplexArray:
+    """As `frozen`, for complex128 of any shape."""
     array = np.asarray(values, dtype=np.complex128)
-    _check_shape(array, name, shape)
     if not np.isfinite(array).all():
         raise InvalidDataError(f"{name} must be finite.")
     if array.flags.writeable:

@@ -34,7 +34,7 @@ def places_of_records(start_times: FloatArray) -> tuple[FloatArray, str]:
 
 
 def frequencies_of_records(
-    places: FloatArray, frequencies: FloatArray, verdicts: Sequence[str], *, along: str, alarms: Sequence[float] = ()
+    places: FloatArray, frequencies: FloatArray, verdicts: Sequence[str], *, along: str
 ) -> Chart:
     """A dot a mode and record.
 
@@ -43,7 +43,6 @@ def frequencies_of_records(
         frequencies: (n_modes,) [Hz].
         verdicts: (n_modes,) "system" or "doubtful"; noise is not drawn.
         along: what the places are.
-        alarms: places to mark.
     """
     figure = grid_of(1, 1, size=(STYLE.page, 4.2))
     panel = figure.panels[0]
@@ -53,8 +52,6 @@ def frequencies_of_records(
         chosen = kinds == role
         if chosen.any():
             panel.dots(places[chosen], frequencies[chosen], role, dot=DOT, label=name)
-    for place in alarms:
-        panel.upright(place, "residual", width=STYLE.stroke)
     panel.x.label, panel.y.label = along, "frequency [Hz]"
     panel.key = "best" if panel.keyed else None
     return figure

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from modal.discrepancy.results import (
     Calibrated,
     DetectionLimit,
@@ -250,8 +248,3 @@ def value_with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) ->
 def parameters_text(finding: Finding) -> str:
     """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
     return ", ".join(f"{one.name} = {value_with_unit(found_value(one), one)}" for one in finding.parameters)
-
-
-def finite_or_nan(values: Sequence[float]) -> list[float]:
-    """The values, nan where they are not finite."""
-    return np.where(np.isfinite(values), values, np.nan).tolist()

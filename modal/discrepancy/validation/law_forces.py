@@ -40,8 +40,8 @@ class Reading:
     scaled: bool = False
 
 
-def still_motion(item: EffectPlacement, n: int, *, smoothing: float = 0.0) -> Motion:
-    """(n,) samples of no motion at a force's place."""
+def still_motion(item: EffectPlacement, n: int) -> Motion:
+    """(n,) samples of no motion at a force's place, where laws are not smoothed."""
     port = item.port
     stiffness = None if port is None else port.stiffness
     mass = None if port is None else port.mass
@@ -55,7 +55,7 @@ def still_motion(item: EffectPlacement, n: int, *, smoothing: float = 0.0) -> Mo
         velocity_scale=item.velocity_scale,
         stiffness=1.0 if stiffness is None else stiffness,
         mass=1.0 if mass is None else mass,
-        smoothing=smoothing,
+        smoothing=0.0,
     )
 
 
