@@ -25,8 +25,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from era.hankel import block_sizes, hankel_energy
-from era.hankel_svd import GapChoice, Method, choose_order, hankel_triplets
+from era.hankel import GapChoice, Method, block_sizes, choose_order, hankel_energy, hankel_triplets
 from era.realisation import HankelFactors, Realisation
 from okid.arrays import FloatArray, require, whole_number
 from okid.display import Displayed
@@ -348,7 +347,7 @@ def realise(
 
     Args:
         markov: Markov parameters of the system, of the gain, or both.
-        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel_svd`).
+        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel`).
         n_block_rows: see `decompose`.
         n_block_columns: see `decompose`.
         method: see `decompose`.

@@ -12,8 +12,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Literal
 
-from modal.batch.page import write_page
-from modal.batch.tables import PLACES, Batch, with_oddities, write_tables
+from modal.batch.tables import PLACES, Batch, with_oddities, write_page, write_tables
 from modal.batch.task import (
     Outcome,
     Settings,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from modal.batch.tables import part_file
-from modal.plots.records import frequencies_in_time
+from modal.plots.histories import frequencies_in_time
 from modal.plots.vector import svg_text
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from era.realisation import Realisation
-from modal.modes.indicators import extended_amplitude_coherence
+from modal.modes.extraction import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
 from modal.modes.shape_comparison import Pulses, energies, inner_products, pair_greatest_first, pulses
 from modal.verdict.judgement import Change, Reruns

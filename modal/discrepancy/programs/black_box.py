@@ -14,10 +14,11 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.noise.floor import NoiseFloor, noise_floor, stacked_floors
-from modal.discrepancy.programs.corrected import CorrectedCallable, along_plant
 from modal.discrepancy.programs.program import (
+    CorrectedCallable,
     IdentifiedPart,
     Simulator,
+    along_plant,
     check_deterministic,
     identify_callable,
     quietest,

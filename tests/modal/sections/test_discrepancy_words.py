@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.discrepancy.results import in_words
-from modal.discrepancy.validation.cautions import with_cautions
+from modal.discrepancy.validation.summary import with_cautions
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_values import (
     NAMED_WITHIN,

@@ -10,7 +10,7 @@ import systems
 
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.programs.black_box import diagnose_callable
-from modal.discrepancy.programs.corrected import CorrectedCallable
+from modal.discrepancy.programs.program import CorrectedCallable
 from modal.effects.catalogue import CATALOGUE
 from modal.structure.placed import PlacedEffect
 from okid.errors import InvalidDataError
