@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 
 from modal.batch import Batch, ExecutorError, Workers, identify_batch
+from modal.batch.running import usable_cores
 from modal.batch.tables import MODE_CSV, MODE_TABLE, PAGE, RECORD_TABLE
-from modal.batch.workers import usable_cores
 from modal.command.options import (
     Dt,
     Hold,

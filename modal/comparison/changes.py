@@ -202,7 +202,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
         InvalidDataError: something else.
 
     Example:
-        >>> from modal.modes.choice import Choice
+        >>> from modal.modes.mode import Choice
         >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
         ...                       trust="not carried", degrees_of_freedom=float("inf"), data=())
         >>> compare_results(empty, empty).changed

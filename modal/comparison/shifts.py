@@ -30,9 +30,8 @@ import scipy
 
 from modal.identification.result import Identification, load, read_part
 from modal.identification.words import trust_of
-from modal.modes.choice import Choice
-from modal.modes.mode import Mode
-from modal.modes.shape_sets import assurance
+from modal.modes.mode import Choice, Mode
+from modal.modes.shape_comparison import assurance
 from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray
 from okid.display import Displayed

@@ -37,8 +37,11 @@ from modal.effects.effect import (
     StepForce,
     StepValue,
     Values,
+    cut_to_finite,
+    least_length,
+    levels,
+    memoryless,
 )
-from modal.effects.memoryless import cut_to_finite, least_length, levels, memoryless
 from okid.arrays import TINY, FloatArray
 
 __all__ = ["CoulombFriction", "QuadraticDrag", "StribeckFriction", "jump", "jump_line"]

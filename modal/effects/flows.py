@@ -5,8 +5,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, StepForce, StepValue, Values
-from modal.effects.memoryless import SHORTEST, WALL, cut_to_finite, memoryless, positive_part, share_of_end
+from modal.effects.effect import (
+    SHORTEST,
+    WALL,
+    Force,
+    ForceEffect,
+    Motion,
+    ParameterKind,
+    Situation,
+    StepForce,
+    StepValue,
+    Values,
+    cut_to_finite,
+    memoryless,
+    positive_part,
+    share_of_end,
+)
 from okid.arrays import FloatArray
 
 __all__ = ["Overflow", "PowerLawFlow"]

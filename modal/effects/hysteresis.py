@@ -22,8 +22,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Limit, Memory, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import least_length, levels, positive_part
+from modal.effects.effect import (
+    Force,
+    ForceEffect,
+    Limit,
+    Memory,
+    Motion,
+    ParameterKind,
+    Situation,
+    Values,
+    least_length,
+    levels,
+    positive_part,
+)
 from okid.arrays import BoolArray, FloatArray
 
 __all__ = [

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import N_PEAKS, Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import memoryless
+from modal.effects.effect import N_PEAKS, Force, ForceEffect, Motion, ParameterKind, Situation, Values, memoryless
 from okid.arrays import FloatArray
 
 __all__ = ["ConstantForce", "PeriodicDisturbance"]

@@ -25,8 +25,17 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.effects.effect import Effect, Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import cut_to_finite, memoryless
+from modal.effects.effect import (
+    Effect,
+    Force,
+    ForceEffect,
+    Motion,
+    ParameterKind,
+    Situation,
+    Values,
+    cut_to_finite,
+    memoryless,
+)
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 

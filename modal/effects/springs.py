@@ -5,8 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Situation, Twin, Values
-from modal.effects.memoryless import cut_to_finite, least_length, levels, memoryless, positive_part
+from modal.effects.effect import (
+    Force,
+    ForceEffect,
+    Motion,
+    ParameterKind,
+    Situation,
+    Twin,
+    Values,
+    cut_to_finite,
+    least_length,
+    levels,
+    memoryless,
+    positive_part,
+)
 from okid.arrays import FloatArray
 
 __all__ = [

@@ -10,7 +10,7 @@ how all four corners of a floor move: the frame sways in X and Y and twists, nin
 corner, so sway and twist mix a little.
 
 The truth is known: the eigenvalue problem of the frame's masses and springs, whose motion `scipy.signal.lsim` computes
-(`modal.examples.linear_structure`).
+(`modal.examples.story`).
 
 Run `python -m modal.examples.three_storey_frame [FOLDER]`; with a folder it writes the measured file, the test file and
 the report with its recording.
@@ -28,8 +28,7 @@ import numpy as np
 from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
-from modal.examples.linear_structure import LinearStructure, random_forces
-from modal.examples.story import print_written
+from modal.examples.story import LinearStructure, print_written, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report

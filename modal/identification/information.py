@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from era.innovation_form import inverse as inverse_covariance
+from era.gain import inverse as inverse_covariance
 from modal.estimation.output_error import NONE, gram_of_training, step_equations
 from modal.estimation.prediction_error import LikeliestFit, n_rows_of
 from modal.identification.covariance import LEAST_CURVATURE

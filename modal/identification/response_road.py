@@ -25,9 +25,8 @@ from modal.estimation.response_fit import (
 )
 from modal.estimation.response_noise import Noise, drawn_noise, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
 from modal.modes.extraction import extract_modes
-from modal.modes.mode import ModalModel
+from modal.modes.mode import Choice, Fit, ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.numbers import LEAST_FIT, counted, hertz

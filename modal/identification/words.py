@@ -23,8 +23,7 @@ from modal.identification.noise_model import NoiseModel
 from modal.identification.order_search import Search
 from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED

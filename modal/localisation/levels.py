@@ -41,8 +41,7 @@ from modal.identification.refined_search import MOST_STEPS, STANDS_STILL, Refine
 from modal.localisation.gap import BEYOND_CHANCE, excitation_levels
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode, ModeKind
-from modal.modes.shape_comparison import IndexArray, pair_greatest_first
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import IndexArray, assurance, pair_greatest_first
 from modal.preparation.filling import fill_where_needed
 from modal.preparation.quick_model import observer_markov
 from modal.preparation.steps import split_at_input_gaps

@@ -22,7 +22,7 @@ from modal.geometry.scene import comparable_shapes
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
-from modal.modes.shape_sets import assurance as mac
+from modal.modes.shape_comparison import assurance as mac
 from modal.plots.histories import measured_against_simulated
 from modal.plots.layout import Key, grid_of
 from modal.plots.order import mark_modes, stabilisation_diagram

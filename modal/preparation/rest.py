@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.kind import acts, variance
 from okid.arrays import FloatArray
 from okid.record import Record

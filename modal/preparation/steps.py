@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from era.realisation import Realisation
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
 from modal.preparation.drift import (

@@ -16,19 +16,22 @@ from modal.preparation.amplitude import (
 )
 from modal.preparation.channel import BLOCK, LEVELS, NEARLY_ALL, Channel, Finding, channels_of
 from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
-from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
-from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
-from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
-from modal.quality.spectrum import (
+from modal.quality.channels import (
     HumLines,
     alias_findings,
+    drift_findings,
     hum_findings,
+    is_steady,
+    level_findings,
     mains_lines,
     most_white_noise,
+    offset_findings,
     period_findings,
     white_findings,
 )
+from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
+from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
 from okid.arrays import BoolArray, FloatArray
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record

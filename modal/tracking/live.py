@@ -27,8 +27,7 @@ import numpy.typing as npt
 from era.balanced import realise
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.modes.shape_comparison import pair_greatest_first
-from modal.modes.shape_sets import EVEN, assurance
+from modal.modes.shape_comparison import EVEN, assurance, pair_greatest_first
 from okid.arrays import FloatArray, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, UnreadableFileError

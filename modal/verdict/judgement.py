@@ -26,8 +26,15 @@ import numpy as np
 
 from modal.modes.extraction import NOT_JUDGED, remarks
 from modal.modes.mode import ModalModel, Mode, Verdict
-from modal.modes.shape_comparison import Pulses, Repeatability, energies, inner_products, pulses, repeatability
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import (
+    Pulses,
+    Repeatability,
+    assurance,
+    energies,
+    inner_products,
+    pulses,
+    repeatability,
+)
 from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     clipping_doubt,

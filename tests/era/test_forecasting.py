@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from noisy import noisy_data, noisy_system
 
-from era.forecasting import forecast
 from era.gain import estimate_gain
+from era.kalman import forecast
 from era.realisation import Realisation
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record

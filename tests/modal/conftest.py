@@ -9,8 +9,7 @@ from diagnosis_by_hand import make_diagnosis
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

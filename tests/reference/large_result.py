@@ -6,8 +6,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Fit, ModalModel, Mode
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

@@ -16,14 +16,13 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.effects.memoryless import WALL
+from modal.effects.effect import WALL
 from modal.estimation.output_error import FIRST_DAMPING
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import step_compliance
 from modal.simulation.scheme import Budget, Scheme, scheme_and_slopes
-from modal.simulation.sensitivity import Sensitivity, sensitivity
-from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
+from modal.simulation.trajectory import SHARP, Sensitivity, Trajectory, resting_states, sensitivity, simulate_states
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 

@@ -62,8 +62,8 @@ from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
 from modal.simulation.assembly import Assembly, EffectPlacement
-from modal.simulation.sensitivity import Sensitivity
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
+from modal.simulation.trajectory import Sensitivity
 from modal.structure.placed import possible_places
 from modal.wording.numbers import listed, number, percent, times_floor_text
 from okid.arrays import TINY, BoolArray, FloatArray

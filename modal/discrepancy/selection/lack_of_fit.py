@@ -38,8 +38,8 @@ from modal.effects.effect import ForceEffect
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
-from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
 from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
+from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.wording.numbers import percent
 from okid.arrays import TINY, BoolArray, FloatArray
 

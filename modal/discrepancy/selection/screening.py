@@ -23,8 +23,8 @@ from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import motion_at
 from modal.simulation.scheme import band_of, solve_band
-from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
 from modal.simulation.tolerances import ROUNDING
+from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed

@@ -49,8 +49,8 @@ from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
-from modal.simulation.sensitivity import Source
 from modal.simulation.tolerances import ROUNDING
+from modal.simulation.trajectory import Source
 from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 

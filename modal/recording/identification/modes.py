@@ -27,7 +27,7 @@ from modal.geometry.scene import (
 from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import assurance
 from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, WHITE, Pane, document_view, plot_view
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label

@@ -10,7 +10,7 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import read_specification
 from modal.examples import many_records, three_storey_frame
 from modal.examples.demo import compare_with_truth
-from modal.examples.linear_structure import random_forces
+from modal.examples.story import random_forces
 from okid.readers import read_record
 
 STRUCTURES = {"frame": three_storey_frame.frame(), "modules": many_records.modules(loss=0.3)}

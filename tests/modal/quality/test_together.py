@@ -3,8 +3,8 @@ import pytest
 import scipy
 import scipy.signal
 
+from modal.quality.channels import drift_findings
 from modal.quality.inputs import copy_findings, timing_findings
-from modal.quality.level import drift_findings
 from okid.record import Record
 
 
