@@ -5,10 +5,11 @@ identified from a simulation program. The plant is kept as it was made, so that 
 names in a state space, stay those of the file.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
+from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.checks import SensorKind
@@ -136,6 +137,6 @@ class PlantModel(KeptModel):
         """
         return replace(self, effects=(*self.effects, placed_effect(self.plant, effect, where, values)))
 
-    def equations(self) -> str:
-        """The equations with numbers and units, effects included, in plain text."""
-        return equations_of_plant(self)
+    def equations(self, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+        """The equations with numbers and units, effects of the catalogue included, in plain text."""
+        return equations_of_plant(self, catalogue=catalogue)

@@ -240,9 +240,9 @@ def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
     return node_of(_sharpened(fit, task, iterations=iterations), task)
 
 
-def _softness(node: Node, softness: float) -> float:
+def _softness(node: Node) -> float:
     """Smoothing of a first fit: soft beside a linear model, sharp where an effect is there already that may need it."""
-    return SHARP if node.effects else softness
+    return SHARP if node.effects else SOFT
 
 
 def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[Estimate], dict[int, Node]]:
@@ -265,9 +265,9 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
             continue
         if runs and not budget.allows():
             break
-        run = _free_run(fit, task, _softness(node, SOFT))
+        run = _free_run(fit, task, _softness(node))
         if not (explained or _nearly(runs, node)):
-            run = _found_again(run, fit, task, _softness(node, SOFT))
+            run = _found_again(run, fit, task, _softness(node))
         if run is None:
             continue
         if all(run.cost < other.cost for other in runs):
