@@ -48,15 +48,9 @@ def make_gap():
     return make_diagnosis
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_result():
     """A function of names and changed fields -> Identification."""
-    return make_identification
-
-
-@pytest.fixture(scope="session")
-def make_once():
-    """The same, for fixtures that are shared by a file."""
     return make_identification
 
 

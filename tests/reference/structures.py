@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from systems import OfPoles
 
 ExcitationKind = Literal["white", "coloured", "sweep", "multisine", "hits"]
 NoiseKind = Literal["white", "coloured", "process"]
@@ -30,7 +31,7 @@ HUM_DISTANCE = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Structure:
+class Structure(OfPoles):
     """Modes by rising |pole|; Markov parameter k is 2 Re sum c b' lambda^(k-1), parameter 0 is D.
 
     `poles` (n_modes,) [1/s], one of each pair; `shapes` (n_outputs, n_modes); `participation` (n_inputs, n_modes);
@@ -43,15 +44,6 @@ class Structure:
     D: np.ndarray
     dt: float
     traits: tuple[tuple[str, ...], ...]
-
-    @property
-    def frequencies(self) -> np.ndarray:
-        """(n_modes,) |pole| / 2 pi [Hz]."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> np.ndarray:
-        return -self.poles.real / np.abs(self.poles)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
