@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.signal import lfilter
-from structures import participation_of, random_excitation
-from systems import OfPoles
+from structures import OfPoles, participation_of, random_excitation
 
 RecordKind = Literal["driven", "transient", "decay", "ambient"]
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from systems import OfPoles
 
 ExcitationKind = Literal["white", "coloured", "sweep", "multisine", "hits"]
 NoiseKind = Literal["white", "coloured", "process"]
@@ -28,6 +27,21 @@ LEAST_SEPARATION = 1.08
 """Ratio of neighbouring frequencies that are not meant to be a close pair."""
 HUM_DISTANCE = 0.06
 """Share of the frequency by which hum stays away from every mode: nearer, nobody could say which of them was found."""
+
+
+class OfPoles:
+    """Frequencies and damping ratios of whatever has `poles` [1/s], one of each pair."""
+
+    __slots__ = ()
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """(n_modes,) |pole| / 2 pi [Hz]."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> np.ndarray:
+        return -self.poles.real / np.abs(self.poles)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

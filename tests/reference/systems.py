@@ -17,23 +17,8 @@ Hold = Literal["zero_order", "linear"]
 SensorKind = Literal["displacement", "velocity", "acceleration"]
 
 
-class OfPoles:
-    """Frequencies and damping ratios of whatever has `poles` [1/s], one of each pair."""
-
-    __slots__ = ()
-
-    @property
-    def frequencies(self) -> np.ndarray:
-        """(n_modes,) |pole| / 2 pi [Hz]."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> np.ndarray:
-        return -self.poles.real / np.abs(self.poles)
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TruthSystem(OfPoles):
+class TruthSystem:
     """x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k), and the continuous-time modes that it samples.
 
     A has no deadbeat or negative real pole, and no pole of it is aliased. `poles` holds one of each conjugate pair
@@ -63,6 +48,15 @@ class TruthSystem(OfPoles):
     @property
     def n_outputs(self) -> int:
         return self.C.shape[0]
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """(n_modes,) |pole| / 2 pi [Hz]."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> np.ndarray:
+        return -self.poles.real / np.abs(self.poles)
 
     @property
     def discrete_poles(self) -> np.ndarray:
