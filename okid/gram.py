@@ -25,12 +25,10 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import complete_rows, runs_of, scaled_block, usable_rows
-from okid.scaling import ChannelScaling
+from okid.scaling import CACHE_VALUES, ChannelScaling
 
 __all__ = ["LagCorrelation", "LagGram", "lag_gram", "turn_gram"]
 
-_BLOCK_VALUES = 1 << 17
-"""Values in one step: small enough that all that is made of them stays in cache."""
 
 _KEPT_VALUES = 3 << 20
 """Values of the work space at least: 24 MiB, below the 32 MiB from which glibc never keeps memory."""
@@ -49,7 +47,7 @@ class LagCorrelation:
         n_frequencies = length // 2 + 1
         self.order, self.advance = order, length - order
         # Each chunk reads and writes the sums once: a chunk has at least as many values as they have.
-        wanted = max(_BLOCK_VALUES, n_frequencies * n_channels**2) // (n_channels * self.advance)
+        wanted = max(CACHE_VALUES, n_frequencies * n_channels**2) // (n_channels * self.advance)
         self.n_blocks = max(1, min(wanted, -(-n_rows // self.advance)))
         self._length = length
         transformed = (self.n_blocks, n_frequencies, 2 * n_channels)
