@@ -32,18 +32,6 @@ from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
 
-__all__ = [
-    "HankelDecomposition",
-    "Method",
-    "RealiseOn",
-    "decompose",
-    "gap_choice",
-    "order_choice",
-    "realise",
-    "realise_from",
-    "scaled_channels",
-]
-
 RealiseOn = Literal["system", "system_and_gain"]
 
 

@@ -32,8 +32,6 @@ from okid.arrays import FloatArray, require, whole_number
 from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters
 
-__all__ = ["realise_data_correlation"]
-
 
 def realise_data_correlation(
     markov: MarkovParameters,

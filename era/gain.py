@@ -42,18 +42,6 @@ from okid.errors import IdentificationError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = [
-    "GainEstimate",
-    "estimate_gain",
-    "gain_from_innovations",
-    "information",
-    "inverse",
-    "left_over",
-    "riccati_gain",
-    "settled",
-    "step",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NoisePart:

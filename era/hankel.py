@@ -28,18 +28,6 @@ import scipy
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, NumericalError
 
-__all__ = [
-    "BlockHankelOperator",
-    "GapChoice",
-    "Method",
-    "block_hankel",
-    "block_sizes",
-    "choose_order",
-    "hankel_energy",
-    "hankel_triplets",
-    "leading_triplets",
-]
-
 LARGEST_DENSE = 1 << 22
 """Values of a block Hankel matrix that is still built (32 MiB)."""
 

@@ -47,15 +47,6 @@ from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, ResidualCheck, centred, residual_check
 from okid.rows import as_records, runs_of
 
-__all__ = [
-    "Forecast",
-    "check_innovations",
-    "filtered",
-    "forecast",
-    "innovations",
-    "kalman_filter",
-]
-
 LARGEST_CONDITION = 1e12
 """Condition number of A beyond which A^(-1) K is rounding error."""
 

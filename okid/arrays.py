@@ -20,25 +20,6 @@ import numpy.typing as npt
 
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "TINY",
-    "BoolArray",
-    "ComplexArray",
-    "FloatArray",
-    "any_number",
-    "check_not_empty",
-    "column_block",
-    "frozen",
-    "frozen_complex",
-    "frozen_with_gaps",
-    "real_number",
-    "require",
-    "row_chunks",
-    "time_major",
-    "time_step",
-    "whole_number",
-]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 BoolArray = npt.NDArray[np.bool_]

@@ -28,22 +28,6 @@ from okid.markov import MarkovParameters
 from okid.record import Record, check_names, labels
 from okid.rows import as_records, runs_of
 
-__all__ = [
-    "FEWEST_AVERAGES",
-    "AveragedSpectra",
-    "Estimator",
-    "FrequencyResponse",
-    "ResponseWindow",
-    "averaged_spectra",
-    "coherent_response",
-    "estimate_response",
-    "line_spacing",
-    "pulse_response",
-    "segment_length",
-    "window_autocorrelation",
-    "window_samples",
-]
-
 FEWEST_AVERAGES = 8
 """Leave so many independent segments, about, where nobody says how long one is: coherence needs several."""
 LEAST_WINDOW = 0.25

@@ -27,9 +27,6 @@ from okid.record import Record
 from okid.rows import complete_rows, runs_of, scaled_block, usable_rows
 from okid.scaling import CACHE_VALUES, ChannelScaling
 
-__all__ = ["LagCorrelation", "LagGram", "lag_gram", "turn_gram"]
-
-
 _KEPT_VALUES = 3 << 20
 """Values of the work space at least: 24 MiB, below the 32 MiB from which glibc never keeps memory."""
 

@@ -27,8 +27,6 @@ from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.observer import ObserverFit
 
-__all__ = ["MarkovParameters", "recover_arrays", "recover_markov", "recover_system", "solve_recursion"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MarkovParameters(Displayed):

@@ -23,8 +23,6 @@ from okid.record import Record
 from okid.rows import as_records, check_enough_rows, check_rows_left
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["ObserverFit", "check_channels_move", "fit_observer", "observer_fit"]
-
 _POOR_INPUT = 1e4
 """Condition number of the inputs' regressors from which a fit says so: 80 dB from strongest to weakest direction."""
 _DEPENDENT = 1e4

@@ -14,8 +14,6 @@ from okid.display import Displayed
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["CACHE_VALUES", "ChannelScaling", "channel_scaling"]
-
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 """Standard deviation relative to the mean up to which a channel does not move: its last digit does."""
 CACHE_VALUES = 1 << 17

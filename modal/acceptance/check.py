@@ -30,26 +30,6 @@ from modal.modes.mode import Mode
 from modal.wording.numbers import MOST_NAMED, fit_text, hertz
 from okid.display import Displayed
 
-__all__ = [
-    "MAYBE",
-    "NO",
-    "YES",
-    "Answer",
-    "LimitOutcome",
-    "LimitState",
-    "all_met",
-    "all_of",
-    "any_of",
-    "band_text",
-    "blind_part",
-    "check_limits",
-    "inside",
-    "interval_factor",
-    "negated",
-    "range_text",
-    "uncovered",
-]
-
 LEVEL = 0.95
 """Weigh a value by the interval that holds it with this probability."""
 

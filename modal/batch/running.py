@@ -43,8 +43,6 @@ from okid.arrays import whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import InputHold
 
-__all__ = ["ExecutorError", "WorkerDiedError", "Workers", "identify_batch", "usable_cores"]
-
 
 class ExecutorError(IdentificationError):
     """What was to do the work cannot: an executor that broke, a scheduler that is not there."""

@@ -29,19 +29,6 @@ from modal.wording.names import shorten, visible
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 
-__all__ = [
-    "MODE_CSV",
-    "MODE_TABLE",
-    "PAGE",
-    "PLACES",
-    "RECORD_TABLE",
-    "Batch",
-    "part_file",
-    "with_oddities",
-    "write_page",
-    "write_tables",
-]
-
 MODE_TABLE, RECORD_TABLE, MODE_CSV = "modes.parquet", "records.parquet", "modes.csv"
 PLACES = "records"
 """Folder of the folders of all records."""

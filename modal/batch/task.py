@@ -33,18 +33,6 @@ from okid.readers import read_records
 from okid.readers.dispatch import READERS
 from okid.record import InputHold, Record
 
-__all__ = [
-    "RESULT",
-    "Outcome",
-    "Settings",
-    "Sources",
-    "Unit",
-    "folder_of",
-    "kept_outcome",
-    "run_unit",
-    "units_of",
-    "write_failure",
-]
 Sources = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """A file, a folder or a pattern such as "runs/*.csv", or several of them."""
 

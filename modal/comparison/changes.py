@@ -42,8 +42,6 @@ from modal.wording.numbers import fit_text
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results", "differences_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Difference(Displayed):

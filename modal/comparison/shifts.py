@@ -37,27 +37,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.display import Displayed
 from okid.errors import UnreadableFileError
 
-__all__ = [
-    "LEVEL",
-    "PART",
-    "ChannelName",
-    "Matching",
-    "ResultSummary",
-    "Shift",
-    "ShiftVerdict",
-    "common_outputs",
-    "damping_shift",
-    "frequency_shift",
-    "holm",
-    "match_modes",
-    "pair_costs",
-    "read_result",
-    "shape_shift",
-    "shared_shapes",
-    "summary_of",
-    "with_verdicts",
-]
-
 PART = "summary"
 """Name of a summary in the file of a result."""
 

@@ -9,20 +9,6 @@ from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
 
-__all__ = [
-    "assurance_text",
-    "caution_sentences",
-    "change_text",
-    "comparison_headline",
-    "how_sentence",
-    "least_text",
-    "pair_sentence",
-    "percent_text",
-    "shift_sentence",
-    "unmatched_sentence",
-    "verdict_change",
-]
-
 
 def comparison_headline(comparison: Comparison) -> str:
     """What changed, in one sentence."""

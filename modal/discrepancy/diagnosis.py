@@ -50,8 +50,6 @@ from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
-__all__ = ["Fitted", "Progress", "calibrate", "decide", "diagnose", "expected_diagnosis_work", "fit", "screen"]
-
 UNKNOWN_STATES = 6
 """Take a callable, of which nobody knows how many states it has, for three degrees of freedom."""
 

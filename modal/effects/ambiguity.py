@@ -9,8 +9,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["AMBIGUOUS", "AmbiguityClass", "Circumstance", "ambiguous_with"]
-
 Circumstance = Literal[
     "one_dof", "unknown_masses", "one_output", "one_level", "one_way", "half_a_sample", "small_motion", "large_motion"
 ]

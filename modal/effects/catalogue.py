@@ -32,18 +32,6 @@ from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "CATALOGUE",
-    "by_form",
-    "check_effect",
-    "composed_unit",
-    "effect_name",
-    "effects_at",
-    "one_of",
-    "parameter_units",
-    "register",
-]
-
 CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {
         effect.key: effect

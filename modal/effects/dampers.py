@@ -44,8 +44,6 @@ from modal.effects.effect import (
 )
 from okid.arrays import TINY, FloatArray
 
-__all__ = ["CoulombFriction", "QuadraticDrag", "StribeckFriction", "jump", "jump_line"]
-
 NEAR = 0.02
 """Take a series where the velocity rises by less than this share of its size and the quotients would lose digits: where
 the two meet they agree to 2e-9, because a step that ends there must not hop from one to the other."""

@@ -28,35 +28,6 @@ import numpy as np
 
 from okid.arrays import FloatArray
 
-__all__ = [
-    "LARGEST",
-    "N_PEAKS",
-    "WALL",
-    "Effect",
-    "Force",
-    "ForceEffect",
-    "InputEffect",
-    "Limit",
-    "Memory",
-    "Motion",
-    "ParameterKind",
-    "SensorEffect",
-    "Situation",
-    "StepForce",
-    "StepValue",
-    "Twin",
-    "Values",
-    "cut_to_finite",
-    "is_form_free",
-    "is_sharp",
-    "jumps",
-    "least_length",
-    "levels",
-    "memoryless",
-    "positive_part",
-    "share_of_end",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Motion:

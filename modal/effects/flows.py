@@ -23,8 +23,6 @@ from modal.effects.effect import (
 )
 from okid.arrays import FloatArray
 
-__all__ = ["Overflow", "PowerLawFlow"]
-
 EXPONENTS = (0.5, 1.5, 2.0)
 """Start from these powers: a free outlet, a weir, and a turbulent inflow."""
 

@@ -37,15 +37,6 @@ from modal.effects.effect import (
 )
 from okid.arrays import BoolArray, FloatArray
 
-__all__ = [
-    "BoucWenHysteresis",
-    "Flow",
-    "SlackInHysteresis",
-    "bouc_wen_flow",
-    "stop_operator",
-    "turning_point",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Turning:

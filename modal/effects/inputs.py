@@ -26,8 +26,6 @@ import scipy
 from modal.effects.effect import InputEffect, ParameterKind, Situation, Values
 from okid.arrays import FloatArray
 
-__all__ = ["ActuatorLag", "DelayedInput", "InputGain", "InputSaturation", "lagged"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputGain(InputEffect):

@@ -8,8 +8,6 @@ import numpy as np
 from modal.effects.effect import N_PEAKS, Force, ForceEffect, Motion, ParameterKind, Situation, Values, memoryless
 from okid.arrays import FloatArray
 
-__all__ = ["ConstantForce", "PeriodicDisturbance"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantForce(ForceEffect):

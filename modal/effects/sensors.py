@@ -10,8 +10,6 @@ from modal.effects.effect import Force, Memory, Motion, ParameterKind, SensorEff
 from modal.effects.inputs import LAGS, lagged
 from okid.arrays import FloatArray
 
-__all__ = ["RecordOffset", "SensorBias", "SensorGain", "SensorLag"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorGain(SensorEffect):

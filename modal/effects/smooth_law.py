@@ -39,8 +39,6 @@ from modal.effects.effect import (
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
-__all__ = ["N_POINTS", "SmoothDamping", "SmoothLaw", "SmoothStiffness"]
-
 N_POINTS = (9, 15, 25)
 """Give a law so many points; more where it is still not smooth enough."""
 CROWDING = 1.5

@@ -21,15 +21,6 @@ from modal.effects.effect import (
 )
 from okid.arrays import FloatArray
 
-__all__ = [
-    "BilinearStiffness",
-    "CubicStiffness",
-    "GapSpring",
-    "QuadraticStiffness",
-    "SineSoftening",
-    "TimeVaryingStiffness",
-]
-
 
 def _as_sine(values: FloatArray, stiffness: float) -> tuple[float, ...] | None:
     return (float(np.sqrt(-stiffness / (6.0 * values[0]))),) if values[0] < 0.0 else None

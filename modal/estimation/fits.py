@@ -14,8 +14,6 @@ from okid.errors import NumericalError
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-__all__ = ["ModelRuns", "fit_of", "measure_fit", "model_runs"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModelRuns:

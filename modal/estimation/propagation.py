@@ -58,15 +58,6 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = [
-    "FEWEST_BLOCKS",
-    "CoefficientCovariance",
-    "block_deviations",
-    "block_grams",
-    "coefficient_covariance",
-    "propagated",
-]
-
 _EPS = float(np.finfo(np.float64).eps)
 
 

@@ -16,8 +16,6 @@ from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.frequency_response import ResponseWindow, window_samples
 
-__all__ = ["LARGEST_SIZE", "ResponseFit", "ResponseLines", "fit_at", "pole_energies", "realised", "refined", "start_of"]
-
 LARGEST_SIZE = 0.999999
 """Keep poles within this size: a structure's answers end, and so do the sums over a state's past."""
 MOST_STEPS = 15

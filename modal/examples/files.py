@@ -18,8 +18,6 @@ from modal.examples.story import LinearStructure, random_forces
 from modal.report.folder import Existing, write_folder
 from okid.arrays import FloatArray
 
-__all__ = ["MAST", "mast", "write_files"]
-
 MAST: Final = ("root", "middle", "tip")
 """Where the accelerometers of the mast sit."""
 

@@ -36,8 +36,6 @@ from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["Frame", "frame_model", "frame_record", "main", "study", "summary"]
-
 STOREYS = ("storey_1", "storey_2", "storey_3")
 FLOORS = ("floor_1", "floor_2", "floor_3")
 TOP = 2

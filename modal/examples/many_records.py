@@ -42,8 +42,6 @@ from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["ACROSS", "ROW", "ModuleRow", "Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModuleRow:

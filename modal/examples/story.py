@@ -24,8 +24,6 @@ from modal.wording.numbers import times_floor_text
 from okid.arrays import FloatArray, frozen
 from okid.errors import IdentificationError, InvalidDataError
 
-__all__ = ["LinearStructure", "parameter", "print_written", "random_forces", "shrinking", "tell"]
-
 
 def tell(
     what: str,

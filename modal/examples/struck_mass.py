@@ -50,23 +50,6 @@ from okid.arrays import FloatArray, frozen
 from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters
 
-__all__ = [
-    "StruckMass",
-    "by_the_packages",
-    "frequency_and_damping",
-    "full_order_model",
-    "hankel",
-    "main",
-    "measured_samples",
-    "reduced_model",
-    "sampled_pulse",
-    "singular_value_shares",
-    "step_response",
-    "study",
-    "summary",
-    "truncated_model",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LinearModel:

@@ -35,8 +35,6 @@ from modal.report.writing import write_report
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["PARTS", "TEST_FILE", "Parts", "frame", "main", "storeys_record", "study", "summary", "truth"]
-
 SENSORS = ("11X+", "11Y+", "13Y-", "21X+", "21Y+", "23Y-", "31X+", "31Y+", "33Y-")
 SHAKERS = ("32X+", "23Y+")
 CORNERS = {1: (-1, -1), 2: (1, -1), 3: (1, 1), 4: (-1, 1)}

@@ -26,15 +26,6 @@ from modal.wording.names import shorten, visible
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError
 
-__all__ = [
-    "CoordinateSystem",
-    "numbers",
-    "read_uff_geometry",
-    "systems_of_set_18",
-    "systems_of_set_2420",
-    "whole_numbers",
-]
-
 
 def whole_numbers(line: str, at_least: int = 0) -> list[int]:
     """The whole numbers on a line, in fields of ten characters or parted by spaces.

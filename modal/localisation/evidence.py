@@ -26,8 +26,6 @@ from modal.wording.numbers import Statement, listed, number, part, percent, quan
 from okid.arrays import BoolArray, FloatArray
 from okid.display import Displayed
 
-__all__ = ["Location", "agreement", "disagreement", "locate", "mode_statements"]
-
 CONCENTRATED = 0.5
 """Name one output from this share on of the way from an even spread over the outputs to all in one."""
 MOSTLY = 0.5

@@ -29,20 +29,6 @@ from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = [
-    "BEYOND_CHANCE",
-    "Gap",
-    "LevelDirection",
-    "LevelSource",
-    "LevelTrend",
-    "TimeDirection",
-    "TimeTrend",
-    "excitation_levels",
-    "level_trends",
-    "measure_gap",
-    "time_trend",
-]
-
 TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
 BEYOND_CHANCE = 4.0

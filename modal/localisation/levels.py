@@ -52,19 +52,6 @@ from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = [
-    "NEGLIGIBLE",
-    "LevelMode",
-    "LevelModes",
-    "Start",
-    "Tendency",
-    "decay_windows",
-    "level_modes",
-    "partners",
-    "tendency",
-    "unexplained",
-]
-
 N_WINDOWS = 6
 """Cut a free decay into at most so many windows."""
 SHORTEST_WINDOW = 80

@@ -41,19 +41,6 @@ from modal.modes.modal_form import ModalBasis, continuous_poles, kind_of, larges
 from modal.modes.mode import ModalModel, Mode
 from okid.arrays import ComplexArray, FloatArray, frozen_complex, require
 
-__all__ = [
-    "Indicators",
-    "aliased_frequency",
-    "amplitude_coherence",
-    "evaluate",
-    "extended_amplitude_coherence",
-    "extract_modes",
-    "mean_phase_deviation",
-    "mode_singular_values",
-    "phase_collinearity",
-    "remarks",
-]
-
 DECAY_LIMIT = 0.0
 """By default EMAC is the textbook's: the last block, also for modes that have died out before it."""
 

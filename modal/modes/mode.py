@@ -26,8 +26,6 @@ from okid.record import InputHold
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Choice", "Fit", "ModalModel", "Mode", "ModeKind", "Uncertainty", "Verdict", "numbered"]
-
 ModeKind = Literal["oscillatory", "real", "nyquist", "unstable"]
 Verdict = Literal["system", "doubtful", "noise"]
 

@@ -42,25 +42,6 @@ from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of
 from okid.readers.guard import check_file, check_memory, first_line, optional_package, sound_archive
 
-__all__ = [
-    "ModePairs",
-    "Pulses",
-    "Repeatability",
-    "ScaledShapes",
-    "Shapes",
-    "assurance",
-    "coordinate_assurance",
-    "energies",
-    "inner_products",
-    "normalise_shapes",
-    "overlap_matrix",
-    "pair_greatest_first",
-    "pair_modes",
-    "pulses",
-    "read_shapes",
-    "repeatability",
-]
-
 IndexArray = npt.NDArray[np.intp]
 
 

@@ -13,15 +13,6 @@ from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = [
-    "frequencies_in_time",
-    "frequencies_of_records",
-    "mark_moment",
-    "measured_against_simulated",
-    "places_of_records",
-    "residual_autocorrelation",
-]
-
 
 def measured_against_simulated(
     measured: Record,

@@ -12,8 +12,6 @@ import numpy as np
 
 from modal.plots.panels import STYLE, Panel, text_width
 
-__all__ = ["INCH", "Chart", "Key", "grid_of", "row_of"]
-
 INCH: Final = 72.0
 """Take an inch for so many points, as printers do."""
 

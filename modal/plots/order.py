@@ -15,8 +15,6 @@ from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["POLE_ROLES", "colour_measure", "order_fits", "pole_classes", "singular_values", "stabilisation_diagram"]
-
 MOST_POLES = 4000
 """Draw at most so many poles of all orders; of more, only those of every second, third, ... order."""
 

@@ -39,25 +39,6 @@ if TYPE_CHECKING:
     from modal.discrepancy.results import Diagnosis
     from modal.geometry.sensors import Geometry
 
-__all__ = [
-    "assurance",
-    "complexity",
-    "figure_of",
-    "fit",
-    "fit_chart",
-    "frequency_responses",
-    "gap",
-    "law",
-    "least_fitted",
-    "measured_responses",
-    "modes",
-    "overview",
-    "shape_assurance",
-    "spectra",
-    "stabilisation",
-    "synthesised_alone",
-]
-
 _DASHES: Final = {"": "-", "dashed": "--", "dotted": ":"}
 _ALONG: Final = {"start": "left", "middle": "center", "end": "right"}
 

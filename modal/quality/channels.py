@@ -55,20 +55,6 @@ from okid.errors import IdentificationError
 from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, centred, whiteness
 
-__all__ = [
-    "HumLines",
-    "alias_findings",
-    "drift_findings",
-    "hum_findings",
-    "is_steady",
-    "level_findings",
-    "mains_lines",
-    "most_white_noise",
-    "offset_findings",
-    "period_findings",
-    "white_findings",
-]
-
 SMOOTHED = 16
 """Average the floor of a spectrum over so many lines."""
 

@@ -38,8 +38,6 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["check_quality", "expected_check"]
-
 SECONDS_A_VALUE = (4e-7, 1.5e-6)
 """Expect so many CPU seconds a value: 5 s at 1e6 x 8, 31 s at 1e7 x 8."""
 COPIES, BEFORE_RECORDS = 1.5, 0.25 * 2**30

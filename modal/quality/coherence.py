@@ -29,18 +29,6 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
-__all__ = [
-    "Shares",
-    "best_pulse",
-    "coherence_findings",
-    "explained_share",
-    "fitted_pulse_response",
-    "in_excess_of_chance",
-    "modelled_share",
-    "predicted_outputs",
-    "whole_rows",
-]
-
 OBSERVERS = ((512, 1e-6), (128, 1e-6), (128, 1e-3), (32, 1e-6))
 """Try observers of so many coefficients an output and such a ridge: a transient wants another one than noise."""
 

@@ -22,8 +22,6 @@ from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra
 from okid.record import Record
 from okid.rows import complete_rows
 
-__all__ = ["copy_findings", "excitation_findings", "timing_findings", "together_findings"]
-
 NEEDED_ORDER = 20
 """Ask for persistent excitation of ten sines: what an observer of few samples and a handful of modes need at least."""
 

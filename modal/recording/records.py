@@ -16,8 +16,6 @@ from modal.recording.tables import LISTED, bullets, log_table, table
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["save_batch_recording"]
-
 FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
 WORDS: Final = "batch/words"
 MODES: Final = "batch/modes"

@@ -16,28 +16,6 @@ from modal.discrepancy.results import (
 from modal.effects.catalogue import effect_name
 from modal.wording.numbers import NINETY_FIVE, listed, number
 
-__all__ = [
-    "NAMED_WITHIN",
-    "beside_text",
-    "closed_share",
-    "effect_text",
-    "effects_text",
-    "found_hypothesis",
-    "found_value",
-    "found_word",
-    "hypothesis_text",
-    "interval_text",
-    "law_against",
-    "law_gives",
-    "levels_in_words",
-    "signed_change",
-    "size_text",
-    "step_text",
-    "times_floor",
-    "times_text",
-    "value_text",
-]
-
 NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
 of `modal.discrepancy.selection.decision.NEAR_FLOOR`, which is in mean squares."""

@@ -26,27 +26,6 @@ from modal.sections.discrepancy_values import (
 )
 from modal.wording.numbers import MOST_NAMED, exact_percent, listed, number, percent
 
-__all__ = [
-    "COULD_HIDE",
-    "MOST_NAMED",
-    "ambiguity_sentence",
-    "as_sentence",
-    "bounds_sentence",
-    "capital",
-    "closed_sentence",
-    "diagnosis_headline",
-    "finding_sentence",
-    "floor_sentences",
-    "floor_summary",
-    "hidden_sentence",
-    "judge_diagnosis",
-    "next_steps",
-    "read_first",
-    "remaining_sentence",
-    "runner_up_sentence",
-    "where_sentences",
-]
-
 COULD_HIDE = "What the data could still hide: "
 UPPER_LIMIT = 0.3
 """Relative deviation of a floor's variance above which it is rather an upper limit, as `NoiseFloor` has it."""

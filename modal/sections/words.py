@@ -23,20 +23,6 @@ from dataclasses import dataclass
 
 from modal.verdict.judgement import DOUBTED, LEAST_PART, SYSTEM_FROM
 
-__all__ = [
-    "INDICATORS",
-    "IndicatorColumn",
-    "data_sentences",
-    "fit_word",
-    "limits_class",
-    "limits_sentence",
-    "limits_short",
-    "modes_headline",
-    "next_sentences",
-    "remark_of",
-    "shown",
-]
-
 
 def modes_headline(result: Identification) -> str:
     """How many modes there are, in one sentence; an overdamped pole is no vibration mode and is counted apart."""

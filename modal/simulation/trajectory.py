@@ -26,18 +26,6 @@ from modal.simulation.linearisation import Linearisation, linearise
 from modal.simulation.scheme import Scheme, band_of, solve_band
 from okid.arrays import TINY, FloatArray
 
-__all__ = [
-    "SHARP",
-    "Sensitivity",
-    "Source",
-    "Trajectory",
-    "force_response",
-    "respond",
-    "resting_states",
-    "sensitivity",
-    "simulate_states",
-]
-
 SHARP = 0.005
 """Smooth sharp laws over this share of the motion's scale in a finished simulation: at 0.02 a sticking motor's
 simulation stays 14 times above the noise."""

@@ -16,16 +16,6 @@ from okid.arrays import FloatArray, real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "Element",
-    "chain_elements",
-    "coupled_elements",
-    "is_network",
-    "is_numbered",
-    "named_elements",
-    "relative_vector",
-]
-
 MOST_ELEMENTS = 64
 """Derive no more elements than so many from matrices: each is a place that every effect is tried at."""
 

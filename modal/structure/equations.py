@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["describe_effects", "equations_of_plant", "equations_of_structure", "linear_sum"]
-
 
 def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a degree of freedom, one an output, then each effect with its law and its numbers.

@@ -28,8 +28,6 @@ from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold, Record
 
-__all__ = ["Given", "given_model", "placed_assembly", "returned_model", "simulate", "with_channel_names"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Given:

@@ -12,8 +12,6 @@ from okid.arrays import real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = ["PlacedEffect", "law_of", "placed_effect", "possible_places"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class PlacedEffect(Displayed):

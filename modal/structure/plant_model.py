@@ -21,8 +21,6 @@ from okid.arrays import FloatArray, frozen
 from okid.display import first_names
 from okid.record import InputHold, Record
 
-__all__ = ["PlantModel"]
-
 _NOMINAL: Any = None
 """Default of `linear`: the nominal values."""
 

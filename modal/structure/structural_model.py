@@ -37,8 +37,6 @@ from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import first_names
 
-__all__ = ["StructuralModel"]
-
 _COUPLINGS: Any = None
 """Default of `elements`: those that stand in the matrices."""
 

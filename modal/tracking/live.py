@@ -43,8 +43,6 @@ from okid.readers.units import convert_unit
 from okid.record import InputHold, Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["LiveEstimate", "follow", "growing_blocks"]
-
 REBUILT = 10_000
 """Sum the window afresh after so many blocks: the rounding of what was added and taken off has grown till then."""
 

@@ -38,19 +38,6 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "TRACK_PAGE",
-    "TRACK_TABLE",
-    "Alarm",
-    "Track",
-    "Tracks",
-    "followed",
-    "moment_text",
-    "track",
-    "tracks_headline",
-    "write_tracks",
-]
-
 IndexArray = npt.NDArray[np.intp]
 
 COLUMNS = ("record", "start_time", "frequency", "verdict", "shape")

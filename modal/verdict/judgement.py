@@ -53,8 +53,6 @@ from modal.verdict.probability import (
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
 
-__all__ = ["Change", "Rerun", "Reruns", "group_overlaps", "groups", "judge"]
-
 LEAST_BAND = 0.01
 """Poles closer than this share of the frequency belong to one resonance whatever their damping."""
 LARGEST_BAND = 0.05

@@ -26,8 +26,6 @@ from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray, whole_number
 from okid.display import Displayed
 
-__all__ = ["StabilisationPoint", "stabilisation"]
-
 FREE_RUN_STEPS = 200
 """Length of the pulse responses that are compared where no Hankel factors tell it."""
 ASKED: tuple[Change, ...] = ("data", "observer")

@@ -8,30 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = [
-    "GOOD_FIT",
-    "LEAST_FIT",
-    "MOST_NAMED",
-    "NINETY_FIVE",
-    "Statement",
-    "Subject",
-    "counted",
-    "exact_percent",
-    "fit_text",
-    "hertz",
-    "listed",
-    "number",
-    "part",
-    "percent",
-    "quantity",
-    "ratio_text",
-    "reproduced",
-    "times",
-    "times_floor_text",
-    "whole_percent",
-    "with_interval",
-]
-
 NINETY_FIVE = 1.96
 """Take so many standard deviations on either side as a 95 % interval, the quantile of a normal distribution."""
 

@@ -26,24 +26,6 @@ from modal.simulation.trajectory import SHARP, Sensitivity, Trajectory, resting_
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 
-__all__ = [
-    "FAR_ABOVE",
-    "Estimate",
-    "Problem",
-    "bounded_step",
-    "covariance",
-    "estimate",
-    "held_unknowns",
-    "moved_by_reciprocals",
-    "reach_of",
-    "score_equations",
-    "sensitivity_of",
-    "simulate_at",
-    "walls",
-    "weighted_residual",
-    "weights_along",
-]
-
 
 def bounded_step(
     gram: FloatArray,

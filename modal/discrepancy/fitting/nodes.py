@@ -25,28 +25,6 @@ from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
-__all__ = [
-    "FINE_STEPS",
-    "MOST_ON_FIT",
-    "SMALLEST_FALL",
-    "SMALLEST_GAIN",
-    "Node",
-    "Task",
-    "calibrated_node",
-    "counts",
-    "explains_both",
-    "fitted_either_way",
-    "judged",
-    "loaded",
-    "log_likelihood_gain",
-    "needed_masses",
-    "node_of",
-    "on_other_floor",
-    "polished",
-    "rested",
-    "with_released_masses",
-]
-
 NEARLY_THERE = 2.0
 """Expect the held-out records to be explained as well where the fit's level is below this."""
 DOUBTFUL = (1.1, 100.0)

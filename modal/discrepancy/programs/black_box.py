@@ -55,8 +55,6 @@ from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["diagnose_callable", "proved", "without_search"]
-
 
 def proved(
     found: Diagnosis, runs: Runs, proof: Proof, *, realisation: Realisation, decision: Decision, between: Sequence[Step]

@@ -47,18 +47,6 @@ from okid.markov import recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
 
-__all__ = [
-    "CorrectedCallable",
-    "IdentifiedPart",
-    "Simulator",
-    "along_plant",
-    "check_deterministic",
-    "identify_callable",
-    "quietest",
-    "relative_miss",
-    "run_callable",
-]
-
 Simulator = Callable[[Record], Record]
 """Simulates along the inputs of a record; what the record measured is for its start at most."""
 

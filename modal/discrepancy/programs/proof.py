@@ -27,8 +27,6 @@ from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
 
-__all__ = ["Proof", "ResidualModel", "Runs", "mean_squares", "prove", "residual_model", "unproved", "with_start"]
-
 MOST_STATES = 12
 """Model what is left by no more states than this."""
 

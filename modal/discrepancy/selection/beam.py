@@ -54,8 +54,6 @@ from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 
-__all__ = ["expand", "search_effects", "seen", "settled_stiffness"]
-
 PLACES, SHAPES = 2, 2
 LEAST_SHARE = 0.1
 """Follow a candidate, and a fit, that wins at least this share of what the best one wins."""

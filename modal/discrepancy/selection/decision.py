@@ -70,8 +70,6 @@ from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 from okid.record import Record
 
-__all__ = ["Decision", "criterion", "decide_nodes", "doubted_gain", "sureness"]
-
 
 def sureness(node: Node, task: Task) -> list[float]:
     """How many deviations each effect of a model is from none.

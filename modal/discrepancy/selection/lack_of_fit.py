@@ -43,8 +43,6 @@ from modal.simulation.trajectory import Source, force_response, respond, sensiti
 from modal.wording.numbers import percent
 from okid.arrays import TINY, BoolArray, FloatArray
 
-__all__ = ["INDISTINCT", "SLIGHT", "lack_of_fit", "only_noise", "something", "what_is_left", "worst_left"]
-
 N_SPLINES = 7
 """Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the
 correlation sees it."""

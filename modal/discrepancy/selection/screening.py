@@ -29,8 +29,6 @@ from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 
-__all__ = ["Candidate", "screen_candidates"]
-
 TRIES, MISS = 40, 1e-6
 """Give an effect's states up after so many iterations; end where the last change is this share of the largest state."""
 

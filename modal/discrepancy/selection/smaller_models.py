@@ -27,22 +27,6 @@ from modal.structure.placed import possible_places
 from modal.structure.reciprocity import INTERNAL_FORCE
 from okid.arrays import FloatArray
 
-__all__ = [
-    "AbsorbedGain",
-    "Law",
-    "absorbed_gain",
-    "dropped",
-    "has_limit",
-    "instead",
-    "is_limit",
-    "merged",
-    "run_without",
-    "simple_first",
-    "with_limits",
-    "with_twins",
-    "without",
-]
-
 ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
 """Fit a model without an effect that it needs, and judge it, only as far as its cost, after every four iterations,
 stays within these factors of the whole model's; an iteration that gains less than the first share ends the four."""

@@ -54,8 +54,6 @@ from modal.simulation.trajectory import Source
 from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 
-__all__ = ["law_curves", "whole_reach"]
-
 N_GRID = 201
 """Draw a law at so many points."""
 LONGEST_LOOP = 400

@@ -50,22 +50,6 @@ from modal.simulation.tolerances import DIFFERENCE_STEP, ROUNDING
 from modal.simulation.trajectory import Sensitivity, Source, respond, sensitivity
 from okid.arrays import TINY, FloatArray
 
-__all__ = [
-    "N_BINS",
-    "Bins",
-    "Reading",
-    "Told",
-    "binned_force",
-    "bins_of",
-    "derivatives",
-    "drive_before",
-    "force_law",
-    "input_sources",
-    "loaded_law",
-    "reading_of",
-    "told_by_sources",
-]
-
 IndexArray = npt.NDArray[np.intp]
 
 N_BINS = 12

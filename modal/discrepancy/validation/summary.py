@@ -38,14 +38,6 @@ from okid.arrays import FloatArray
 from okid.readers.units import unit_error
 from okid.record import Record
 
-__all__ = [
-    "calibrated_parameters",
-    "detection_limits",
-    "diagnosis_of",
-    "with_cautions",
-    "with_findings",
-]
-
 
 def hypothesis_of(node: Node, root: Node, task: Task) -> Hypothesis:
     """A fitted set of effects, as the diagnosis shows it."""

@@ -36,26 +36,6 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "GAP_TEXT",
-    "HYPOTHESES",
-    "LAW_TEXT",
-    "LEVELS",
-    "STEP_GAP",
-    "STEP_PARTS",
-    "STEP_SPECTRUM",
-    "STEP_TEXT",
-    "VERDICT_TEXT",
-    "gap_text",
-    "law_panes",
-    "law_text",
-    "log_discrepancy_page",
-    "log_steps_page",
-    "spectrum_pane",
-    "step_document",
-    "verdict_text",
-]
-
 LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
 
 

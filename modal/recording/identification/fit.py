@@ -29,17 +29,6 @@ if TYPE_CHECKING:
 
     from okid.frequency_response import FrequencyResponse
 
-__all__ = [
-    "FIT_TEXT",
-    "MARKOV",
-    "WHITENESS",
-    "fit_page",
-    "inputs_view",
-    "log_fit_page",
-    "log_response_page",
-    "response_page",
-    "run_view",
-]
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
 WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)

@@ -41,21 +41,6 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "ASSURANCE",
-    "CHOICES_TEXT",
-    "COMPLEXITY",
-    "FIELDS",
-    "MODES_TABLE",
-    "MODES_TEXT",
-    "complexity_pane",
-    "log_complexity",
-    "log_modes_page",
-    "modes_page",
-    "modes_text",
-    "placement_in",
-]
-
 COMPLEXITY: Final = "modes/complexity"
 ROOM: Final = (390.0, 230.0)
 """Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""

@@ -22,8 +22,6 @@ from okid.arrays import ComplexArray, FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["MOST_POINTS", "PERIODS", "Pace", "log_shape", "measured_nodes", "pace_of", "shape_path"]
-
 PERIODS: Final = 12
 """Swing so often from the start of the record to its end, in every mode: at their own rates one would see a blur."""
 

@@ -23,20 +23,6 @@ from okid.arrays import ComplexArray, FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "DECADES",
-    "VALIDATION_TEXT",
-    "density_pane",
-    "drawn_inputs",
-    "log_validation_page",
-    "magnitude_pane",
-    "overview_columns",
-    "response_pane",
-    "two_line_limits",
-    "validation_page",
-    "validation_text",
-]
-
 MOST_RESPONSES: Final = 16
 """Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
 
