@@ -2,9 +2,8 @@
 
 from era.balanced import decompose, realise, realise_from
 from era.data_correlation import realise_data_correlation
-from era.forecasting import Forecast, forecast
 from era.gain import GainEstimate, estimate_gain, gain_from_innovations
-from era.kalman import check_innovations, innovations, kalman_filter
+from era.kalman import Forecast, check_innovations, forecast, innovations, kalman_filter
 from era.realisation import HankelFactors, Realisation
 from era.simulation import estimate_initial_state, predict, simulate
 

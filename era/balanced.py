@@ -25,25 +25,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from era.hankel import block_sizes, hankel_energy
-from era.hankel_svd import GapChoice, Method, choose_order, hankel_triplets
+from era.hankel import GapChoice, Method, block_sizes, choose_order, hankel_energy, hankel_triplets
 from era.realisation import HankelFactors, Realisation
 from okid.arrays import FloatArray, require, whole_number
 from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
-
-__all__ = [
-    "HankelDecomposition",
-    "Method",
-    "RealiseOn",
-    "decompose",
-    "gap_choice",
-    "order_choice",
-    "realise",
-    "realise_from",
-    "scaled_channels",
-]
 
 RealiseOn = Literal["system", "system_and_gain"]
 
@@ -348,7 +335,7 @@ def realise(
 
     Args:
         markov: Markov parameters of the system, of the gain, or both.
-        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel_svd`).
+        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel`).
         n_block_rows: see `decompose`.
         n_block_columns: see `decompose`.
         method: see `decompose`.

@@ -26,14 +26,11 @@ from typing import Literal
 import numpy as np
 
 from era.balanced import gap_choice, scaled_channels
-from era.hankel import BlockHankelOperator, block_hankel
-from era.hankel_svd import hankel_triplets
+from era.hankel import BlockHankelOperator, block_hankel, hankel_triplets
 from era.realisation import HankelFactors, Realisation
 from okid.arrays import FloatArray, require, whole_number
 from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters
-
-__all__ = ["realise_data_correlation"]
 
 
 def realise_data_correlation(
@@ -52,7 +49,7 @@ def realise_data_correlation(
 
     Args:
         markov: Markov parameters; without inputs, those of the gain are realised (output only).
-        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel_svd`).
+        order: number of states; "auto" cuts at the largest gap of the singular values (`era.hankel`).
         n_block_rows: a, block rows of a correlation; 1 takes the plain correlation functions of the outputs.
         n_block_columns: b, lags that a correlation is summed over; half of the lags by default.
         first_lag: l, first correlation lag that is used; n_block_rows by default, from which on white noise on the

@@ -1,4 +1,4 @@
-"""The identified gain at work: innovations, and a filterpy filter that runs it.
+"""The identified gain at work: innovations, a filterpy filter that runs it, prediction k steps ahead with intervals.
 
     x(k+1) = A x(k) + B u(k) + K e(k),   e(k) = y(k) - C x(k) - D u(k)
 
@@ -7,23 +7,45 @@ K_filter = A^(-1) K, with the same innovations. Conversely, the Riccati equation
 wherever A - K C is stable, and the stable gain with the same innovation spectrum where it is not.
 
 Are the innovations of a model on a record white, and free of the inputs? Then its gain predicts all that can be.
+
+Prediction k steps ahead with intervals: what the filter knows, run on by the model, and how far it can be off.
+
+    y_hat(j | j-k) = y_hat(j | j-1) - sum over i = 1 ... k-1 of C A^(i-1) c(j-i),   c(i): what sample i corrects, K e(i)
+    cov = sum over i = 0 ... k-1 of G_i R G_i',   G_0 = I, G_i = C A^(i-1) K
+
+plus C A^(k-1) P A^(k-1)' C' where the state at the origin is not known exactly: after missing samples, and at the start
+of the record if so said. The intervals hold for Gaussian innovations of covariance R; that A, B, C, D, K and R were
+themselves estimated is not in them.
+
+The steady-state filter over complete samples, the time-varying one where samples are missing.
+
+The innovation form is a state-space model whose noises belong together: Q = K R K', R, S = K R. Its Kalman filter with
+state covariance P and the rows a that are there,
+
+    L = (A P Ca' + K R_a) (Ca P Ca' + Raa)^-1,  x+ = A x + B u + L e_a,  P+ = A P A' + K R K' - L (Ca P Ca' + Raa) L'
+
+has P = 0 and L = K as long as nothing is missing: the steady state. A missing sample makes P grow, and complete samples
+bring it back to zero as fast as A - K C forgets.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
-from era.innovation_form import left_over, settled
+from era.gain import information, inverse, left_over, settled
 from era.realisation import Realisation
-from era.simulation import check_channels, predict
-from okid.arrays import FloatArray, whole_number
+from era.simulation import check_channels, filled_inputs, predict, unknown_after
+from era.state_recursion import checked_state, run_from
+from okid.arrays import FloatArray, frozen, real_number, whole_number
+from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, ResidualCheck, centred, residual_check
-from okid.rows import as_records
-
-__all__ = ["check_innovations", "innovations", "kalman_filter"]
+from okid.rows import as_records, runs_of
 
 LARGEST_CONDITION = 1e12
 """Condition number of A beyond which A^(-1) K is rounding error."""
@@ -193,3 +215,311 @@ def _messages(ratio: float, p_value: float, input_ratio: float, lags: int) -> tu
             "none): the model misses dynamics from the inputs, or the system is not linear."
         )
     return tuple(found)
+
+
+SteadyRun = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""Inputs, complete outputs and state at the first sample to one-step predictions and the state after the last."""
+NEGLIGIBLE = 1e-9
+"""Energy of all later prediction errors by the state's covariance, over one sample's noise, below which it is zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Filtered:
+    """A pass through a record.
+
+    Attributes:
+        predicted: (n_samples, n_outputs) one step ahead.
+        corrections: (n_samples, order) L e, what each sample adds to the state.
+        spreads: (n_samples, n_outputs) diagonal of M P(k) M' for the M that was asked for.
+    """
+
+    predicted: FloatArray
+    corrections: FloatArray
+    spreads: FloatArray
+
+
+def filtered(
+    model: Realisation,
+    gain: FloatArray,
+    noise: FloatArray,
+    inputs: FloatArray,
+    outputs: FloatArray,
+    *,
+    state: FloatArray,
+    covariance: FloatArray,
+    projection: FloatArray,
+    steady: SteadyRun,
+) -> Filtered:
+    """Run the filter through a record.
+
+    Args:
+        model: A, B, C, D.
+        gain: (order, n_outputs) K.
+        noise: (n_outputs, n_outputs) R.
+        inputs: (n_samples, n_inputs), finite.
+        outputs: (n_samples, n_outputs), NaN where missing.
+        state: (order,) at the first sample.
+        covariance: (order, order) of the state at the first sample.
+        projection: (n_outputs, order) M.
+        steady: how to run where the covariance is zero and nothing is missing.
+    """
+    n_samples = outputs.shape[0]
+    there = ~np.isnan(outputs)
+    ends = np.zeros(n_samples, dtype=np.intp)
+    for start, stop in runs_of(np.asarray(there.all(axis=1))):
+        ends[start:stop] = stop
+    A, C, P = model.A, model.C, np.array(covariance)
+    forgotten = information(A, C, gain, inverse(noise), length=n_samples)
+    predicted, spreads = np.empty_like(outputs, subok=False), np.zeros(outputs.shape)
+    corrections = np.empty((n_samples, model.order))
+    driven = gain @ noise @ gain.T
+    k = 0
+    while k < n_samples:
+        if ends[k] and not P.any():
+            rows = slice(k, int(ends[k]))
+            predicted[rows], state = steady(inputs[rows], outputs[rows], state)
+            corrections[rows] = (outputs[rows] - predicted[rows]) @ gain.T
+            k = rows.stop
+            continue
+        spreads[k] = ((projection @ P) * projection).sum(axis=1)
+        seen = there[k]
+        predicted[k] = C @ state + model.D @ inputs[k]
+        visible = P @ C[seen].T
+        size = C[seen] @ visible + noise[np.ix_(seen, seen)]
+        L = (A @ visible + gain @ noise[:, seen]) @ inverse(size)
+        corrections[k] = L @ (outputs[k, seen] - predicted[k, seen])
+        state = A @ state + model.B @ inputs[k] + corrections[k]
+        P = A @ P @ A.T + driven - L @ size @ L.T
+        P = 0.5 * (P + P.T)
+        if seen.all() and float((P * forgotten).sum()) < NEGLIGIBLE:
+            P = np.zeros_like(P)
+        k += 1
+    return Filtered(predicted=predicted, corrections=corrections, spreads=spreads)
+
+
+def by_recursion(model: Realisation, gain: FloatArray) -> SteadyRun:
+    """The innovation recursion, in blocks; needs no inverse of A."""
+    A, B = model.A - gain @ model.C, np.hstack([model.B - gain @ model.D, gain])
+    D = np.hstack([model.D, np.zeros((model.n_outputs, model.n_outputs))])
+
+    def run(inputs: FloatArray, outputs: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return run_from(A, B, model.C, D, np.hstack([inputs, outputs]), state=state)
+
+    return run
+
+
+def by_filterpy(model: Realisation) -> SteadyRun:
+    """The steady-state filter of filterpy, a sample at a time.
+
+    Raises:
+        InvalidDataError: no gain, or no state.
+        NumericalError: A is singular.
+    """
+    filter_ = kalman_filter(model)
+
+    def run(inputs: FloatArray, outputs: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        filter_.x = np.array(state)
+        predicted = np.empty_like(outputs, subok=False)
+        for k, y in enumerate(outputs):
+            filter_.update_steadystate(y - model.D @ inputs[k])
+            predicted[k] = y - filter_.y
+            filter_.predict_steadystate(inputs[k] if model.n_inputs else None)
+        return predicted, np.asarray(filter_.x, dtype=np.float64)
+
+    return run
+
+
+TRUSTED_INVERSE = 1e8
+"""Condition number of A up to which A^(-1) K costs filterpy's filter no more than half of its digits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Forecast(Displayed):
+    """Predictions of each output at each sample from `steps` samples before, with intervals.
+
+    Attributes:
+        means: (n_samples, n_outputs); NaN where a missing input leaves them unknown.
+        standard_deviations: (n_samples, n_outputs) of measured less predicted.
+        lower: (n_samples, n_outputs) end of the interval.
+        upper: (n_samples, n_outputs) end of the interval.
+        steps: k.
+        probability: that a measurement lies between lower and upper, one output at one sample.
+        through: "filterpy" or "recursion", what ran the steady state.
+    """
+
+    means: FloatArray
+    standard_deviations: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    steps: int
+    probability: float
+    through: Literal["filterpy", "recursion"]
+
+
+def forecast(
+    realisation: Realisation,
+    record: Record,
+    *,
+    innovation_covariance: npt.ArrayLike,
+    steps: int = 1,
+    probability: float = 0.95,
+    initial_state: FloatArray | None = None,
+    initial_covariance: npt.ArrayLike | None = None,
+    through: Literal["auto", "filterpy", "recursion"] = "auto",
+) -> Forecast:
+    """Predict every sample of a record from the outputs up to `steps` samples before it, and from the inputs up to it.
+
+    The first `steps` - 1 samples are predicted from the start of the record. Outputs that are missing are not used, and
+    the intervals widen as the time-varying filter says; so, to forecast on and on from one sample, leave the outputs
+    after it NaN, and take steps = 1. Missing inputs are treated as in `era.predict`.
+
+    Args:
+        realisation: model with a gain.
+        record: of the model's channels and time step; its inputs serve as the future ones.
+        innovation_covariance: (n_outputs, n_outputs) R, as from `era.estimate_gain`.
+        steps: k, how far ahead.
+        probability: of the intervals.
+        initial_state: (order,) state at the first sample; at rest unless given.
+        initial_covariance: (order, order) of the initial state; exactly known unless given.
+        through: what runs the steady state: filterpy's filter, which needs an invertible A, or the innovation recursion
+            in blocks, the same to rounding and faster; "auto" is filterpy where A is safely invertible.
+
+    Raises:
+        InvalidDataError: no gain, other channels or another time step, or a covariance that is none.
+        NumericalError: predictions grow beyond all numbers, or filterpy was asked for and A is singular.
+
+    References:
+        Anderson, Moore, Optimal Filtering, Prentice-Hall, 1979, sections 5.4 (noises that belong together) and 7.2
+        (prediction).
+
+    Example:
+        >>> model = Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01, K=[[0.1]])
+        >>> record = Record([1.0, 0.0, 0.0], [0.0, 2.5, 0.0], 0.01)
+        >>> ahead = forecast(model, record, innovation_covariance=[[0.25]], steps=2)
+        >>> ahead.means.ravel(), ahead.standard_deviations.ravel().round(3), ahead.through
+        (array([0., 2., 1.]), array([0.5 , 0.51, 0.51]), 'filterpy')
+    """
+    check_channels(realisation, record)
+    model = realisation
+    if model.K is None:
+        raise InvalidDataError(
+            "a forecast needs a gain K and this realisation has none; estimate one with era.estimate_gain, or give "
+            "zeros for a model of measurement noise only."
+        )
+    steps = whole_number(steps, name="steps", least=1)
+    level = real_number(probability)
+    if not 0.0 < level < 1.0:
+        raise InvalidDataError(f"a probability must lie between 0 and 1, but is {probability!r}.")
+    if through not in ("auto", "filterpy", "recursion"):
+        raise InvalidDataError(f'through must be "auto", "filterpy" or "recursion", but is {through!r}.')
+    noise = _covariance(innovation_covariance, model.n_outputs, "the innovation covariance")
+    start = _covariance(
+        np.zeros((model.order, model.order)) if initial_covariance is None else initial_covariance,
+        model.order,
+        "the initial covariance",
+    )
+    chosen = _chosen(model, through)
+    inputs, missing = filled_inputs(record)
+    reach = _powers(model, min(steps, record.n_samples))
+    with np.errstate(over="ignore", invalid="ignore"):
+        run = filtered(
+            model,
+            model.K,
+            noise,
+            inputs,
+            record.outputs,
+            state=checked_state(model.order, initial_state),
+            covariance=start,
+            projection=_last_power(model, steps),
+            steady=by_filterpy(model) if chosen == "filterpy" else by_recursion(model, model.K),
+        )
+        means = np.array(run.predicted)
+        for i in range(1, reach.shape[0]):
+            means[i:] -= run.corrections[:-i] @ reach[i - 1].T
+        variances = _variances(model.K, noise, start, reach, spreads=run.spreads, steps=steps)
+    if not (np.isfinite(means).all() and np.isfinite(variances).all()):
+        raise NumericalError(
+            f"the forecast {steps} steps ahead grows beyond all numbers; use a model with its poles inside the unit "
+            "circle, a gain from era.estimate_gain, or fewer steps."
+        )
+    if missing.any():
+        unknown = _unknown(missing, model.A - model.K @ model.C, steps)
+        means[unknown], variances[unknown] = np.nan, np.nan
+    deviations = np.sqrt(np.maximum(variances, 0.0))
+    half = float(scipy.special.ndtri(0.5 + 0.5 * level)) * deviations
+    lower, upper = means - half, means + half
+    for array in (means, deviations, lower, upper):
+        array.flags.writeable = False
+    return Forecast(
+        means=means,
+        standard_deviations=deviations,
+        lower=lower,
+        upper=upper,
+        steps=steps,
+        probability=level,
+        through=chosen,
+    )
+
+
+def _chosen(model: Realisation, through: Literal["auto", "filterpy", "recursion"]) -> Literal["filterpy", "recursion"]:
+    if through != "auto":
+        return through
+    if model.order == 0:
+        return "recursion"
+    return "filterpy" if np.linalg.cond(model.A) < TRUSTED_INVERSE else "recursion"
+
+
+def _covariance(values: npt.ArrayLike, size: int, name: str) -> FloatArray:
+    matrix = frozen(values, name=name, shape=(size, size))
+    largest = float(np.abs(matrix).max(initial=0.0))
+    lopsided = float(np.abs(matrix - matrix.T).max(initial=0.0)) > 1e-9 * largest
+    if lopsided or (size and float(np.linalg.eigvalsh(matrix)[0]) < -1e-9 * largest):
+        raise InvalidDataError(
+            f"{name} must be symmetric without negative eigenvalues, but is not; take it from era.estimate_gain or as "
+            "E E' / n of innovations."
+        )
+    return matrix
+
+
+def _powers(model: Realisation, length: int) -> FloatArray:
+    """(length, n_outputs, order) C, C A, C A^2, ..."""
+    reach = np.empty((length, model.n_outputs, model.order))
+    block = model.C
+    for i in range(length):
+        reach[i] = block
+        block = block @ model.A
+    return reach
+
+
+def _last_power(model: Realisation, steps: int) -> FloatArray:
+    """C A^(steps - 1)."""
+    power: FloatArray = model.C @ np.linalg.matrix_power(model.A, steps - 1)
+    return power
+
+
+def _variances(
+    gain: FloatArray, noise: FloatArray, start: FloatArray, reach: FloatArray, *, spreads: FloatArray, steps: int
+) -> FloatArray:
+    """(n_samples, n_outputs) variances; of the first steps - 1 samples by their own, shorter horizon."""
+    n_samples = spreads.shape[0]
+    variances = np.zeros(spreads.shape)
+    total = np.diagonal(noise).copy()
+    for horizon in range(1, reach.shape[0] + 1):
+        if horizon > 1:
+            response = reach[horizon - 2] @ gain
+            total = total + ((response @ noise) * response).sum(axis=1)
+        ahead = reach[horizon - 1]
+        if horizon < steps:
+            variances[horizon - 1] = total + ((ahead @ start) * ahead).sum(axis=1)
+        else:
+            variances[horizon - 1 :] = total + spreads[: n_samples - steps + 1]
+    return variances
+
+
+def _unknown(missing: npt.NDArray[np.bool_], closed: FloatArray, steps: int) -> npt.NDArray[np.bool_]:
+    """Rows whose origin, or whose way from there, saw a missing input."""
+    at_origin = unknown_after(missing, closed)
+    position = np.arange(missing.size)
+    last = np.maximum.accumulate(np.where(missing, position, -missing.size - steps))
+    unknown: npt.NDArray[np.bool_] = at_origin[np.maximum(position - steps + 1, 0)] | (position - last < steps)
+    return unknown

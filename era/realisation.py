@@ -21,8 +21,6 @@ from okid.errors import InvalidDataError
 if TYPE_CHECKING:
     from control import StateSpace
 
-__all__ = ["HankelFactors", "Realisation", "from_control", "to_control"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class HankelFactors(Displayed):

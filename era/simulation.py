@@ -23,16 +23,6 @@ from okid.arrays import BoolArray, FloatArray, require
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
 from okid.record import Record
 
-__all__ = [
-    "check_channels",
-    "estimate_initial_state",
-    "filled_inputs",
-    "predict",
-    "simulate",
-    "simulate_array",
-    "unknown_after",
-]
-
 FORGOTTEN = 1e-2
 """Part of a disturbance of the state below which its outputs count as known again after a gap in the inputs."""
 

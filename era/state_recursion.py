@@ -28,18 +28,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.rows import runs_of
 
-__all__ = [
-    "PoleRecursion",
-    "backward_states",
-    "checked_state",
-    "finite_gramian",
-    "innovation_run",
-    "lifted",
-    "one_step",
-    "run_from",
-    "simulate_array",
-]
-
 CHUNK_SAMPLES = 1 << 15
 """Samples that are worked on at a time, so that intermediate arrays stay in cache and mapped inputs on disk."""
 POLE_BLOCK = 16

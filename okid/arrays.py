@@ -20,25 +20,6 @@ import numpy.typing as npt
 
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "TINY",
-    "BoolArray",
-    "ComplexArray",
-    "FloatArray",
-    "any_number",
-    "check_not_empty",
-    "column_block",
-    "frozen",
-    "frozen_complex",
-    "frozen_with_gaps",
-    "real_number",
-    "require",
-    "row_chunks",
-    "time_major",
-    "time_step",
-    "whole_number",
-]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 BoolArray = npt.NDArray[np.bool_]
@@ -126,10 +107,9 @@ def frozen_with_gaps(values: npt.ArrayLike, *, name: str, shape: tuple[int | Non
     return _read_only(array)
 
 
-def frozen_complex(values: npt.ArrayLike, *, name: str, shape: tuple[int | None, ...] | None = None) -> ComplexArray:
-    """As `frozen`, for complex128."""
+def frozen_complex(values: npt.ArrayLike, *, name: str) -> ComplexArray:
+    """As `frozen`, for complex128 of any shape."""
     array = np.asarray(values, dtype=np.complex128)
-    _check_shape(array, name, shape)
     if not np.isfinite(array).all():
         raise InvalidDataError(f"{name} must be finite.")
     if array.flags.writeable:

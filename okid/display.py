@@ -8,8 +8,6 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Displayed", "first_names"]
-
 WIDTH = 110
 """Show an object in one line where it is no longer than this."""
 

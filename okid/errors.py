@@ -18,17 +18,6 @@ import unicodedata
 import warnings
 from collections.abc import Iterator
 
-__all__ = [
-    "IdentificationError",
-    "IdentificationWarning",
-    "InsufficientDataError",
-    "InvalidDataError",
-    "NumericalError",
-    "UnreadableFileError",
-    "quiet",
-    "visible",
-]
-
 _TOO_LONG = re.compile(r"(?<![^\s(\[])'[^']{240,}'|\S{240,}")
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Unicode categories that show nothing themselves but change what is around them (and lone surrogates)."""

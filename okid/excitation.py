@@ -12,8 +12,6 @@ from okid.record import Record
 from okid.rows import as_records, runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["Excitation", "check_excitation"]
-
 _SMALLEST_EIGENVALUE = 1e-13
 """Of the Gram matrix, relative to the largest: what double precision can tell from zero."""
 _POOR_CONDITION = 1e4
@@ -147,10 +145,7 @@ def _inputs_only(record: Record) -> Record:
 def _inputs_scaling(scaling: ChannelScaling) -> ChannelScaling:
     nothing = np.empty(0)
     return ChannelScaling(
-        input_mean=nothing,
-        input_scale=nothing,
-        output_mean=scaling.input_mean,
-        output_scale=scaling.input_scale,
+        input_mean=nothing, input_scale=nothing, output_mean=scaling.input_mean, output_scale=scaling.input_scale
     )
 
 

@@ -28,21 +28,6 @@ from okid.markov import MarkovParameters
 from okid.record import Record, check_names, labels
 from okid.rows import as_records, runs_of
 
-__all__ = [
-    "AveragedSpectra",
-    "Estimator",
-    "FrequencyResponse",
-    "ResponseWindow",
-    "averaged_spectra",
-    "coherent_response",
-    "estimate_response",
-    "line_spacing",
-    "pulse_response",
-    "segment_length",
-    "window_autocorrelation",
-    "window_samples",
-]
-
 FEWEST_AVERAGES = 8
 """Leave so many independent segments, about, where nobody says how long one is: coherence needs several."""
 LEAST_WINDOW = 0.25
@@ -416,11 +401,7 @@ def coherent_response(spectra: AveragedSpectra) -> tuple[ComplexArray, FloatArra
         response[lines] = np.linalg.solve(uu[lines].transpose(0, 2, 1), yu[lines].transpose(0, 2, 1)).transpose(0, 2, 1)
         multiple = np.einsum("fqm,fqm->fq", response, yu.conj()).real / output_power
         response = response * unit[:, np.newaxis]
-    return (
-        np.asarray(response, dtype=np.complex128),
-        np.clip(ordinary, 0.0, 1.0),
-        np.clip(multiple, 0.0, 1.0),
-    )
+    return (np.asarray(response, dtype=np.complex128), np.clip(ordinary, 0.0, 1.0), np.clip(multiple, 0.0, 1.0))
 
 
 def estimate_response(

@@ -25,12 +25,7 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import complete_rows, runs_of, scaled_block, usable_rows
-from okid.scaling import ChannelScaling
-
-__all__ = ["LagCorrelation", "LagGram", "lag_gram", "turn_gram"]
-
-_BLOCK_VALUES = 1 << 17
-"""Values in one step: small enough that all that is made of them stays in cache."""
+from okid.scaling import CACHE_VALUES, ChannelScaling
 
 _KEPT_VALUES = 3 << 20
 """Values of the work space at least: 24 MiB, below the 32 MiB from which glibc never keeps memory."""
@@ -49,7 +44,7 @@ class LagCorrelation:
         n_frequencies = length // 2 + 1
         self.order, self.advance = order, length - order
         # Each chunk reads and writes the sums once: a chunk has at least as many values as they have.
-        wanted = max(_BLOCK_VALUES, n_frequencies * n_channels**2) // (n_channels * self.advance)
+        wanted = max(CACHE_VALUES, n_frequencies * n_channels**2) // (n_channels * self.advance)
         self.n_blocks = max(1, min(wanted, -(-n_rows // self.advance)))
         self._length = length
         transformed = (self.n_blocks, n_frequencies, 2 * n_channels)
@@ -250,10 +245,7 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
     mean = np.concatenate([scaling.input_mean, scaling.output_mean])
     size = np.concatenate([scaling.input_scale, scaling.output_scale])
     repeated = ChannelScaling(
-        input_mean=nothing,
-        input_scale=nothing,
-        output_mean=np.tile(mean, n_turns),
-        output_scale=np.tile(size, n_turns),
+        input_mean=nothing, input_scale=nothing, output_mean=np.tile(mean, n_turns), output_scale=np.tile(size, n_turns)
     )
     gram = lag_gram(folded, -(-(order + 1) // n_turns) - 1, scaling=repeated)
     kept = 1 + (order + 1) * mean.size

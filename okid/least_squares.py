@@ -36,21 +36,6 @@ from okid.record import Record
 from okid.rows import regressor_chunks
 from okid.scaling import ChannelScaling
 
-__all__ = [
-    "Method",
-    "NormalEquations",
-    "ObserverCoefficients",
-    "RegressionRows",
-    "cholesky",
-    "coefficients_from_solution",
-    "factor_rows",
-    "normal_equations",
-    "residual_products",
-    "solve",
-    "solve_factor",
-    "triangular_solve",
-]
-
 Method = Literal["cholesky", "eigh", "qr"]
 
 

@@ -27,8 +27,6 @@ from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.observer import ObserverFit
 
-__all__ = ["MarkovParameters", "recover_arrays", "recover_markov", "recover_system", "solve_recursion"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MarkovParameters(Displayed):
@@ -113,15 +111,12 @@ _BLOCK_UNKNOWNS = 64
 """Rows of one block: few enough that the triangle stays in cache, enough that the interpreter does not count."""
 
 
-def solve_recursion(
-    output_coefficients: FloatArray, forcing: FloatArray, history: FloatArray | None = None
-) -> FloatArray:
-    """Run the recursion forward for several columns at once.
+def solve_recursion(output_coefficients: FloatArray, forcing: FloatArray) -> FloatArray:
+    """Run the recursion forward from rest for several columns at once.
 
     Args:
         output_coefficients: (order, n_outputs, n_outputs) beta_1 ... beta_order.
         forcing: (n_steps, n_outputs, n_columns) x(0), x(1), ...
-        history: (order, n_outputs, n_columns) y(-order) ... y(-1); None for zeros.
 
     Returns:
         (n_steps, n_outputs, n_columns).
@@ -133,7 +128,7 @@ def solve_recursion(
     order, n_outputs = output_coefficients.shape[:2]
     n_steps, _, n_columns = forcing.shape
     values = np.empty((order + n_steps, n_outputs, n_columns))
-    values[:order] = 0.0 if history is None else history
+    values[:order] = 0.0
     steps = max(1, min(n_steps, _BLOCK_UNKNOWNS // n_outputs))
     strip, triangle = _strip_and_triangle(output_coefficients, steps)
     flat = values.reshape((order + n_steps) * n_outputs, n_columns)

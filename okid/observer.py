@@ -23,8 +23,6 @@ from okid.record import Record
 from okid.rows import as_records, check_enough_rows, check_rows_left
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["ObserverFit", "check_channels_move", "fit_observer", "observer_fit"]
-
 _POOR_INPUT = 1e4
 """Condition number of the inputs' regressors from which a fit says so: 80 dB from strongest to weakest direction."""
 _DEPENDENT = 1e4
@@ -95,12 +93,7 @@ class ObserverFit(Displayed):
         return self.feedthrough.shape[0]
 
 
-def fit_observer(
-    records: Record | Sequence[Record],
-    *,
-    order: int,
-    ridge: float | None = None,
-) -> ObserverFit:
+def fit_observer(records: Record | Sequence[Record], *, order: int, ridge: float | None = None) -> ObserverFit:
     """Fit the observer equation to one record or to several of one system.
 
     The first `order` samples of every record are dropped, so any initial state is right; a missing sample drops the

@@ -35,19 +35,6 @@ from okid.errors import InsufficientDataError, InvalidDataError, encodable
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = [
-    "InputHold",
-    "Record",
-    "as_inputs",
-    "channel_indices",
-    "check_lengths",
-    "check_names",
-    "decimated",
-    "detrended",
-    "filter_half_length",
-    "labels",
-]
-
 CUT_OFF = 0.75
 """Cut-off of the filter over the new Nyquist frequency: with this and the window, its stop band begins there."""
 

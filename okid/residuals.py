@@ -21,19 +21,6 @@ from okid.observer import ObserverFit
 from okid.record import Record
 from okid.rows import as_records, complete_rows, usable_rows
 
-__all__ = [
-    "NOT_WHITE",
-    "WHITENESS_LAGS",
-    "CentredErrors",
-    "ResidualCheck",
-    "Whiteness",
-    "centred",
-    "check_residuals",
-    "one_step_residuals",
-    "residual_check",
-    "whiteness",
-]
-
 NOT_WHITE = 2.0
 """Statistic over degrees of freedom from which errors are called coloured."""
 WHITENESS_LAGS = 20

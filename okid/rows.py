@@ -21,22 +21,6 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.scaling import ChannelScaling
 
-__all__ = [
-    "as_records",
-    "check_enough_rows",
-    "check_rows_left",
-    "complete_rows",
-    "interleaved_folds",
-    "join_setups",
-    "regressor_chunks",
-    "runs_of",
-    "scaled_block",
-    "spread_stretches",
-    "stretch_of",
-    "usable_rows",
-    "whole_record_folds",
-]
-
 
 def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     """One record or several of one system, checked to have the same channels, units and time step.

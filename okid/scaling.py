@@ -14,11 +14,9 @@ from okid.display import Displayed
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["ChannelScaling", "channel_scaling"]
-
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 """Standard deviation relative to the mean up to which a channel does not move: its last digit does."""
-_CACHE_VALUES = 1 << 17
+CACHE_VALUES = 1 << 17
 """Values in one step: the chunk stays in cache while it is read three times."""
 
 
@@ -105,7 +103,7 @@ def _mean_and_scale(arrays: Sequence[FloatArray]) -> tuple[FloatArray, FloatArra
         return np.empty(0), np.empty(0), ()
     origin = _first_values(arrays)
     count, mean, squares = np.zeros(n_channels), np.zeros(n_channels), np.zeros(n_channels)
-    step = max(1, _CACHE_VALUES // n_channels)
+    step = max(1, CACHE_VALUES // n_channels)
     for array in arrays:
         for start in range(0, array.shape[0], step):
             added, chunk_mean, chunk_squares = _moments(array[start : start + step] - origin)

@@ -27,34 +27,11 @@ from modal.acceptance.test_file import AcceptanceLimit, Range, Specification
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode
-from modal.wording.numbers import fit_text, hertz
+from modal.wording.numbers import MOST_NAMED, fit_text, hertz
 from okid.display import Displayed
-
-__all__ = [
-    "MAYBE",
-    "NO",
-    "YES",
-    "Answer",
-    "LimitOutcome",
-    "LimitState",
-    "all_met",
-    "all_of",
-    "any_of",
-    "band_text",
-    "blind_part",
-    "check_limits",
-    "inside",
-    "interval_factor",
-    "negated",
-    "range_text",
-    "uncovered",
-]
 
 LEVEL = 0.95
 """Weigh a value by the interval that holds it with this probability."""
-
-MOST_NAMED = 3
-"""Name so many modes in a sentence, the surest first, and count the others."""
 
 ANY: Range = (-math.inf, math.inf)
 

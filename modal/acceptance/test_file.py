@@ -49,17 +49,6 @@ from okid.errors import InvalidDataError, UnreadableFileError
 if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
 
-__all__ = [
-    "KEYS",
-    "AcceptanceLimit",
-    "Range",
-    "SensorNote",
-    "Specification",
-    "TomlTable",
-    "limits_of",
-    "read_specification",
-]
-
 Range = tuple[float, float]
 """Lowest and highest value, both allowed."""
 

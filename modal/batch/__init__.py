@@ -3,8 +3,7 @@
 `identify_batch` is the whole of it; `Workers` is an executor whose processes are started again when they die.
 """
 
-from modal.batch.running import identify_batch
+from modal.batch.running import ExecutorError, Workers, identify_batch
 from modal.batch.tables import Batch
-from modal.batch.workers import ExecutorError, Workers
 
 __all__ = ["Batch", "ExecutorError", "Workers", "identify_batch"]

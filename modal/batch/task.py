@@ -33,18 +33,6 @@ from okid.readers import read_records
 from okid.readers.dispatch import READERS
 from okid.record import InputHold, Record
 
-__all__ = [
-    "RESULT",
-    "Outcome",
-    "Settings",
-    "Sources",
-    "Unit",
-    "folder_of",
-    "kept_outcome",
-    "run_unit",
-    "units_of",
-    "write_failure",
-]
 Sources = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """A file, a folder or a pattern such as "runs/*.csv", or several of them."""
 
@@ -333,11 +321,7 @@ def _identified(unit: Unit, settings: Settings) -> tuple[tuple[Record, ...], Ide
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what a reader must know stands in the result
         records = read_records(
-            unit.paths,
-            inputs=settings.inputs,
-            outputs=settings.outputs,
-            dt=settings.dt,
-            input_hold=settings.input_hold,
+            unit.paths, inputs=settings.inputs, outputs=settings.outputs, dt=settings.dt, input_hold=settings.input_hold
         )
         if len(unit.paths) == 1 or len(records) == 1:
             records = tuple(replace(record, name=unit.record) for record in records)

@@ -10,9 +10,8 @@ from typing import Annotated
 import typer
 
 from modal.batch import Batch, ExecutorError, Workers, identify_batch
-from modal.batch.page import PAGE
-from modal.batch.tables import MODE_CSV, MODE_TABLE, RECORD_TABLE
-from modal.batch.workers import usable_cores
+from modal.batch.running import usable_cores
+from modal.batch.tables import MODE_CSV, MODE_TABLE, PAGE, RECORD_TABLE
 from modal.command.options import (
     Dt,
     Hold,

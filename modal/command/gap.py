@@ -24,7 +24,7 @@ from modal.command.run import (
     sizes,
 )
 from modal.command.terminal import Screen, listing, plain, say_beforehand, show_paths
-from modal.discrepancy.diagnosis import diagnose, expected_work
+from modal.discrepancy.diagnosis import diagnose, expected_diagnosis_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
@@ -74,7 +74,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, *, remarks: Sequence[
     limits = words.hidden_sentence(diagnosis)
     hidden = words.capital(limits.removeprefix(words.COULD_HIDE))
     listing(console, "What the data could still hide", [hidden] if limits else [], "")
-    listing(console, "Next", words.next_sentences(diagnosis), "cyan")
+    listing(console, "Next", words.next_steps(diagnosis), "cyan")
     listing(console, "Warnings", words.read_first(diagnosis), "yellow")
     listing(console, "Data", (*_holds(diagnosis), *words.floor_summary(diagnosis), *remarks), "")
 
@@ -211,7 +211,7 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
         tell("reading the records", READ / 2)
         fit, held_out, remarks = read_sides(job, model)
         files_read = fingerprints((job.model, *job.fit, *job.held_out))
-        (least, most), n_bytes = expected_work(model, fit, held_out)
+        (least, most), n_bytes = expected_diagnosis_work(model, fit, held_out)
         end = most if job.budget is None else job.budget
         say_beforehand(*sizes((*fit, *held_out)), (min(least, end), min(most, end)), n_bytes)
         found = diagnose(

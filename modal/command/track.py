@@ -19,7 +19,7 @@ from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.identification.order_search import choose_orders
 from modal.recording.live import estimate_recording, live_recording, log_estimate
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
-from modal.tracking.page import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
+from modal.tracking.tracks import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
 from modal.wording.names import shorten
 from modal.wording.numbers import listed

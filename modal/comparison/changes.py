@@ -42,8 +42,6 @@ from modal.wording.numbers import fit_text
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = ["Comparison", "Difference", "ModePair", "Shift", "Unmatched", "compare_results", "differences_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Difference(Displayed):
@@ -64,10 +62,7 @@ class Difference(Displayed):
 
 def differences_of(before: ResultSummary, after: ResultSummary) -> tuple[Difference, ...]:
     """Everything that differs but the modes, in this order: channels, units, sampling, settings, fit."""
-    found = [
-        *_channels("input", before.inputs, after.inputs),
-        *_channels("output", before.outputs, after.outputs),
-    ]
+    found = [*_channels("input", before.inputs, after.inputs), *_channels("output", before.outputs, after.outputs)]
     if not math.isclose(before.dt, after.dt):
         found.append(_difference("sampling", "time step", f"{before.dt:.6g} s", f"{after.dt:.6g} s"))
     lengths = [", ".join(map(str, one.n_samples)) for one in (before, after)]
@@ -205,7 +200,7 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
         InvalidDataError: something else.
 
     Example:
-        >>> from modal.modes.choice import Choice
+        >>> from modal.modes.mode import Choice
         >>> empty = ResultSummary(name="a", modes=(), inputs=(), outputs=(), dt=0.1, n_samples=(9,), choices=(), fit=0,
         ...                       trust="not carried", degrees_of_freedom=float("inf"), data=())
         >>> compare_results(empty, empty).changed

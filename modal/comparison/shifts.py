@@ -30,34 +30,12 @@ import scipy
 
 from modal.identification.result import Identification, load, read_part
 from modal.identification.words import trust_of
-from modal.modes.choice import Choice
-from modal.modes.mode import Mode
-from modal.modes.shape_sets import assurance
+from modal.modes.mode import Choice, Mode
+from modal.modes.shape_comparison import assurance
 from modal.wording.names import shorten, visible
 from okid.arrays import ComplexArray, FloatArray
 from okid.display import Displayed
 from okid.errors import UnreadableFileError
-
-__all__ = [
-    "LEVEL",
-    "PART",
-    "ChannelName",
-    "Matching",
-    "ResultSummary",
-    "Shift",
-    "ShiftVerdict",
-    "common_outputs",
-    "damping_shift",
-    "frequency_shift",
-    "holm",
-    "match_modes",
-    "pair_costs",
-    "read_result",
-    "shape_shift",
-    "shared_shapes",
-    "summary_of",
-    "with_verdicts",
-]
 
 PART = "summary"
 """Name of a summary in the file of a result."""
@@ -342,10 +320,7 @@ def frequency_shift(before: Mode, after: Mode, freedom: tuple[float, float]) -> 
         freedom: degrees of freedom behind the standard deviations of the two.
     """
     return _shift(
-        "frequency",
-        (before.frequency, after.frequency),
-        (before.frequency_std, after.frequency_std),
-        freedom,
+        "frequency", (before.frequency, after.frequency), (before.frequency_std, after.frequency_std), freedom
     )
 
 
@@ -456,22 +431,13 @@ def _shift(
     variances = deviations[0] ** 2, deviations[1] ** 2
     std = math.sqrt(sum(variances))
     shift = Shift(
-        what=what,
-        before=before,
-        after=after,
-        change=(after - before) / size,
-        half_width=math.nan,
-        p_value=math.nan,
+        what=what, before=before, after=after, change=(after - before) / size, half_width=math.nan, p_value=math.nan
     )
     if not (math.isfinite(std) and std > 0.0):
         return replace(shift, remark=f"the uncertainty of the {what} is not known")
     joint = _joint_freedom(variances, freedom)
     statistic = abs(after - before) / std
-    return replace(
-        shift,
-        half_width=_t_quantile(joint) * std / size,
-        p_value=_t_tail(statistic, joint),
-    )
+    return replace(shift, half_width=_t_quantile(joint) * std / size, p_value=_t_tail(statistic, joint))
 
 
 def _joint_freedom(variances: tuple[float, float], freedom: tuple[float, float]) -> float:

@@ -9,23 +9,6 @@ from modal.modes.mode import Mode
 from modal.wording.names import shorten, visible
 from modal.wording.numbers import hertz
 
-__all__ = [
-    "assurance_text",
-    "caution_sentences",
-    "change_text",
-    "comparison_headline",
-    "how_sentence",
-    "least_text",
-    "pair_sentence",
-    "percent_text",
-    "shift_sentence",
-    "unmatched_sentence",
-    "verdict_change",
-]
-
-LONGEST_NAME = 40
-"""Shorten the name of a result to so many letters in a sentence."""
-
 
 def comparison_headline(comparison: Comparison) -> str:
     """What changed, in one sentence."""
@@ -138,7 +121,7 @@ def unmatched_sentence(one: Unmatched, *, present: str, absent: str) -> str:
         present: name of the result that has it.
         absent: name of the other.
     """
-    present, absent = (shorten(visible(name), LONGEST_NAME) for name in (present, absent))
+    present, absent = (shorten(visible(name)) for name in (present, absent))
     what = "a mode of the system" if one.mode.verdict == "system" else "a doubtful pole"
     sentence = f"{_at(one.mode)}, {what} in {present}, has no partner in {absent}"
     if one.near is None:
@@ -179,7 +162,7 @@ def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
         )
     for one in (comparison.before, comparison.after):
         if one.trust == "not carried":
-            name = shorten(visible(one.name), LONGEST_NAME)
+            name = shorten(visible(one.name))
             sentences.append(f"The result of {name} is not reliable, so its modes are not certain.")
     if any(one.kind == "unit" for one in comparison.differences):
         sentences.append("Channels of another unit were left out where shapes are compared.")
@@ -203,7 +186,7 @@ def _shape_text(shift: Shift) -> str:
 def _named(names: Iterable[str]) -> str:
     shown = sorted(names)
     more = f" and {len(shown) - 3} more" if len(shown) > 3 else ""
-    return ", ".join(shorten(visible(name), LONGEST_NAME) for name in shown[:3]) + more
+    return ", ".join(shorten(visible(name)) for name in shown[:3]) + more
 
 
 def _sure(several: tuple[Unmatched, ...]) -> int:

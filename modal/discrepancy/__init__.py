@@ -1,9 +1,8 @@
 """Find where a simulation and measurements disagree, name the missing effect, add it to the model."""
 
-from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.diagnosis import calibrate, decide, diagnose, fit, screen
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.results import Diagnosis, Finding
-from modal.discrepancy.stages import calibrate, decide, fit, screen
 from modal.effects.catalogue import CATALOGUE, register
 from modal.localisation.evidence import locate
 

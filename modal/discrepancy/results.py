@@ -21,29 +21,6 @@ from okid.arrays import FloatArray
 from okid.display import Displayed
 from okid.record import Record
 
-__all__ = [
-    "EVEN",
-    "NOTHING",
-    "Calibrated",
-    "DetectionLimit",
-    "Diagnosis",
-    "Evidence",
-    "Finding",
-    "Hypothesis",
-    "LackOfFit",
-    "LawCurve",
-    "Parameter",
-    "ResidualKind",
-    "Step",
-    "changed_masses",
-    "explained_shares",
-    "explained_words",
-    "in_words",
-    "masses_text",
-    "other_masses",
-    "unexplained_outputs",
-]
-
 EVEN = 10.0
 """Count a model with no more effects as explaining the data as well where its criterion is within this: odds of 150."""
 NOTHING = 0.1

@@ -29,25 +29,6 @@ from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
 from okid.rows import stretch_of
 
-__all__ = [
-    "Progress",
-    "Setup",
-    "check_long_enough",
-    "check_plant",
-    "check_records",
-    "circumstances_of",
-    "expected_search",
-    "fewest_samples",
-    "locate_gap",
-    "prepare_setup",
-    "roots",
-    "searched_parts",
-    "simulated_outputs",
-    "simulated_records",
-    "with_coloured_floor",
-    "with_uncovered_floor",
-]
-
 SAME_LEVEL = 1.25
 """Say that records are of one level whose inputs differ by less than this factor."""
 

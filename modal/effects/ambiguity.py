@@ -9,17 +9,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["AMBIGUOUS", "AmbiguityClass", "Circumstance", "ambiguous_with"]
-
 Circumstance = Literal[
-    "one_dof",
-    "unknown_masses",
-    "one_output",
-    "one_level",
-    "one_way",
-    "half_a_sample",
-    "small_motion",
-    "large_motion",
+    "one_dof", "unknown_masses", "one_output", "one_level", "one_way", "half_a_sample", "small_motion", "large_motion"
 ]
 """What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one measured
 output; records of about one level; a velocity at the place that never reverses; a delay that is half a sample off

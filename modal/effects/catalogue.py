@@ -10,49 +10,27 @@ from types import MappingProxyType
 
 import numpy as np
 
-from modal.effects.actuator_lag import ActuatorLag
-from modal.effects.bilinear_stiffness import BilinearStiffness
-from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis
-from modal.effects.constant_force import ConstantForce
-from modal.effects.coulomb_friction import CoulombFriction
-from modal.effects.cubic_stiffness import CubicStiffness
+from modal.effects.dampers import CoulombFriction, QuadraticDrag, StribeckFriction
 from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation, is_form_free
-from modal.effects.gap_spring import GapSpring
-from modal.effects.input_delay import DelayedInput
-from modal.effects.input_gain import InputGain
-from modal.effects.input_saturation import InputSaturation
+from modal.effects.flows import Overflow, PowerLawFlow
+from modal.effects.hysteresis import BoucWenHysteresis, SlackInHysteresis
+from modal.effects.inputs import ActuatorLag, DelayedInput, InputGain, InputSaturation
 from modal.effects.missing_mode import MissingMode
-from modal.effects.overflow import Overflow
-from modal.effects.periodic_disturbance import PeriodicDisturbance
-from modal.effects.power_law_flow import PowerLawFlow
-from modal.effects.quadratic_drag import QuadraticDrag
-from modal.effects.quadratic_stiffness import QuadraticStiffness
-from modal.effects.record_offset import RecordOffset
-from modal.effects.sensor_bias import SensorBias
-from modal.effects.sensor_gain import SensorGain
-from modal.effects.sensor_lag import SensorLag
-from modal.effects.sine_softening import SineSoftening
-from modal.effects.slack_in_hysteresis import SlackInHysteresis
-from modal.effects.smooth_damping import SmoothDamping
-from modal.effects.smooth_stiffness import SmoothStiffness
-from modal.effects.stribeck_friction import StribeckFriction
-from modal.effects.time_varying_stiffness import TimeVaryingStiffness
+from modal.effects.outside_forces import ConstantForce, PeriodicDisturbance
+from modal.effects.sensors import RecordOffset, SensorBias, SensorGain, SensorLag
+from modal.effects.smooth_law import SmoothDamping, SmoothStiffness
+from modal.effects.springs import (
+    BilinearStiffness,
+    CubicStiffness,
+    GapSpring,
+    QuadraticStiffness,
+    SineSoftening,
+    TimeVaryingStiffness,
+)
 from modal.simulation.plant import Plant
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
-
-__all__ = [
-    "CATALOGUE",
-    "by_form",
-    "check_effect",
-    "composed_unit",
-    "effect_name",
-    "effects_at",
-    "one_of",
-    "parameter_units",
-    "register",
-]
 
 CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {
@@ -107,7 +85,7 @@ def register(effect: Effect, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
 
     Example:
         >>> from dataclasses import dataclass
-        >>> from modal.effects.cubic_stiffness import CubicStiffness
+        >>> from modal.effects.springs import CubicStiffness
         >>> @dataclass(frozen=True, slots=True, kw_only=True)
         ... class Hardening(CubicStiffness):
         ...     key = "hardening"
@@ -246,7 +224,7 @@ def check_effect(effect: Effect) -> None:
             disagrees with differences of its value.
 
     Example:
-        >>> from modal.effects.constant_force import ConstantForce
+        >>> from modal.effects.outside_forces import ConstantForce
         >>> check_effect(ConstantForce())
     """
     _check_words(effect)

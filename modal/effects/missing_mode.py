@@ -16,8 +16,6 @@ from modal.effects.effect import N_PEAKS, Force, ForceEffect, Memory, Motion, Pa
 from modal.simulation.tolerances import UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
-__all__ = ["MissingMode"]
-
 RATIOS = (1.0, 0.9, 1.11)
 """Start from these frequencies, by each peak: an absorber splits the resonance of its host, so its own frequency lies
 between two peaks, and each peak is off by about the root of the mass ratio."""

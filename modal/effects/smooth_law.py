@@ -25,12 +25,19 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.effects.effect import Effect, Force, ForceEffect, Motion, ParameterKind, Situation, Values
-from modal.effects.memoryless import cut_to_finite, memoryless
+from modal.effects.effect import (
+    Effect,
+    Force,
+    ForceEffect,
+    Motion,
+    ParameterKind,
+    Situation,
+    Values,
+    cut_to_finite,
+    memoryless,
+)
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
-
-__all__ = ["N_POINTS", "SmoothLaw"]
 
 N_POINTS = (9, 15, 25)
 """Give a law so many points; more where it is still not smooth enough."""
@@ -188,3 +195,50 @@ def _splines(
     spline = scipy.interpolate.CubicSpline(points, heights)
     ends = (2.0 * points[0] - points[1], 2.0 * points[-1] - points[-2])
     return spline, spline.derivative(), ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothStiffness(SmoothLaw):
+    """A force that is some smooth function of the displacement, given by its values at points (`SmoothLaw`).
+
+    In the data: whatever the curve makes of it.
+
+    Confused with: every smooth law of the displacement that has a name, which it contains, so it is tried only where
+    these fail the test of what they leave. Corners are rounded off.
+
+    Parameters: low, high [length], the range that was seen; force_j [force] at the points between them.
+
+    References:
+        Noel, Schoukens, Grey-box state-space identification of nonlinear mechanical vibrations, Int. J. Control 91,
+        2018, doi 10.1080/00207179.2017.1308557.
+    """
+
+    key = "smooth_stiffness"
+    law = "f = smooth function of d through points"
+    family = "stiffness of any form"
+    signature = "any smooth law of the displacement"
+    reads = "displacement"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothDamping(SmoothLaw):
+    """A force that is some smooth function of the velocity, given by its values at points (`SmoothLaw`).
+
+    In the data: whatever the curve makes of it.
+
+    Confused with: every smooth law of the velocity that has a name, which it contains, so it is tried only where these
+    fail the test of what they leave. A jump at rest is dry friction, an effect of its own.
+
+    Parameters: low, high [length/time], the range that was seen; force_j [force] at the points between them.
+
+    References:
+        Noel, Schoukens, Grey-box state-space identification of nonlinear mechanical vibrations, Int. J. Control 91,
+        2018, doi 10.1080/00207179.2017.1308557.
+    """
+
+    key = "smooth_damping"
+    law = "f = smooth function of v through points"
+    family = "damping of any form"
+    signature = "any smooth law of the velocity"
+    reads = "velocity"
+    needs = frozenset({"velocity"})

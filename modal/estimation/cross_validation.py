@@ -39,33 +39,6 @@ from okid.record import Record
 from okid.rows import interleaved_folds, runs_of, whole_record_folds
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = [
-    "FIRST_RIDGE",
-    "GAIN",
-    "LARGEST_PULSE",
-    "N_TURNS",
-    "WITHIN",
-    "Folds",
-    "Ground",
-    "Stretch",
-    "Trial",
-    "corner",
-    "decompose_coefficients",
-    "folds_of",
-    "hankel_limits",
-    "hankel_shape",
-    "is_long",
-    "make_trials",
-    "markov_lags",
-    "prepare_ground",
-    "scaled_model",
-    "scaled_record",
-    "stretches_of",
-    "training_decomposition",
-    "training_gram",
-    "trial_of",
-]
-
 LONGEST_SCORED = 30_000
 """Samples that are run freely for each candidate; shorter data are run whole."""
 STRETCH = 10_000

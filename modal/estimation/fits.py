@@ -8,13 +8,11 @@ import numpy as np
 from era.realisation import Realisation
 from modal.estimation.cross_validation import Trial, scaled_model
 from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
-from modal.modes.choice import Fit
+from modal.modes.mode import Fit
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
 from okid.scaling import channel_scaling
-
-__all__ = ["ModelRuns", "fit_of", "measure_fit", "model_runs"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -26,25 +26,6 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = [
-    "FreeRun",
-    "ModalForm",
-    "ModalRecursion",
-    "TrainingPattern",
-    "block_errors",
-    "driven_by_outputs",
-    "filled",
-    "fit_initial_state",
-    "free_run",
-    "free_runs",
-    "initial_state",
-    "modal_form",
-    "modal_form_of",
-    "one_step_predictor",
-    "powers_of",
-    "run_from_rest",
-]
-
 TrainingPattern = tuple[npt.NDArray[np.int64], Sequence[tuple[int, int]], int]
 """Outputs, and the runs (first, one past last) of the rows on which these outputs train, every so-manieth of a run."""
 MANY_RUNS = 64

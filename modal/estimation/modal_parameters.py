@@ -30,8 +30,6 @@ from okid.least_squares import solve
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["errors_of", "in_data_states", "in_units", "real_modal_form", "starting_parameters", "with_weak_mode"]
-
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
 

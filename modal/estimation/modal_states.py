@@ -28,19 +28,6 @@ from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = [
-    "Block",
-    "ModalParameters",
-    "SignalLayout",
-    "blocks_by_turns",
-    "blocks_of",
-    "one_blas_thread",
-    "parts_of",
-    "signal_grams",
-    "signals_of",
-    "whole_gram",
-]
-
 PARTS = 10
 """Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
 IndexArray = npt.NDArray[np.intp]

@@ -23,19 +23,6 @@ from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, 
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = [
-    "Coordinates",
-    "LinearPart",
-    "Normal",
-    "OutputError",
-    "PolesAndParticipations",
-    "RefinementStep",
-    "linear_part",
-    "refine",
-    "step_at",
-    "step_equations",
-]
-
 NONE = -2
 """Label of no block: nothing is held out."""
 FIRST_DAMPING = 1e-3

@@ -35,21 +35,6 @@ from okid.gram import LagGram, lag_gram
 from okid.record import Record
 from okid.scaling import ROUNDING, ChannelScaling, channel_scaling
 
-__all__ = [
-    "ROWS_A_NUMBER",
-    "STILL",
-    "CanonicalVariates",
-    "LikeliestFit",
-    "Sections",
-    "innovation_form",
-    "leaves_rounding",
-    "likeliest",
-    "n_rows_of",
-    "predictor_data",
-    "predictor_start",
-    "share_of",
-]
-
 ROUNDS = 8
 """End after so many rounds in which weights and model settle."""
 STEPS_A_ROUND = 12

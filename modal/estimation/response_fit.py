@@ -16,17 +16,6 @@ from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.frequency_response import ResponseWindow, window_samples
 
-__all__ = [
-    "LARGEST_SIZE",
-    "ResponseFit",
-    "ResponseLines",
-    "fit_at",
-    "powers_of",
-    "realised",
-    "refined",
-    "start_of",
-]
-
 LARGEST_SIZE = 0.999999
 """Keep poles within this size: a structure's answers end, and so do the sums over a state's past."""
 MOST_STEPS = 15
@@ -364,7 +353,7 @@ def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
     return Realisation(A, B / into, C * out, fit.feedthrough * out / into, table.dt)
 
 
-def powers_of(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
+def pole_energies(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
     """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
     plus, minus = table.basis(fit.poles)[0]
     minus = minus * fit.is_pair

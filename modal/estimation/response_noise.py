@@ -13,8 +13,6 @@ import scipy
 from modal.estimation.response_fit import LARGEST_SIZE, ResponseFit, ResponseLines
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 
-__all__ = ["Noise", "drawn_noise", "noise_of", "pole_deviations"]
-
 ROUNDING = 1e-13
 """Take errors for at least this share of a table's largest value: the digits of its numbers."""
 NEAR, WIDE = 10, 40

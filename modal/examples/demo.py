@@ -21,18 +21,6 @@ from modal.modes.mode import ModalModel, Verdict
 from okid.arrays import ComplexArray, FloatArray, frozen, frozen_complex
 from okid.record import Record
 
-__all__ = [
-    "TOWER",
-    "DemoTruth",
-    "ModeComparison",
-    "Tower",
-    "compare_with_truth",
-    "demo_geometry",
-    "demo_record",
-    "demo_truth",
-    "tower_matrices",
-]
-
 INPUT_NAMES = ("shaker_floor_2", "actuator_roof")
 OUTPUT_NAMES = ("floor_1", "floor_2", "floor_3", "floor_4", "roof", "tuned_mass")
 OUTPUT_UNITS = ("m/s^2",) * 5 + ("m",)

@@ -13,12 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from modal.examples.linear_structure import LinearStructure, random_forces
 from modal.examples.motor_propeller import Motor, linear_model, measured_record
+from modal.examples.story import LinearStructure, random_forces
 from modal.report.folder import Existing, write_folder
 from okid.arrays import FloatArray
-
-__all__ = ["MAST", "mast", "write_files"]
 
 MAST: Final = ("root", "middle", "tip")
 """Where the accelerometers of the mast sit."""

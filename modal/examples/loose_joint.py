@@ -36,8 +36,6 @@ from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["Frame", "linear_model", "main", "measured_record", "study", "summary"]
-
 STOREYS = ("storey_1", "storey_2", "storey_3")
 FLOORS = ("floor_1", "floor_2", "floor_3")
 TOP = 2
@@ -84,11 +82,11 @@ class Frame:
         return found
 
 
-def linear_model(frame: Frame) -> StructuralModel:
+def frame_model(frame: Frame) -> StructuralModel:
     """What the engineer believes: every joint tight, the masses weighed, stiffness and damping from a drawing.
 
     Example:
-        >>> linear_model(Frame()).natural_frequencies.round(2)
+        >>> frame_model(Frame()).natural_frequencies.round(2)
         array([ 3.7 , 10.24, 14.27])
     """
     stiffnesses = np.array(frame.stiffnesses) * [1.04, 0.97, 1.03]
@@ -109,9 +107,7 @@ def linear_model(frame: Frame) -> StructuralModel:
     )
 
 
-def measured_record(
-    frame: Frame, rng: np.random.Generator, *, level: float, name: str, n_samples: int = 2048
-) -> Record:
+def frame_record(frame: Frame, rng: np.random.Generator, *, level: float, name: str, n_samples: int = 2048) -> Record:
     """One run of the shaker.
 
     Args:
@@ -122,7 +118,7 @@ def measured_record(
         n_samples: 256 a second.
 
     Example:
-        >>> measured_record(Frame(), np.random.default_rng(1), level=25.0, name="short", n_samples=64)
+        >>> frame_record(Frame(), np.random.default_rng(1), level=25.0, name="short", n_samples=64)
         Record('short': 64 samples every 0.00390625 s, inputs ['shaker'], outputs ['floor_1', 'floor_2', 'floor_3'])
     """
     from scipy.integrate import solve_ivp
@@ -171,10 +167,8 @@ def study(frame: Frame, rng: np.random.Generator, *, n_samples: int = 2048) -> D
         n_samples: of each record.
     """
     levels = (("quiet", 8), ("medium", 25), ("loud", 70), ("held out", 45))
-    *fit, held_out = (
-        measured_record(frame, rng, level=level, name=name, n_samples=n_samples) for name, level in levels
-    )
-    return diagnose(linear_model(frame), fit=fit, held_out=held_out)
+    *fit, held_out = (frame_record(frame, rng, level=level, name=name, n_samples=n_samples) for name, level in levels)
+    return diagnose(frame_model(frame), fit=fit, held_out=held_out)
 
 
 def summary(frame: Frame, diagnosis: Diagnosis) -> str:

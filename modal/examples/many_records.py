@@ -14,7 +14,7 @@ and no one sees that by eye: the largest change of a frequency is 0.2 percent.
    and 3 do not strain the middle joint at all: if they stand still while 2 and 4 shift, it can only be that one.
 
 The truth is known: the eigenvalue problem of the masses and springs, whose motion `scipy.signal.lsim` computes
-(`modal.examples.linear_structure`).
+(`modal.examples.story`).
 
 Run `python -m modal.examples.many_records [FOLDER]`; with a folder it writes the comparison and both results
 (`modal-report diff before.npz after.npz` compares them anew).
@@ -35,15 +35,12 @@ import numpy as np
 from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.shifts import summary_of
 from modal.comparison.words import comparison_headline, pair_sentence
-from modal.examples.linear_structure import LinearStructure, random_forces
-from modal.examples.story import print_written
+from modal.examples.story import LinearStructure, print_written, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.comparison import write_comparison
 from okid.arrays import FloatArray
 from okid.record import Record
-
-__all__ = ["ACROSS", "ROW", "ModuleRow", "Suspect", "compared", "main", "modules", "records_of", "summary", "suspects"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

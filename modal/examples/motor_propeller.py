@@ -32,15 +32,6 @@ from modal.examples.story import parameter, shrinking, tell
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
-__all__ = [
-    "Motor",
-    "linear_model",
-    "main",
-    "measured_record",
-    "study",
-    "summary",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Motor:

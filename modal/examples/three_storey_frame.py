@@ -10,7 +10,7 @@ how all four corners of a floor move: the frame sways in X and Y and twists, nin
 corner, so sway and twist mix a little.
 
 The truth is known: the eigenvalue problem of the frame's masses and springs, whose motion `scipy.signal.lsim` computes
-(`modal.examples.linear_structure`).
+(`modal.examples.story`).
 
 Run `python -m modal.examples.three_storey_frame [FOLDER]`; with a folder it writes the measured file, the test file and
 the report with its recording.
@@ -28,15 +28,12 @@ import numpy as np
 from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
-from modal.examples.linear_structure import LinearStructure, random_forces
-from modal.examples.story import print_written
+from modal.examples.story import LinearStructure, print_written, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
 from okid.arrays import FloatArray
 from okid.record import Record
-
-__all__ = ["PARTS", "TEST_FILE", "Parts", "frame", "main", "measured_record", "study", "summary", "truth"]
 
 SENSORS = ("11X+", "11Y+", "13Y-", "21X+", "21Y+", "23Y-", "31X+", "31Y+", "33Y-")
 SHAKERS = ("32X+", "23Y+")
@@ -112,7 +109,7 @@ def truth() -> DemoTruth:
     )
 
 
-def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: float = 0.05) -> Record:
+def storeys_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: float = 0.05) -> Record:
     """The test: two random forces [N], nine accelerations [m/s^2]; the frame is moving already when it starts.
 
     Args:
@@ -121,7 +118,7 @@ def measured_record(rng: np.random.Generator, *, n_samples: int = 4000, noise: f
         noise: standard deviation of the noise as a share of what each sensor sees.
 
     Example:
-        >>> measured_record(np.random.default_rng(1), n_samples=400).output_names[:3]
+        >>> storeys_record(np.random.default_rng(1), n_samples=400).output_names[:3]
         ('11X+', '11Y+', '13Y-')
     """
     forces = random_forces(rng, n_samples, np.array([20.0, 15.0]))
@@ -191,7 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 where all limits are met, 1 otherwise.
     """
     given = sys.argv[1:] if arguments is None else list(arguments)
-    record = measured_record(np.random.default_rng(1))
+    record = storeys_record(np.random.default_rng(1))
     result, specification, outcomes = study(record)
     print(summary(compare_with_truth(truth(), result.modes), outcomes))
     for folder in map(Path, given[:1]):

@@ -33,8 +33,6 @@ from modal.wording.names import shorten, visible
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.guard import check_file, first_line
 
-__all__ = ["MOST_TEXT", "geometry_of_table", "read_geometry", "with_dofs"]
-
 MOST_TEXT: Final = 1 << 24
 """Refuse a file in TOML of more bytes: 16 MiB, a geometry of some hundred thousand nodes."""
 

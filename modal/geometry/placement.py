@@ -29,20 +29,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.readers.units import convert_unit
 
-__all__ = [
-    "SPACING",
-    "Placement",
-    "at_rest",
-    "best_phase",
-    "derivatives_of",
-    "guessed_grid",
-    "placed",
-    "rows_by_unit",
-    "stated_dofs",
-    "stick_geometry",
-    "turned",
-]
-
 SPACING: Final = 0.7
 """Draw the lines of two units so far apart; a line is 2 long."""
 

@@ -28,18 +28,6 @@ from modal.modes.mode import Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.readers.units import convert_unit
 
-__all__ = [
-    "Eye",
-    "Scene",
-    "chosen_eye",
-    "comparable_shapes",
-    "comparison_words",
-    "complexity_words",
-    "envelope_of",
-    "phasors",
-    "scene_of",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:

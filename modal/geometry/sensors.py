@@ -37,20 +37,6 @@ from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "MOST_NODES",
-    "RESOLVED",
-    "Dof",
-    "Geometry",
-    "Motion",
-    "Motions",
-    "Sensor",
-    "dof_of",
-    "motion_of",
-    "node_numbers",
-    "quoted",
-]
-
 Motion = Literal["along", "about"]
 """What a sensor sees: translation along its direction, or rotation about it."""
 

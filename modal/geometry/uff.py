@@ -26,18 +26,9 @@ from modal.wording.names import shorten, visible
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError
 
-__all__ = [
-    "CoordinateSystem",
-    "numbers",
-    "read_uff_geometry",
-    "systems_of_set_18",
-    "systems_of_set_2420",
-    "whole_numbers",
-]
 
-
-def whole_numbers(line: str, at_least: int = 0, *, width: int = 10) -> list[int]:
-    """The whole numbers on a line, in fields of `width` characters or parted by spaces.
+def whole_numbers(line: str, at_least: int = 0) -> list[int]:
+    """The whole numbers on a line, in fields of ten characters or parted by spaces.
 
     Raises:
         ValueError: fewer than `at_least`, or a field that is no whole number.
@@ -47,8 +38,8 @@ def whole_numbers(line: str, at_least: int = 0, *, width: int = 10) -> list[int]
         ([1, 2], [1234567890, 1234567890])
     """
     fields = line.split()
-    if len(fields) < at_least or any(len(field) > width for field in fields):
-        fields = _cut(line, width)
+    if len(fields) < at_least or any(len(field) > 10 for field in fields):
+        fields = _cut(line, 10)
     if len(fields) < at_least:
         raise ValueError(f"{len(fields)} whole numbers on a line that has {at_least}")
     try:

@@ -16,9 +16,8 @@ import scipy
 from era.realisation import Realisation
 from modal.estimation.fits import fit_of, model_runs
 from modal.identification.result import Identification
-from modal.modes.choice import Choice, Fit
 from modal.modes.modal_form import discrete_poles, modal_basis
-from modal.modes.mode import Mode, numbered
+from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.wording.numbers import fit_text, listed
 from okid.errors import InvalidDataError
 

@@ -34,7 +34,14 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = ["NOT_UNDERSTOOD", "NO_INTERVAL", "feedback_bias", "judged_deviations", "output_error_uncertainty"]
+__all__ = [
+    "LEAST_CURVATURE",
+    "NOT_UNDERSTOOD",
+    "NO_INTERVAL",
+    "feedback_bias",
+    "judged_deviations",
+    "output_error_uncertainty",
+]
 
 NOT_UNDERSTOOD = 1.3
 """Say that the noise is not understood where it moves a deviation by more: thrice the scatter of the blocks."""

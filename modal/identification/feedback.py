@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from modal.estimation.prediction_error import ROWS_A_NUMBER
 from okid.arrays import FloatArray
 from okid.frequency_response import averaged_spectra
 from okid.gram import lag_gram
@@ -42,8 +43,6 @@ OWN_PAST = 40
 """Let an input know its own past over so many samples."""
 OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
-ROWS_A_NUMBER = 10
-"""Shorten both pasts where there are fewer rows for each number."""
 SEGMENT = 256
 """Look for the floor of an input's spectrum in segments of so many samples: 128 lines show an empty part of it."""
 EMPTY, LEAST_EMPTY = 1e-3, 0.05

@@ -17,18 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from era.innovation_form import inverse as inverse_covariance
+from era.gain import inverse as inverse_covariance
 from modal.estimation.output_error import NONE, gram_of_training, step_equations
 from modal.estimation.prediction_error import LikeliestFit, n_rows_of
+from modal.identification.covariance import LEAST_CURVATURE
 from modal.identification.noise_model import NoiseModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
 
 __all__ = ["innovation_uncertainty"]
-
-LEAST_CURVATURE = 1e-12
-"""Leave a direction of the numbers at rest where its relative curvature is below: it is not in the data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

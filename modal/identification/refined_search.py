@@ -37,6 +37,7 @@ from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
 from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine, step_at
+from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
 from okid.record import Record
@@ -284,10 +285,6 @@ WHITE = 1.3
 """Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
 WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
-SMALLEST_NOISE = 1e-3
-"""Of the noisiest output's: an output with less noise is not weighted more."""
-NOISE_FREE = 1e-7
-"""Relative error of a free run that leaves nothing to be refined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

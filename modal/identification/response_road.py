@@ -18,16 +18,15 @@ from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
-    powers_of,
+    pole_energies,
     realised,
     refined,
     start_of,
 )
 from modal.estimation.response_noise import Noise, drawn_noise, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
 from modal.modes.extraction import extract_modes
-from modal.modes.mode import ModalModel
+from modal.modes.mode import Choice, Fit, ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.numbers import LEAST_FIT, counted, hertz
@@ -227,7 +226,7 @@ def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respo
     evidence, gained = _evidence(table, fit), True
     while gained and fit.poles.size > 1:
         gained = False
-        for weakest in np.argsort(powers_of(table, fit, weight))[:WEAKEST]:
+        for weakest in np.argsort(pole_energies(table, fit, weight))[:WEAKEST]:
             kept = np.arange(fit.poles.size) != weakest
             trial = refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=QUICK)
             if _evidence(table, trial) < evidence:

@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from era.realisation import Realisation
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Uncertainty, numbered
+from modal.modes.mode import Choice, Fit, ModalModel, Uncertainty, numbered
 from modal.preparation.kind import RecordKind
 from modal.verdict.stabilisation import StabilisationPoint
 from modal.wording.numbers import fit_text

@@ -29,10 +29,9 @@ from era.realisation import Realisation
 from era.simulation import estimate_initial_state, predict, simulate
 from modal.identification.result import Identification
 from modal.identification.synthesis import output_model
-from modal.modes.choice import Choice, Fit
 from modal.modes.modal_form import continuous_poles, modal_basis
-from modal.modes.mode import ModalModel, Mode, Uncertainty
-from modal.modes.shape_sets import assurance
+from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
+from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, without_input_delay
 from okid.arrays import ComplexArray, FloatArray

@@ -23,8 +23,7 @@ from modal.identification.noise_model import NoiseModel
 from modal.identification.order_search import Search
 from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED
@@ -388,10 +387,6 @@ MOST_CAUTION = 0.3
 """Say that the classical indicators test the observer rather than the data where n / (p q) is greater."""
 
 
-LONGEST_NAME = 40
-"""Write at most so many letters of a channel name into a sentence; the tables have the whole of it."""
-
-
 Trust = Literal["carried", "with care", "not carried"]
 
 
@@ -444,7 +439,7 @@ def fit_sentence(result: Identification) -> str:
     if result.response is not None:
         how, what = "In units of their standard deviations", "responses from the other half of the averages"
     sentence = f"{how}, the model reproduces {reproduced(fit)} of {what}"
-    least = f" (least of {shorten(names[worst], LONGEST_NAME)}: {reproduced(fits[worst])})"
+    least = f" (least of {shorten(names[worst])}: {reproduced(fits[worst])})"
     return sentence + (least if reproduced(fits[worst]) != reproduced(fit) else "") + "."
 
 

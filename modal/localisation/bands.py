@@ -15,18 +15,6 @@ from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = [
-    "BandTable",
-    "CellTable",
-    "GapBand",
-    "WindowTable",
-    "line_power",
-    "line_share",
-    "octave_bands",
-    "spectral_tables",
-    "window_table",
-]
-
 MOST_OCTAVES = 8
 """Cut the spectrum into at most so many octaves."""
 

@@ -13,8 +13,6 @@ from modal.localisation.bands import line_power
 from modal.localisation.gap import Gap
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = ["Interval", "SingleLine", "coherent_share", "excess_spectrum", "narrowest_interval", "single_line"]
-
 N_SEGMENTS = 8
 """Average spectra over so many segments of a record, half overlapping."""
 INDEPENDENT = 0.6

@@ -22,33 +22,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.localisation.bands import (
-    BandTable,
-    CellTable,
-    WindowTable,
-    octave_bands,
-    spectral_tables,
-    window_table,
-)
+from modal.localisation.bands import BandTable, CellTable, WindowTable, octave_bands, spectral_tables, window_table
 from modal.simulation.tolerances import ROUNDING, SURE, UNLIKELY
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
-
-__all__ = [
-    "BEYOND_CHANCE",
-    "Gap",
-    "LevelDirection",
-    "LevelSource",
-    "LevelTrend",
-    "TimeDirection",
-    "TimeTrend",
-    "excitation_levels",
-    "level_trends",
-    "measure_gap",
-    "time_trend",
-]
 
 TimeDirection = Literal["grows", "falls", "both ends", "steady"]
 
@@ -409,11 +388,7 @@ class Gap:
         return int(self.level_numbers.max())
 
 
-def measure_gap(
-    measured: Record | Sequence[Record],
-    simulated: Record | Sequence[Record],
-    floor: npt.ArrayLike,
-) -> Gap:
+def measure_gap(measured: Record | Sequence[Record], simulated: Record | Sequence[Record], floor: npt.ArrayLike) -> Gap:
     """Compare measured records with their simulations.
 
     Args:

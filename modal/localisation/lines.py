@@ -25,17 +25,6 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray, whole_number
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = [
-    "FALSE_ALARM",
-    "LineKind",
-    "Lines",
-    "RecordLines",
-    "input_period",
-    "line_statements",
-    "measure_lines",
-    "periods_of",
-]
-
 LARGEST_DIFFERENCE = 1e-3
 """Call no shift T a period from this mean square of u(k + T) - u(k) on, over twice the variance of u: 3 % noise on the
 input."""

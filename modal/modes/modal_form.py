@@ -14,8 +14,6 @@ from era.realisation import Realisation
 from modal.modes.mode import Mode, ModeKind
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["ModalBasis", "continuous_poles", "discrete_poles", "kind_of", "modal_basis"]
-
 DEADBEAT = 1e-3
 """A discrete pole this small against the largest (or against 1) dies by 60 dB within one sample: delay or deadbeat."""
 

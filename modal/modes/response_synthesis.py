@@ -28,16 +28,6 @@ from okid.frequency_response import (
 from okid.record import InputHold, Record
 from okid.rows import as_records, runs_of
 
-__all__ = [
-    "MeasuredFrf",
-    "continuous_residue",
-    "frf",
-    "measured_frf",
-    "measured_frf_of",
-    "modal_frf",
-    "tabled_frf",
-]
-
 
 def frf(realisation: Realisation, frequencies: npt.ArrayLike) -> ComplexArray:
     """Frequency response of a realisation.

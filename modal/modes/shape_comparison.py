@@ -1,4 +1,6 @@
-"""Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
+"""Modes compared: overlap of their pulse responses, and sets of shapes paired, read from files, scaled to modal mass.
+
+Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
 
 The pulse response of a mode with residue R = c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and
 R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a real pole,
@@ -10,30 +12,36 @@ R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a r
 (' transpose, * conjugate transpose). It is 1 for the same mode only: frequency, damping, shape, participation and size
 all count, without a tolerance for any of them, and the scaling of eigenvectors cancels. Channels are made comparable
 by the scales of the records, so a change of unit changes nothing.
+
+Sets of shapes with the names of their channels: compared, paired, read from files, scaled to modal mass.
+
+A set may come from an identification, a finite-element program or another test. Two sets are joined by the names of
+their channels, so neither their order nor channels that only one of them has matter.
+
+**Modal mass.** Near a mode the response of displacement x_o to a force f_i is psi_o psi_i / (2 j w (s - s_r)) for a
+shape psi of unit modal mass, w = Im s_r. At a driving point, where o and i are one place and direction, the residue
+R = psi^2 / (2 j w) gives the scale; the residue of a velocity or an acceleration is divided by s_r or s_r^2 first. The
+modal mass of the shape whose largest component is 1 is then 1 / psi_largest^2.
 """
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import Mode
-from okid.arrays import BoolArray, ComplexArray, FloatArray
-
-__all__ = [
-    "Pulses",
-    "Repeatability",
-    "energies",
-    "inner_products",
-    "overlap_matrix",
-    "pair_greatest_first",
-    "pulses",
-    "repeatability",
-]
-
+from modal.modes.modal_form import discrete_poles, largest_component
+from modal.modes.mode import ModalModel, Mode
+from modal.modes.response_synthesis import continuous_residue
+from modal.wording.numbers import NINETY_FIVE
+from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen_with_gaps
+from okid.display import Displayed
+from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers.arrays import array_of
+from okid.readers.guard import check_file, check_memory, first_line, optional_package, sound_archive
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -71,11 +79,7 @@ class Repeatability:
 
 
 def pulses(
-    modes: Sequence[Mode],
-    *,
-    dt: float,
-    output_scale: FloatArray | None = None,
-    input_scale: FloatArray | None = None,
+    modes: Sequence[Mode], *, dt: float, output_scale: FloatArray | None = None, input_scale: FloatArray | None = None
 ) -> Pulses:
     """Pulse responses of modes, outputs divided by `output_scale` and inputs by `input_scale` (ones unless given)."""
     modes = tuple(modes)
@@ -150,9 +154,7 @@ def _geometric(ratio: ComplexArray, n_steps: int) -> ComplexArray:
     near_one = np.abs(step) < 0.5
     with np.errstate(divide="ignore"):
         growth = np.where(
-            near_one,
-            0.5 * np.log1p(np.where(near_one, 2 * step.real + np.abs(step) ** 2, 0.0)),
-            np.log(np.abs(ratio)),
+            near_one, 0.5 * np.log1p(np.where(near_one, 2 * step.real + np.abs(step) ** 2, 0.0)), np.log(np.abs(ratio))
         )
     growth, angle = n_steps * growth, n_steps * np.angle(ratio)
     power = np.expm1(growth) * np.cos(angle) - 2 * np.sin(angle / 2) ** 2 + 1j * np.exp(growth) * np.sin(angle)
@@ -203,3 +205,364 @@ def repeatability(reference: Pulses, reruns: Sequence[Pulses], *, n_steps: int) 
         parts[run, found] = overlaps[found, partner[found]]
     mean = parts.mean(axis=0) if len(reruns) else np.full(n_modes, np.nan)
     return Repeatability(mean=mean, parts=parts, continuation=continuation)
+
+
+EVEN = 0.5
+"""Pair two shapes only if more of the one is in the other than is not."""
+
+DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
+"""Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
+
+DIRECTIONS = ("X+", "Y+", "Z+", "RX+", "RY+", "RZ+")
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Shapes(Displayed):
+    """Mode shapes, one a column, with the names of their channels.
+
+    Args:
+        shapes: (n_channels, n_modes) real or complex.
+        names: (n_channels,) of the channels, each once.
+        frequencies: (n_modes,) [Hz], None where not known.
+
+    Raises:
+        InvalidDataError: numbers and names do not fit together, or a name stands twice.
+
+    Example:
+        >>> Shapes([[1.0], [0.5]], ["tip", "root"], [3.0])
+        Shapes(shapes=[[1. +0.j], [0.5+0.j]], names=('tip', 'root'), frequencies=[3.])
+    """
+
+    shapes: ComplexArray
+    names: tuple[str, ...]
+    frequencies: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        shapes = np.array(self.shapes, dtype=np.complex128)
+        names = tuple(str(name) for name in self.names)
+        if shapes.ndim != 2 or len(names) != len(shapes) or len(set(names)) != len(names):
+            raise InvalidDataError(
+                f"shapes must have the shape (n_channels, n_modes) and one name a channel, each once, but {len(names)} "
+                f"names ({len(set(names))} different) stand beside an array of shape {shapes.shape}."
+            )
+        if not np.isfinite(shapes).all():
+            raise InvalidDataError("shapes must be finite numbers; leave channels that were not measured out.")
+        shapes.flags.writeable = False
+        object.__setattr__(self, "shapes", shapes)
+        object.__setattr__(self, "names", names)
+        if self.frequencies is not None:
+            wanted = (shapes.shape[1],)
+            object.__setattr__(
+                self, "frequencies", frozen_with_gaps(self.frequencies, name="frequencies", shape=wanted)
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ModePairs(Displayed):
+    """Which mode of one set is which of another.
+
+    Attributes:
+        pairs: index in the first set and in the second, of each pair.
+        assurance: (n_pairs,) MAC of each pair.
+        only_first: indices of the first set without a partner.
+        only_second: likewise of the second.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    assurance: FloatArray
+    only_first: tuple[int, ...]
+    only_second: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ScaledShapes(Displayed):
+    """Shapes for unit modal mass.
+
+    Attributes:
+        shapes: (n_outputs, n_modes) of the system modes, as displacements, for unit modal mass [1/kg^0.5]; nan for a
+            mode of which the driving point shows too little to tell the sign of its mass.
+        shapes_std: (n_outputs, n_modes) standard deviations of their sizes; nan where not known.
+        modal_mass: (n_modes,) [kg] of the shape whose largest component is 1; nan likewise.
+        modal_mass_std: (n_modes,) [kg]; nan where not known.
+        driving_point: names of the output and the input at one place and in one direction.
+    """
+
+    shapes: ComplexArray
+    shapes_std: FloatArray
+    modal_mass: FloatArray
+    modal_mass_std: FloatArray
+    driving_point: tuple[str, str]
+
+
+def assurance(
+    first: "ModalModel | Shapes | npt.NDArray[np.generic]", second: "ModalModel | Shapes | npt.NDArray[np.generic]"
+) -> FloatArray:
+    """MAC |a^H b|^2 / (a^H a b^H b) of every shape of one set with every shape of another, over common channels.
+
+    Args:
+        first: its system modes where it is a model; an array holds one shape a column.
+        second: likewise.
+
+    Returns:
+        (n_first, n_second) in [0, 1]; 0 for a shape of zeros.
+
+    Raises:
+        InvalidDataError: the sets have no channel in common, or arrays differ in their number of outputs.
+
+    References:
+        Allemang, Brown, A correlation coefficient for modal vector analysis, 1st International Modal Analysis
+        Conference, 1982.
+
+    Example:
+        >>> one, other = Shapes([[1.0], [1.0]], ["a", "b"]), Shapes([[2.0], [9.0], [2.0]], ["b", "c", "a"])
+        >>> assurance(one, other).round(12).tolist()
+        [[1.0]]
+    """
+    one, other, _ = _joined(first, second)
+    return cast("FloatArray", np.abs(_unit(one).conj().T @ _unit(other)) ** 2)
+
+
+def _unit(shapes: ComplexArray) -> ComplexArray:
+    length = np.linalg.norm(shapes, axis=0)
+    return shapes / np.where(length > 0, length, 1.0)
+
+
+def coordinate_assurance(first: ModalModel | Shapes, second: ModalModel | Shapes) -> FloatArray:
+    """COMAC: how alike the paired modes of two sets are at each channel.
+
+    Args:
+        first: its system modes where it is a model.
+        second: likewise; the modes are paired by `pair_modes`.
+
+    Returns:
+        (n_common,) in [0, 1], one a channel that both have, in the order of the first; nan where no mode is paired.
+
+    References:
+        Lieven, Ewins, Spatial correlation of mode shapes, the coordinate modal assurance criterion, 6th International
+        Modal Analysis Conference, 1988.
+
+    Example:
+        >>> one = Shapes([[1.0, 1.0], [1.0, -1.0]], ["a", "b"])
+        >>> coordinate_assurance(one, one).round(12).tolist()
+        [1.0, 1.0]
+    """
+    pairs = pair_modes(first, second).pairs
+    one, other, _ = _joined(first, second)
+    if not pairs:
+        return np.full(len(one), np.nan)
+    a, b = one[:, [pair[0] for pair in pairs]], other[:, [pair[1] for pair in pairs]]
+    a, b = a / np.linalg.norm(a, axis=0), b / np.linalg.norm(b, axis=0)
+    # one phase for all channels of a pair, the best one: an identified shape may be turned as a whole
+    turned = b * np.exp(1j * np.angle((b.conj() * a).sum(axis=0)))
+    size = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
+    alike = np.abs((a * turned.conj()).sum(axis=1)) ** 2
+    return cast("FloatArray", np.divide(alike, size, out=np.full(len(one), np.nan), where=size > 0))
+
+
+def pair_modes(first: ModalModel | Shapes, second: ModalModel | Shapes) -> ModePairs:
+    """Which system mode of one set is which of another: one to one, the greatest MAC first.
+
+    Where both sets know frequencies, the MAC counts less by the ratio of the two, so that two modes that few sensors
+    cannot tell apart are paired with their neighbours in frequency.
+
+    Args:
+        first: a model or a set of shapes.
+        second: likewise.
+
+    Returns:
+        Pairs with a MAC above 0.5, and what is left alone.
+
+    Raises:
+        InvalidDataError: the sets have no channel in common.
+
+    Example:
+        >>> one = Shapes([[1.0, 1.0], [1.0, -1.0]], ["a", "b"])
+        >>> pair_modes(one, Shapes([[1.0], [-1.1]], ["a", "b"])).pairs
+        ((1, 0),)
+    """
+    one, other, frequencies = _joined(first, second)
+    alike = assurance(one, other)
+    nearness = np.ones_like(alike)
+    if frequencies is not None:
+        ratio = frequencies[0][:, np.newaxis] / frequencies[1]
+        nearness = np.minimum(ratio, 1.0 / ratio)
+    partner = pair_greatest_first(np.where(alike > EVEN, alike * nearness, 0.0))
+    pairs = tuple((int(row), int(column)) for row, column in enumerate(partner) if column >= 0)
+    return ModePairs(
+        pairs=pairs,
+        assurance=np.array([alike[pair] for pair in pairs]),
+        only_first=tuple(sorted(set(range(one.shape[1])) - {pair[0] for pair in pairs})),
+        only_second=tuple(sorted(set(range(other.shape[1])) - {pair[1] for pair in pairs})),
+    )
+
+
+def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> ScaledShapes:
+    """Shapes for unit modal mass, from the residue at a driving point.
+
+    Args:
+        model: of an identification, which knows the names and units of its channels.
+        driving_point: name of the output and of the input [N] at one place and in one direction.
+
+    Raises:
+        InvalidDataError: no such channel, an output that is no displacement, velocity or acceleration, no system mode,
+            or a mode whose residue there has the sign of a negative mass.
+
+    References:
+        Ewins, Modal Testing, 2nd edition, 2000, section 2.4; Brandt, Noise and Vibration Analysis, 2011, section 6.4.
+    """
+    output_name, input_name = driving_point
+    if not model.input_names:
+        raise InvalidDataError(
+            "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
+            "this model has no inputs; identify it with the force among them."
+        )
+    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
+        if name not in names:
+            raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
+    if not model.system:
+        raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
+    output, force = model.output_names.index(output_name), model.input_names.index(input_name)
+    powers = np.array(
+        [_derivative(name, unit) for name, unit in zip(model.output_names, model.output_units, strict=True)]
+    )
+    scaled, spread = zip(*(_unit_mass(model, mode, output, force, powers) for mode in model.system), strict=True)
+    shapes = np.array(scaled).T
+    largest = largest_component(shapes)
+    mass = 1.0 / np.abs(largest) ** 2
+    relative = np.array(spread)
+    return ScaledShapes(
+        shapes=shapes,
+        shapes_std=0.5 * relative * np.abs(shapes),
+        modal_mass=mass,
+        modal_mass_std=relative * mass,
+        driving_point=(output_name, input_name),
+    )
+
+
+def _unit_mass(
+    model: ModalModel, mode: Mode, output: int, force: int, powers: npt.NDArray[np.intp]
+) -> tuple[ComplexArray, float]:
+    """The shape as displacements for unit modal mass, and the relative standard deviation of the modal mass."""
+    shape = mode.shape / mode.pole**powers
+    residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
+    square = 2j * mode.pole.imag * residue
+    spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
+    if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
+        return np.full_like(shape, np.nan), np.nan
+    if not square.real > 0:
+        raise InvalidDataError(
+            f"the mode at {mode.frequency:.4g} Hz has a negative modal mass at {model.output_names[output]} and "
+            f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
+        )
+    return shape * np.sqrt(square) / shape[output], spread
+
+
+def _derivative(name: str, unit: str) -> int:
+    if unit not in DERIVATIVES:
+        raise InvalidDataError(
+            f"modal mass needs displacements, velocities or accelerations, but {name} is in {unit or 'no unit'}; state "
+            "its unit in the file or in output_units."
+        )
+    return DERIVATIVES[unit]
+
+
+def _joined(
+    first: "ModalModel | Shapes | npt.NDArray[np.generic]", second: "ModalModel | Shapes | npt.NDArray[np.generic]"
+) -> tuple[ComplexArray, ComplexArray, tuple[FloatArray, FloatArray] | None]:
+    """Shapes over the channels that both have, and the frequencies where both know them."""
+    (one, names, known), (other, others, also_known) = _columns(first), _columns(second)
+    if names and others:
+        common = [name for name in names if name in others]
+        if not common:
+            raise InvalidDataError(
+                f"the sets have no channel in common ({', '.join(names[:4])}, ... and {', '.join(others[:4])}, ...); "
+                "give the channels of one place the same name."
+            )
+        one = one[[names.index(name) for name in common]]
+        other = other[[others.index(name) for name in common]]
+    if one.ndim != 2 or other.ndim != 2 or len(one) != len(other):
+        raise InvalidDataError(
+            f"shapes must stand in columns over the same outputs, but have shapes {one.shape} and {other.shape}; "
+            "pass (n_outputs, n_modes) twice, or sets with the names of their channels."
+        )
+    return one, other, None if known is None or also_known is None else (known, also_known)
+
+
+def _columns(shapes: object) -> tuple[ComplexArray, Sequence[str], FloatArray | None]:
+    if isinstance(shapes, ModalModel):
+        return shapes.shapes, shapes.output_names, shapes.frequencies
+    if isinstance(shapes, Shapes):
+        return shapes.shapes, shapes.names, shapes.frequencies
+    return np.asarray(shapes), (), None
+
+
+def read_shapes(path: str | Path) -> Shapes:
+    """Shapes of a finite-element program or of another test.
+
+    Args:
+        path: a CSV table (first column: names of the channels; the head of every other column the frequency [Hz];
+            complex numbers as `0.5+0.1j`), an NPZ archive with `shapes`, `names` and `frequencies`, or a universal
+            file with data sets 55, whose channels are named by node and direction (`12X+`).
+
+    Raises:
+        UnreadableFileError: no such file, another type, damage, or no shape in it.
+    """
+    path = Path(path)
+    check_file(path)
+    check_memory(path, 8.0 * path.stat().st_size)
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".uff": _read_uff, ".unv": _read_uff}
+    if path.suffix.lower() not in readers:
+        raise UnreadableFileError(
+            f"{path.name} is of type {path.suffix or 'none'}; shapes are read from {', '.join(readers)}."
+        )
+    try:
+        return readers[path.suffix.lower()](path)
+    except UnreadableFileError:
+        raise
+    except Exception as error:  # numpy, csv, pyuff and our own checks meet bytes that are not what they say
+        raise UnreadableFileError(
+            f"{path.name} holds no set of shapes ({first_line(error)}); export it again."
+        ) from error
+
+
+def _read_csv(path: Path) -> Shapes:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    head, body = rows[0], rows[1:]
+    if any("_" in cell for row in (head[1:], *(row[1:] for row in body)) for cell in row):
+        raise ValueError("a number with an underscore")  # which Python alone takes for one
+    values = [[complex(cell.replace(" ", "").replace("i", "j")) for cell in row[1:]] for row in body]
+    frequencies = [float(cell.replace("Hz", "").strip(" []")) for cell in head[1:]]
+    return Shapes(np.array(values), tuple(row[0].strip() for row in body), np.array(frequencies))
+
+
+def _read_npz(path: Path) -> Shapes:
+    with sound_archive(path) as archive:
+        arrays: dict[str, Any] = {
+            member.filename.removesuffix(".npy"): array_of(archive, member) for member in archive.infolist()
+        }
+    return Shapes(arrays["shapes"], tuple(map(str, arrays["names"])), arrays.get("frequencies"))
+
+
+def _read_uff(path: Path) -> Shapes:
+    pyuff = optional_package("pyuff", path)
+    file = pyuff.UFF(str(path))
+    sets = [file.read_sets(number) for number, kind in enumerate(file.get_set_types()) if int(kind) == 55]
+    if not sets:
+        raise UnreadableFileError(f"{path.name} holds no data set 55, data at nodes; export the mode shapes.")
+    columns = []
+    for each in sets:
+        motions = {f"r{axis}": each.get(f"r{axis}") for axis in range(1, 7)}
+        columns.append(
+            {
+                f"{int(node)}{direction}": complex(values[row])
+                for direction, values in zip(DIRECTIONS, motions.values(), strict=True)
+                if values is not None
+                for row, node in enumerate(each["node_nums"])
+            }
+        )
+    names = [name for name in columns[0] if any(column.get(name, 0) != 0 for column in columns)]
+    frequencies = [float(each["freq"]) if "freq" in each else abs(complex(each["eig"])) / (2 * np.pi) for each in sets]
+    return Shapes(
+        np.array([[column[name] for column in columns] for name in names]), tuple(names), np.array(frequencies)
+    )

@@ -8,7 +8,6 @@ draws it for a page, without a plotting library: lines, areas and words in colou
 `figure_of` makes a matplotlib figure of it.
 """
 
-from modal.plots.figures import figure_of
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
 from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
@@ -16,6 +15,7 @@ from modal.plots.responses import markov_parameters, output_spectra, response_ch
 from modal.plots.results import (
     assurance,
     complexity,
+    figure_of,
     fit,
     frequency_responses,
     gap,

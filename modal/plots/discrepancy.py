@@ -26,20 +26,6 @@ from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = [
-    "STAGE_ROLES",
-    "answer_charts",
-    "before_and_after",
-    "draw_gap_spectrum",
-    "draw_laws",
-    "gap_histories",
-    "gap_spectra",
-    "hypothesis_bars",
-    "laws_found",
-    "modes_against_level",
-    "shrinking_gap",
-]
-
 MOST_BARS = 8
 """Show so many hypotheses, the best first."""
 

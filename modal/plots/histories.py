@@ -1,18 +1,18 @@
-"""Over time: what was measured, what the model says from the inputs alone, and whether what is left is white."""
+"""Over time: what was measured and what the model says; the modes of many records against time or number."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
-from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.layout import INCH, Chart, Key, grid_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.names import plot_label
-from modal.wording.numbers import fit_text
+from modal.wording.numbers import fit_text, hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck
-
-__all__ = ["mark_moment", "measured_against_simulated", "residual_autocorrelation"]
 
 
 def measured_against_simulated(
@@ -101,3 +101,112 @@ def _strongest(record: Record, detail: float | None) -> slice:
     sums = np.concatenate([[0.0], np.cumsum((energy**2).sum(axis=1))])
     start = int(np.argmax(sums[length:] - sums[:-length]))
     return slice(start, start + length)
+
+
+DOT = 2.6
+"""Draw a mode of one record this large [pt], twice of few records: a year of hourly records is a line of them."""
+_SPANS = ((2 * 86400.0, 86400.0, "days"), (2 * 3600.0, 3600.0, "h"), (120.0, 60.0, "min"), (0.0, 1.0, "s"))
+"""Count time in the unit of which the whole span holds two."""
+
+
+def places_of_records(start_times: FloatArray, numbers: npt.ArrayLike) -> tuple[FloatArray, str]:
+    """(n_records,) places along and what they are: time since the first where all start at times of their own.
+
+    Args:
+        start_times: (n_records,) [s].
+        numbers: (n_records,) their numbers among all records, also those that failed.
+
+    Example:
+        >>> places_of_records(np.array([0.0, 3600.0, 10800.0]), [1, 2, 3])
+        (array([0., 1., 3.]), 'time since the first record [h]')
+        >>> places_of_records(np.array([0.0, 0.0]), [1, 3])
+        (array([1., 3.]), 'record')
+    """
+    if start_times.size < 2 or np.unique(start_times).size < start_times.size:
+        return np.asarray(numbers, dtype=np.float64), "record"
+    since = start_times - start_times.min()
+    unit, name = next((unit, name) for least, unit, name in _SPANS if since.max() >= least)
+    return since / unit, f"time since the first record [{name}]"
+
+
+def frequencies_of_records(
+    places: FloatArray, frequencies: FloatArray, verdicts: Sequence[str], *, along: str
+) -> Chart:
+    """A dot a mode and record.
+
+    Args:
+        places: (n_modes,) along.
+        frequencies: (n_modes,) [Hz].
+        verdicts: (n_modes,) "system" or "doubtful"; noise is not drawn.
+        along: what the places are.
+    """
+    figure = grid_of(1, 1, size=(STYLE.page, 4.2))
+    panel = figure.panels[0]
+    kinds = np.asarray(verdicts, dtype=np.str_)
+    drawn: tuple[tuple[Role, str], ...] = (("doubtful", "doubtful"), ("system", "of the system"))
+    dot = _dot(np.unique(places).size)
+    for role, name in drawn:
+        chosen = kinds == role
+        if chosen.any():
+            panel.dots(places[chosen], frequencies[chosen], role, dot=dot, label=name)
+    panel.x.label, panel.y.label = along, "frequency [Hz]"
+    figure.key = Key(panel=panel) if len(panel.keyed) > 1 else None
+    return figure
+
+
+def _dot(n_records: int) -> float:
+    """Diameter of a dot [pt]: a quarter of the distance of two records, within DOT and its double."""
+    return float(np.clip(INCH * STYLE.page / (4 * n_records), DOT, 2 * DOT)) if n_records else DOT
+
+
+MEANS = 24
+"""Draw the mean of so many neighbours of what is left, a day of hourly records, but at least as many means."""
+
+
+class TrackLine(Protocol):
+    """What is drawn of a mode; see `modal.tracking.Track`."""
+
+    @property
+    def frequency(self) -> FloatArray:
+        """(n_found,) [Hz]."""
+        ...
+
+    @property
+    def times(self) -> FloatArray:
+        """(n_found,)."""
+        ...
+
+    @property
+    def left(self) -> FloatArray:
+        """(n_found,) relative."""
+        ...
+
+
+def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *, clock: bool) -> Chart:
+    """Frequencies of all modes, and what is left of each without the causes, with the alarms as upright lines.
+
+    Args:
+        tracks: by frequency.
+        alarms: their times.
+        clock: times are seconds.
+    """
+    figure = grid_of(2, 1, size=(STYLE.page, 7.0), down=(1.5, 1.0))
+    above, below = figure.panels
+    every = np.unique(np.concatenate([np.empty(0), *(one.times for one in tracks), np.asarray(alarms)]))
+    along, label = places_of_records(every, every) if clock else (every, "record")
+    dot = _dot(every.size)
+    for number, one in enumerate(tracks):
+        role = IN_TURN[number % len(IN_TURN)]
+        x = along[np.searchsorted(every, one.times)]
+        above.dots(x, one.frequency, role, dot=dot, label=f"{hertz(float(np.median(one.frequency)))} Hz")
+        n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
+        parts = np.array_split(np.arange(x.size), n_means) if n_means else []
+        below.line([x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts], role)
+    for time in alarms:
+        for panel in (above, below):
+            panel.upright(float(along[np.searchsorted(every, time)]), "residual", width=STYLE.thick)
+    above.x.labelled, above.x.limits = False, above.x.fitted(along)
+    above.y.label, below.y.label = "frequency [Hz]", "left without the causes [%]"
+    below.x.label, below.x.limits = label, above.x.limits
+    figure.key = Key(panel=above) if 0 < len(tracks) <= len(IN_TURN) else None
+    return figure

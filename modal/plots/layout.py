@@ -1,7 +1,7 @@
 """A chart: panels in rows and columns, a key, and where each of them lies; nothing is drawn here.
 
 A chart is made once and read several times: `modal.plots.vector` draws it for a page and tells the page's script its
-numbers, `modal.recording` draws it for the Rerun viewer, `modal.plots.figures` as a matplotlib figure.
+numbers, `modal.recording` draws it for the Rerun viewer, `modal.plots.results` as a matplotlib figure.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,8 +11,6 @@ from typing import Final
 import numpy as np
 
 from modal.plots.panels import STYLE, Panel, text_width
-
-__all__ = ["INCH", "Chart", "Key", "grid_of", "row_of"]
 
 INCH: Final = 72.0
 """Take an inch for so many points, as printers do."""

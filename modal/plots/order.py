@@ -15,8 +15,6 @@ from modal.wording.numbers import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["POLE_ROLES", "colour_measure", "order_fits", "pole_classes", "singular_values", "stabilisation_diagram"]
-
 MOST_POLES = 4000
 """Draw at most so many poles of all orders; of more, only those of every second, third, ... order."""
 
@@ -84,12 +82,7 @@ def order_fits(evidence: OrderEvidence) -> Chart:
     return figure
 
 
-def stabilisation_diagram(
-    evidence: OrderEvidence,
-    modes: ModalModel,
-    *,
-    measured: Sequence[Record] = (),
-) -> Chart:
+def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measured: Sequence[Record] = ()) -> Chart:
     """Every pole of every model order over the power of the measured outputs, coloured by how well it is found again.
 
     Args:

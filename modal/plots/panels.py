@@ -15,28 +15,6 @@ from numpy.typing import ArrayLike
 
 from okid.arrays import FloatArray
 
-__all__ = [
-    "COLOURS",
-    "IN_TURN",
-    "STYLE",
-    "Anchor",
-    "Area",
-    "Curve",
-    "Dash",
-    "Mark",
-    "Panel",
-    "Role",
-    "Scale",
-    "Segments",
-    "Tick",
-    "Where",
-    "Word",
-    "envelope",
-    "runs",
-    "text_width",
-    "ticks_between",
-]
-
 Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
 """What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
 says, what is left over, and modes that are of the system, may be, and are not."""

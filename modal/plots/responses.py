@@ -14,8 +14,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-__all__ = ["density_label", "markov_parameters", "model_grid", "output_spectra", "response_chart"]
-
 N_GRID = 900
 """Synthesise a response at so many frequencies."""
 

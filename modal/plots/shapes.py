@@ -19,18 +19,6 @@ from modal.wording.names import plot_label
 from modal.wording.numbers import hertz
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = [
-    "Viewport",
-    "assurance_matrix",
-    "draw_lines",
-    "draw_surfaces",
-    "frame_of",
-    "geometry_picture",
-    "mode_shapes",
-    "place_labels",
-    "shape_complexity",
-]
-
 MOST_SEGMENTS: Final = 3000
 MOST_TRIANGLES: Final = 3000
 """Draw at most so many lines and triangles in one panel, so that a picture of thousands of nodes stays light."""

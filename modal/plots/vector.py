@@ -18,8 +18,6 @@ from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role, S
 from modal.wording.names import visible
 from okid.arrays import FloatArray
 
-__all__ = ["MOST_VALUES", "Notes", "chart_text", "line_identity", "page_of", "svg_text"]
-
 _DASHES = {"": "", "dashed": "4 3", "dotted": "1 2.2"}
 _ARROW = 7.0
 """Draw the head of an arrow this long [pt]."""

@@ -78,9 +78,6 @@ NEARLY_ALL = 0.9
 MOST_SPANS = 200
 """List so many places in a finding; its sentence counts all of them."""
 
-LONGEST_NAME = 40
-"""Shorten the name of a channel to so many letters in a sentence."""
-
 _GROUP_VALUES = 4 * CHUNK_VALUES
 """Copy so many values of neighbouring channels at a time: 64 MiB, or one channel where that is longer."""
 
@@ -222,8 +219,8 @@ def named(names: str | Iterable[str]) -> str:
         ("'a' and 'b'", "'tip'")
     """
     if isinstance(names, str):
-        return repr(shorten(names, LONGEST_NAME))
-    shown = [repr(shorten(name, LONGEST_NAME)) for name in names]
+        return repr(shorten(names))
+    shown = [repr(shorten(name)) for name in names]
     if len(shown) > 4:
         return f"{', '.join(shown[:4])} and {len(shown) - 4} more"
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

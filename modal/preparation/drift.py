@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modal.estimation.free_run import ModalForm, free_run, free_runs, run_from_rest
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.quick_model import QuickModel, quick_model
 from okid.arrays import FloatArray
 from okid.record import Record

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.amplitude import (
     clipped_samples,
     clipping_findings,

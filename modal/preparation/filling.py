@@ -14,7 +14,7 @@ import numpy as np
 
 from modal.estimation.cross_validation import GAIN, scaled_record
 from modal.estimation.free_run import free_runs
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.quick_model import best_model, observer_markov
 from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters

@@ -15,9 +15,8 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN
-from modal.modes.choice import Choice
 from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import ModalModel
+from modal.modes.mode import Choice, ModalModel
 from modal.preparation.drift import (
     SIGNIFICANT,
     FreedTrials,

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from modal.estimation.cross_validation import scaled_record
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.kind import acting_rows, acts, variance
 from modal.preparation.quick_model import quick_model
 from okid.arrays import BoolArray, FloatArray

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from era.realisation import Realisation
-from modal.modes.choice import Choice
+from modal.modes.mode import Choice
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
 from modal.preparation.drift import (
@@ -122,6 +122,7 @@ def prepare(
     number = integrating.number
     banded, factor, band = _to_band(filling.records, decimation, number)
     n_rest: tuple[int, ...]
+    centring: tuple[Choice, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
         centring, n_rest = (_MEAN,), (0,) * len(banded)

@@ -24,31 +24,27 @@ from modal.preparation.samples import (
     spikes_of,
     without_spikes,
 )
-from modal.quality.coherence import FEWEST_AVERAGES, Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
-from modal.quality.inputs import (
-    copy_findings,
-    excitation_findings,
-    timing_findings,
-    together_findings,
-)
-from modal.quality.level import drift_findings, is_steady, level_findings, offset_findings
-from modal.quality.spectrum import (
+from modal.quality.channels import (
     HumLines,
     alias_findings,
+    drift_findings,
     hum_findings,
+    is_steady,
+    level_findings,
     mains_lines,
     most_white_noise,
+    offset_findings,
     period_findings,
     white_findings,
 )
+from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
+from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
+from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
 from okid.arrays import BoolArray, FloatArray
-from okid.frequency_response import AveragedSpectra, averaged_spectra, segment_length
+from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
-
-__all__ = ["check_quality", "expected_check"]
 
 SECONDS_A_VALUE = (4e-7, 1.5e-6)
 """Expect so many CPU seconds a value: 5 s at 1e6 x 8, 31 s at 1e7 x 8."""
@@ -157,11 +153,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
 
 
 def _channel_findings(
-    channel: Channel,
-    records: Sequence[Record],
-    known: _Inputs,
-    *,
-    resolution: float,
+    channel: Channel, records: Sequence[Record], known: _Inputs, *, resolution: float
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
     n = len(records)

@@ -29,19 +29,6 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
-__all__ = [
-    "FEWEST_AVERAGES",
-    "Shares",
-    "best_pulse",
-    "coherence_findings",
-    "explained_share",
-    "fitted_pulse_response",
-    "in_excess_of_chance",
-    "modelled_share",
-    "predicted_outputs",
-    "whole_rows",
-]
-
 OBSERVERS = ((512, 1e-6), (128, 1e-6), (128, 1e-3), (32, 1e-6))
 """Try observers of so many coefficients an output and such a ridge: a transient wants another one than noise."""
 
@@ -50,9 +37,6 @@ ROWS_PER_UNKNOWN = 6
 
 LARGEST_PULSE = 1e6
 """Refuse a pulse response that is larger, in standard deviations of the output for one of the input: it diverges."""
-
-FEWEST_AVERAGES = 8
-"""Tell no coherence of fewer segments: chance alone would give 12 % an input."""
 
 GROUP = 4
 """Let so many outputs share one observer; of more it would be too short for a resonance."""

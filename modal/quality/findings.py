@@ -8,8 +8,6 @@ from modal.preparation.channel import LEVELS, Finding, Level, Role
 from okid.arrays import FloatArray
 from okid.display import Displayed
 
-__all__ = ["ChannelQuality", "ChannelStatistics", "DataQuality"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class ChannelStatistics(Displayed):

@@ -14,21 +14,13 @@ import numpy as np
 from modal.modes.response_synthesis import MeasuredFrf
 from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, ROUNDING, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
-from modal.quality.coherence import FEWEST_AVERAGES
 from modal.wording.numbers import percent
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
-from okid.frequency_response import AveragedSpectra
+from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra
 from okid.record import Record
 from okid.rows import complete_rows
-
-__all__ = [
-    "copy_findings",
-    "excitation_findings",
-    "timing_findings",
-    "together_findings",
-]
 
 NEEDED_ORDER = 20
 """Ask for persistent excitation of ten sines: what an observer of few samples and a handful of modes need at least."""

@@ -23,31 +23,6 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "BACKGROUND",
-    "BLUE",
-    "COLOURS",
-    "DIM_BLUE",
-    "FRAME",
-    "GOLD",
-    "GREEN",
-    "GREY",
-    "GRID",
-    "ORANGE",
-    "PALE",
-    "RED",
-    "WHITE",
-    "Colour",
-    "Pane",
-    "colour_of",
-    "document_view",
-    "drawable",
-    "log_chart",
-    "plot_view",
-    "seen_at",
-    "series_view",
-]
-
 DRAWN: Final = (
     *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
     *((0x384, 0x38A), (0x38E, 0x3A1), (0x3A3, 0x3CF)),  # Greek

@@ -48,24 +48,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
-__all__ = [
-    "HOST",
-    "PATIENCE",
-    "LiveRecording",
-    "Relay",
-    "estimate_recording",
-    "host_and_port",
-    "listens",
-    "live_blueprint",
-    "live_recording",
-    "log_estimate",
-    "log_progress",
-    "log_records",
-    "log_result",
-    "open_viewer",
-    "speaks",
-]
-
 
 def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> "rerun.blueprint.Blueprint":
     """The records, and what the work is at."""

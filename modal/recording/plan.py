@@ -31,23 +31,6 @@ from okid.record import Record
 if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
 
-__all__ = [
-    "DATA",
-    "SHOWN_INPUTS",
-    "SHOWN_OUTPUTS",
-    "DataPlan",
-    "Gathered",
-    "Plan",
-    "cell",
-    "gather",
-    "label",
-    "name_with_unit",
-    "path_parts",
-    "planned",
-    "planned_data",
-    "response_of",
-]
-
 LONGEST_PART: Final = 64
 """Keep so many letters of a channel name in an entity path."""
 

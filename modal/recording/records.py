@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from modal.plots.records import frequencies_of_records, places_of_records
+from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.recording.figure import Pane, document_view, log_chart, plot_view
 from modal.recording.plan import cell
 from modal.recording.stream import write_stream
@@ -15,8 +15,6 @@ from modal.recording.tables import LISTED, bullets, log_table, table
 
 if TYPE_CHECKING:
     import rerun
-
-__all__ = ["save_batch_recording"]
 
 FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
 WORDS: Final = "batch/words"

@@ -32,29 +32,6 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "BYTES_PER_RECORDING",
-    "SAMPLES_PER_SERIES",
-    "TIMELINE",
-    "Line",
-    "Span",
-    "StoredStretch",
-    "TrackPlan",
-    "bucket_length",
-    "laid_out",
-    "log_lines",
-    "log_sequence",
-    "log_series",
-    "places",
-    "positions",
-    "reduced",
-    "row_budget",
-    "stored_levels",
-    "stretches",
-    "thinned",
-    "time_axis",
-]
-
 SAMPLES_PER_SERIES: Final = 200_000
 """Store no series with more rows than this."""
 

@@ -53,19 +53,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
 
-__all__ = [
-    "APPLICATION",
-    "blueprint",
-    "diagnosis_blueprint",
-    "log_diagnosis",
-    "log_identification",
-    "save_recording",
-    "show_whole_record",
-    "strict_errors",
-    "whole_blueprint",
-    "write_stream",
-]
-
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
 

@@ -17,8 +17,6 @@ from modal.sections.words import data_sentences, modes_headline
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["LISTED", "UNKNOWN", "bullets", "choices_text", "fit_page_text", "log_table", "table"]
-
 MATRIX: Final = 2
 
 

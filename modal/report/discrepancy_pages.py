@@ -33,7 +33,7 @@ from modal.sections.discrepancy_values import (
 from modal.sections.provenance import Provenance, installed_version
 from modal.simulation.plant import MASS
 from modal.wording.names import shorten, visible
-from modal.wording.numbers import exact_percent, number
+from modal.wording.numbers import MOST_NAMED, exact_percent, number
 from okid.arrays import FloatArray
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "draw_diagnosis", "equations_of"]
@@ -74,8 +74,8 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         "diagnosis": diagnosis,
         "warnings": words.read_first(diagnosis),
         "findings": [_finding(number, one) for number, one in enumerate(diagnosis.findings, start=1)],
-        "found_sentences": [words.finding_sentence(one) for one in diagnosis.findings[: words.MOST_NAMED]],
-        "next_sentences": words.next_sentences(diagnosis),
+        "found_sentences": [words.finding_sentence(one) for one in diagnosis.findings[:MOST_NAMED]],
+        "next_sentences": words.next_steps(diagnosis),
         "where_sentences": words.where_sentences(diagnosis),
         "limits_sentence": words.hidden_sentence(diagnosis),
         "stages": stages,

@@ -15,7 +15,7 @@ from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json, number_cell, record_document
 from modal.sections.discrepancy_stages import rows_of, stages_of
 from modal.sections.discrepancy_values import hypothesis_text, times_floor
-from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_sentences, where_sentences
+from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_steps, where_sentences
 from modal.sections.provenance import Provenance, installed_version
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
@@ -55,7 +55,7 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
         "verdict": diagnosis_headline(told),
         "trust": judgement.trust,
         "words": judgement.reasons,
-        "next": next_sentences(told),
+        "next": next_steps(told),
         "where": where_sentences(diagnosis),
         "warnings": told.warnings,
         "findings": diagnosis.findings,

@@ -25,8 +25,7 @@ from modal.acceptance.check import check_limits
 from modal.acceptance.test_file import Specification
 from modal.identification.result import Identification, OrderEvidence
 from modal.identification.words import trust_of
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import Mode, numbered
+from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.preparation.kind import RecordKind
 from modal.sections.provenance import Provenance, SourceFile, installed_version
 from modal.wording.names import csv_cell

@@ -21,7 +21,6 @@ from modal.modes.mode import Mode, numbered
 from modal.plots.results import shape_assurance
 from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting
 from modal.sections import words
-from modal.sections.columns import INDICATORS, shown
 from modal.sections.provenance import Provenance, installed_version
 from modal.sections.validation import (
     about_lines,
@@ -34,7 +33,7 @@ from modal.sections.validation import (
     uncertainty_sentences,
     validation_sentences,
 )
-from modal.sections.words import limits_class, limits_sentence, limits_short
+from modal.sections.words import INDICATORS, limits_class, limits_sentence, limits_short, shown
 from modal.verdict.judgement import LEAST_PART
 from modal.wording.names import escape_markdown, visible
 from modal.wording.numbers import fit_text, hertz, ratio_text, reproduced, whole_percent

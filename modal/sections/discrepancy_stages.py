@@ -19,21 +19,6 @@ from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = [
-    "GapDensity",
-    "LevelLine",
-    "Row",
-    "Stage",
-    "gap_density",
-    "held_out_floor",
-    "level_lines",
-    "power_spectra",
-    "rows_of",
-    "stages_of",
-    "telling",
-    "worst_outputs",
-]
-
 Part = Literal["output", "record", "band"]
 
 

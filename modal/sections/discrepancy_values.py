@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from modal.discrepancy.results import (
     Calibrated,
     DetectionLimit,
@@ -18,28 +16,6 @@ from modal.discrepancy.results import (
 )
 from modal.effects.catalogue import effect_name
 from modal.wording.numbers import NINETY_FIVE, listed, number
-
-__all__ = [
-    "NAMED_WITHIN",
-    "beside_text",
-    "closed_share",
-    "effect_text",
-    "effects_text",
-    "found_hypothesis",
-    "found_value",
-    "found_word",
-    "hypothesis_text",
-    "interval_text",
-    "law_against",
-    "law_gives",
-    "levels_in_words",
-    "signed_change",
-    "size_text",
-    "step_text",
-    "times_floor",
-    "times_text",
-    "value_text",
-]
 
 NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
@@ -251,8 +227,3 @@ def value_with_unit(text: str, item: Parameter | Calibrated | DetectionLimit) ->
 def parameters_text(finding: Finding) -> str:
     """All parameters of a finding: "k3 = (4.03 ± 0.04)e5 N/m^3"."""
     return ", ".join(f"{one.name} = {value_with_unit(found_value(one), one)}" for one in finding.parameters)
-
-
-def finite_or_nan(values: Sequence[float]) -> list[float]:
-    """The values, nan where they are not finite."""
-    return np.where(np.isfinite(values), values, np.nan).tolist()

@@ -33,34 +33,11 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
-from modal.wording.numbers import exact_percent, listed, number, percent
-
-__all__ = [
-    "COULD_HIDE",
-    "MOST_NAMED",
-    "ambiguity_sentence",
-    "as_sentence",
-    "bounds_sentence",
-    "capital",
-    "closed_sentence",
-    "diagnosis_headline",
-    "finding_sentence",
-    "floor_sentences",
-    "floor_summary",
-    "hidden_sentence",
-    "judge_diagnosis",
-    "next_sentences",
-    "read_first",
-    "remaining_sentence",
-    "runner_up_sentence",
-    "where_sentences",
-]
+from modal.wording.numbers import MOST_NAMED, exact_percent, listed, number, percent
 
 COULD_HIDE = "What the data could still hide: "
 UPPER_LIMIT = 0.3
 """Relative deviation of a floor's variance above which it is rather an upper limit, as `NoiseFloor` has it."""
-MOST_NAMED = 3
-"""Linear parameters or limits named in one sentence; the tables have all."""
 
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:
@@ -197,7 +174,7 @@ def hidden_sentence(diagnosis: Diagnosis) -> str:
     return f"{COULD_HIDE}{'; '.join(parts)}{rest}."
 
 
-def next_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
+def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to do next: go on with the model where it is proved, and what to measure."""
     if diagnosis.status == "named":
         first = "Simulate with the updated model; it holds the effects with their values."

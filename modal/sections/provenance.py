@@ -9,8 +9,6 @@ from pathlib import Path
 
 from okid.errors import InvalidDataError
 
-__all__ = ["Provenance", "SourceFile", "fingerprints", "installed_version"]
-
 DISTRIBUTION = "okid-modal"
 
 

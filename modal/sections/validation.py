@@ -16,19 +16,6 @@ if TYPE_CHECKING:
     from modal.quality import DataQuality
     from modal.quality.findings import ChannelQuality, ChannelStatistics
 
-__all__ = [
-    "ChannelRow",
-    "about_lines",
-    "channel_rows",
-    "coherence_sentence",
-    "gap_command",
-    "gap_sentence",
-    "has_intervals",
-    "sensor_columns",
-    "uncertainty_sentences",
-    "validation_sentences",
-]
-
 COHERENT = 0.8
 """Multiple coherence from which the inputs explain most of an output at a frequency."""
 

@@ -19,18 +19,6 @@ from modal.simulation.drive import Drive
 from modal.simulation.plant import Plant, Port, plant_matrices
 from okid.arrays import BoolArray, FloatArray
 
-__all__ = [
-    "Assembly",
-    "EffectPlacement",
-    "Unknowns",
-    "assemble",
-    "drive_inputs",
-    "initial_unknowns",
-    "per_row",
-    "per_time",
-    "place_effect",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EffectPlacement:

@@ -14,8 +14,6 @@ from modal.simulation.plant import Plant, plant_matrices
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 
-__all__ = ["Drive", "drive_of", "steps_per_sample"]
-
 IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 SILENT = float(np.sqrt(TINY))

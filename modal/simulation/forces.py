@@ -20,21 +20,6 @@ from modal.simulation.plant import Plant, Port, plant_matrices
 from modal.simulation.scheme import Scheme
 from okid.arrays import FloatArray
 
-__all__ = [
-    "ActingForce",
-    "ForceLine",
-    "Heard",
-    "acting_forces",
-    "force_line",
-    "midway",
-    "motion_at",
-    "one_on",
-    "port_rows",
-    "shifted",
-    "step_compliance",
-]
-
-
 LIFT = 2.0 / 3.0
 """Lift the line by this share of what the middle of the step lies above it: then its mean is Simpson's."""
 

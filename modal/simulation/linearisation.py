@@ -31,8 +31,6 @@ from modal.simulation.forces import ActingForce, Heard, acting_forces
 from modal.simulation.scheme import Scheme, add_work
 from okid.arrays import FloatArray
 
-__all__ = ["Linearisation", "OutputDependence", "StepDependence", "linearise"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OutputDependence:

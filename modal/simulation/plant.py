@@ -17,18 +17,6 @@ import numpy as np
 
 from okid.arrays import FloatArray, frozen
 
-__all__ = [
-    "LinearParameter",
-    "Mass",
-    "Plant",
-    "PlantMatrices",
-    "Port",
-    "plant_matrices",
-    "released_masses",
-    "split_matrices",
-    "with_masses",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LinearParameter:

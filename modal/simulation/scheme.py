@@ -26,18 +26,6 @@ from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
-__all__ = [
-    "Budget",
-    "Scheme",
-    "add_work",
-    "band_of",
-    "cpu_seconds",
-    "scheme_and_slopes",
-    "simulation_work",
-    "solve_band",
-    "work_done",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scheme:

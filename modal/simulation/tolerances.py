@@ -1,16 +1,5 @@
 """Numbers that several steps of a diagnosis decide by: each has one meaning, and one value, in all of them."""
 
-__all__ = [
-    "AT_FLOOR",
-    "DIFFERENCE_STEP",
-    "FOLLOWED",
-    "NEAR_FLOOR",
-    "ROUNDING",
-    "SURE",
-    "UNDAMPED_DEVIATION",
-    "UNLIKELY",
-]
-
 NEAR_FLOOR = 1.5
 """Call data explained up to this mean square in units of the noise floor, which is an estimate itself."""
 AT_FLOOR = 1.2

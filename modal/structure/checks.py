@@ -12,19 +12,6 @@ from okid.arrays import FloatArray, frozen, real_number
 from okid.errors import InvalidDataError
 from okid.record import check_names, labels
 
-__all__ = [
-    "RIGID",
-    "SensorKind",
-    "as_column",
-    "check_base_motion",
-    "checked_matrices",
-    "default_units",
-    "map_of_dofs",
-    "matched_names",
-    "sensor_kinds",
-    "tolerance",
-]
-
 SensorKind = Literal["displacement", "velocity", "acceleration"]
 """What a sensor reads of the motion of the degrees of freedom."""
 

@@ -25,8 +25,6 @@ from okid.arrays import ComplexArray, FloatArray, frozen, time_step
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold
 
-__all__ = ["UNDAMPED", "ContinuousSystem", "ModalCoordinates", "continuous_system", "in_modal_coordinates"]
-
 _ROUNDING = 1e-8
 """Refuse a result that, sampled again, differs from the given matrices by more than this share."""
 

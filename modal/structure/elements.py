@@ -16,16 +16,6 @@ from okid.arrays import FloatArray, real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "Element",
-    "chain_elements",
-    "coupled_elements",
-    "is_network",
-    "is_numbered",
-    "named_elements",
-    "relative_vector",
-]
-
 MOST_ELEMENTS = 64
 """Derive no more elements than so many from matrices: each is a place that every effect is tried at."""
 
@@ -83,11 +73,7 @@ def chain_elements(stiffnesses: FloatArray, dampings: FloatArray) -> tuple[Eleme
     """The elements of a chain: element 0 joins DOF 0 and the ground, element e DOF e - 1 and DOF e."""
     return tuple(
         Element(
-            name=f"element_{e}",
-            start=max(e - 1, 0),
-            end=e or None,
-            stiffness=float(stiffness),
-            damping=float(damping),
+            name=f"element_{e}", start=max(e - 1, 0), end=e or None, stiffness=float(stiffness), damping=float(damping)
         )
         for e, (stiffness, damping) in enumerate(zip(stiffnesses, dampings, strict=True))
     )

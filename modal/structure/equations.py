@@ -10,15 +10,13 @@ from modal.effects.catalogue import CATALOGUE, parameter_units
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.plant import Plant
 from modal.structure.elements import relative_vector
-from modal.structure.placed import PlacedEffect
+from modal.structure.placed import PlacedEffect, law_of
 from modal.structure.structural_plant import structural_plant
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
-
-__all__ = ["describe_effects", "equations_of_plant", "equations_of_structure", "linear_sum"]
 
 
 def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
@@ -43,7 +41,7 @@ def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, 
     places = {element.name: element.ends for element in model.elements} | {
         f"dof_{i}": (i,) for i in range(model.n_dofs)
     }
-    forces = [one for one in model.effects if isinstance(catalogue[one.effect], ForceEffect)]
+    forces = [one for one in model.effects if isinstance(law_of(one, catalogue), ForceEffect)]
     joins = np.array([relative_vector(places[one.where], model.n_dofs) for one in forces]).reshape(-1, model.n_dofs)
     labels = [f"f{number + 1}" for number in range(len(forces))]
     units = f"{', '.join(positions)} [{model.length_unit}], forces [{model.force_unit}], ' is d/dt [1/s]"
@@ -85,7 +83,7 @@ def equations_of_plant(model: "PlantModel", *, catalogue: Mapping[str, Effect] =
     """
     plant, matrices = model.plant, model.matrices
     states = [f"x{i}" for i in range(plant.n_states)]
-    forces = [one for one in model.effects if isinstance(catalogue[one.effect], ForceEffect)]
+    forces = [one for one in model.effects if isinstance(law_of(one, catalogue), ForceEffect)]
     names = [*states, *plant.input_names, *(f"f{number + 1}" for number in range(len(forces)))]
     weights = np.zeros((plant.n_forces, len(forces)))
     for number, one in enumerate(forces):
@@ -120,7 +118,7 @@ def describe_effects(
     effects: Sequence[PlacedEffect],
     *,
     motions: Mapping[str, str],
-    catalogue: Mapping[str, Effect] = CATALOGUE,
+    catalogue: Mapping[str, Effect],
 ) -> list[str]:
     """Two or more lines an effect: its law at its place, then each parameter with its unit.
 
@@ -133,7 +131,7 @@ def describe_effects(
     lines = []
     number = 0
     for one in effects:
-        effect = catalogue[one.effect].with_values(dict(zip(one.names, one.values, strict=True)))
+        effect = law_of(one, catalogue)
         if isinstance(effect, ForceEffect):
             number += 1
             port = plant.port(one.where)

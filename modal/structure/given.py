@@ -19,7 +19,7 @@ from modal.simulation.plant import Plant, released_masses
 from modal.simulation.scheme import scheme_and_slopes
 from modal.simulation.trajectory import resting_states, simulate_states
 from modal.structure.checks import SensorKind
-from modal.structure.placed import PlacedEffect
+from modal.structure.placed import PlacedEffect, law_of
 from modal.structure.plant_model import PlantModel
 from modal.structure.state_space_plant import static_plant_of_records
 from modal.structure.structural_model import StructuralModel
@@ -27,8 +27,6 @@ from modal.structure.structural_plant import structural_plant, updated_structure
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold, Record
-
-__all__ = ["Given", "given_model", "placed_assembly", "returned_model", "simulate", "with_channel_names"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -157,8 +155,7 @@ def placed_assembly(
     """
     begun = np.zeros((drive.n_records, plant.n_states)) if initial is None else initial
     placements = [
-        _scaled(place_effect(plant, _as_given(one, catalogue), one.where), plant, linear, drive, begun)
-        for one in effects
+        _scaled(place_effect(plant, law_of(one, catalogue), one.where), plant, linear, drive, begun) for one in effects
     ]
     assembly = assemble(plant, placements)
     common = np.zeros(assembly.n_common)
@@ -174,10 +171,6 @@ def placed_assembly(
             values = own if len(own) == drive.n_records else (one.values[j],) * drive.n_records
             local[:, assembly.local_of(i).start + position] = values
     return assembly, Unknowns(common=common, local=local)
-
-
-def _as_given(one: PlacedEffect, catalogue: Mapping[str, Effect]) -> Effect:
-    return catalogue[one.effect].with_values(dict(zip(one.names, one.values, strict=True)))
 
 
 def _scaled(

@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["KeptModel", "read_model", "write_model"]
-
 _MOST_TEXT = 1 << 25
 """Read no text file of more bytes: 32 MiB, a matrix of more than a thousand DOFs."""
 

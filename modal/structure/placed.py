@@ -12,8 +12,6 @@ from okid.arrays import real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
-__all__ = ["PlacedEffect", "placed_effect", "possible_places"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class PlacedEffect(Displayed):
@@ -66,6 +64,20 @@ class PlacedEffect(Displayed):
         if name not in self.names:
             raise KeyError(name)
         return self.values[self.names.index(name)]
+
+
+def law_of(one: PlacedEffect, catalogue: Mapping[str, Effect]) -> Effect:
+    """The law of an effect at its place, with as many parameters as it has values.
+
+    Raises:
+        InvalidDataError: It is not in the catalogue.
+    """
+    if one.effect not in catalogue:
+        raise InvalidDataError(
+            f"there is no effect {one.effect!r} in the catalogue; pass catalogue=modal.discrepancy.register(effect) "
+            "with that effect."
+        )
+    return catalogue[one.effect].with_values(dict(zip(one.names, one.values, strict=True)))
 
 
 def placed_effect(

@@ -5,10 +5,11 @@ identified from a simulation program. The plant is kept as it was made, so that 
 names in a state space, stay those of the file.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
+from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.checks import SensorKind
@@ -19,8 +20,6 @@ from modal.structure.state_space_plant import state_space_plant
 from okid.arrays import FloatArray, frozen
 from okid.display import first_names
 from okid.record import InputHold, Record
-
-__all__ = ["PlantModel"]
 
 _NOMINAL: Any = None
 """Default of `linear`: the nominal values."""
@@ -136,6 +135,6 @@ class PlantModel(KeptModel):
         """
         return replace(self, effects=(*self.effects, placed_effect(self.plant, effect, where, values)))
 
-    def equations(self) -> str:
-        """The equations with numbers and units, effects included, in plain text."""
-        return equations_of_plant(self)
+    def equations(self, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+        """The equations with numbers and units, effects of the catalogue included, in plain text."""
+        return equations_of_plant(self, catalogue=catalogue)

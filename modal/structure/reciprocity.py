@@ -37,18 +37,6 @@ from modal.structure.continuous_time import UNDAMPED, ContinuousSystem
 from okid.arrays import TINY, FloatArray
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "INTERNAL_FORCE",
-    "REACH",
-    "Changes",
-    "OutputMotion",
-    "Structure",
-    "internal_changes",
-    "motion_of_outputs",
-    "reciprocal_structure",
-    "symmetric_changes",
-]
-
 _LIKE = 1e-3
 """Refuse equations that miss by more than this share of what tells one solution from the next: an error of a thousandth
 in a direction or shape lies below the noise of any measured record."""

@@ -66,16 +66,6 @@ from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record, labels
 
-__all__ = [
-    "is_length",
-    "motion_inputs",
-    "ports_of",
-    "state_space_plant",
-    "static_plant",
-    "static_plant_of_records",
-    "tank_levels",
-]
-
 _SWINGS = 0.1
 """Let a pole oscillate above this imaginary part, as a share of its real part; poles of equal tanks, identified from
 noisy data, come out as a pair with a small one."""

@@ -7,13 +7,14 @@ the base. A shaft is the same with angles and moments, a first-order plant the s
 Units are the user's as long as they fit together: the defaults are N, m, kg, s.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.plant import plant_matrices
 from modal.structure.checks import (
@@ -35,8 +36,6 @@ from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import first_names
-
-__all__ = ["StructuralModel"]
 
 _COUPLINGS: Any = None
 """Default of `elements`: those that stand in the matrices."""
@@ -288,9 +287,9 @@ class StructuralModel(KeptModel):
         added = placed_effect(structural_plant(self), effect, place_name(self, where), values)
         return replace(self, effects=(*self.effects, added))
 
-    def equations(self) -> str:
-        """The equations of motion with numbers and units, effects included, in plain text."""
-        return equations_of_structure(self)
+    def equations(self, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+        """The equations of motion with numbers and units, effects of the catalogue included, in plain text."""
+        return equations_of_structure(self, catalogue=catalogue)
 
     def _poles(self) -> ComplexArray:
         """Poles [1/s] of the linear part by rising size, one of each pair, without those of rigid-body motion."""

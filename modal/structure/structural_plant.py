@@ -29,8 +29,6 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     from modal.structure.structural_model import StructuralModel
 
-__all__ = ["place_name", "places_in_words", "structural_plant", "updated_structure"]
-
 _MOST_MODES = 32
 """Make parameters of the stiffness and damping of so many modes at most, from the lowest."""
 

@@ -29,8 +29,6 @@ import scipy
 
 from okid.arrays import BoolArray, FloatArray
 
-__all__ = ["Environment", "LevelChange", "enough_records", "explain", "find_changes", "held_out_months"]
-
 DEGREES = (0, 1, 2, 3, 4)
 """Try polynomials of a cause up to this degree; 0 leaves the cause out."""
 TIME_CONSTANTS = tuple(3600.0 * hours for hours in (3, 6, 12, 24, 48, 96))

@@ -27,8 +27,7 @@ import numpy.typing as npt
 from era.balanced import realise
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.modes.shape_comparison import pair_greatest_first
-from modal.modes.shape_sets import EVEN, assurance
+from modal.modes.shape_comparison import EVEN, assurance, pair_greatest_first
 from okid.arrays import FloatArray, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, UnreadableFileError
@@ -43,8 +42,6 @@ from okid.readers.text import more_rows, read_text, table_of_text
 from okid.readers.units import convert_unit
 from okid.record import InputHold, Record
 from okid.scaling import ChannelScaling, channel_scaling
-
-__all__ = ["LiveEstimate", "follow", "growing_blocks"]
 
 REBUILT = 10_000
 """Sum the window afresh after so many blocks: the rounding of what was added and taken off has grown till then."""

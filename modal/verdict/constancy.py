@@ -23,8 +23,6 @@ from modal.wording.numbers import hertz, percent
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = ["changing_modes", "unsteady_drive"]
-
 N_BLOCKS = 20
 """Cut all records together into about so many blocks: enough to tell their own scatter."""
 CHANCE = 1e-4

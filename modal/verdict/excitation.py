@@ -26,8 +26,6 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = ["BetweenLines", "between_lines", "driven_gain", "line_doubt", "undriven_doubt"]
-
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
 DEVIATIONS = 3.0

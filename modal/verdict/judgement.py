@@ -29,12 +29,12 @@ from modal.modes.mode import ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
     Pulses,
     Repeatability,
+    assurance,
     energies,
     inner_products,
     pulses,
     repeatability,
 )
-from modal.modes.shape_sets import assurance
 from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     clipping_doubt,
@@ -52,8 +52,6 @@ from modal.verdict.probability import (
 )
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
-
-__all__ = ["Change", "Rerun", "Reruns", "group_overlaps", "groups", "judge"]
 
 LEAST_BAND = 0.01
 """Poles closer than this share of the frequency belong to one resonance whatever their damping."""

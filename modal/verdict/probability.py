@@ -29,19 +29,6 @@ from modal.modes.mode import Mode
 from modal.preparation.band import FOLLOWS
 from okid.excitation import Excitation
 
-__all__ = [
-    "colour_doubt",
-    "damping_doubt",
-    "delay_doubt",
-    "edge_doubt",
-    "excitation_doubt",
-    "f_ratio",
-    "poor_fit_doubt",
-    "probability",
-    "unanswered_doubt",
-    "unexcited_doubt",
-]
-
 LEAST_RATIO, LARGEST_RATIO = 0.1, 1e6
 """Beyond these F ratios nothing more is learnt."""
 

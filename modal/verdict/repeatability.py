@@ -33,8 +33,6 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["repeat"]
-
 N_BLOCKS = 10
 ROWS_AN_UNKNOWN = 3
 """Rows of a half for each unknown of its observer, as in the search."""

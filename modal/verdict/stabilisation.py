@@ -19,14 +19,12 @@ from itertools import pairwise
 import numpy as np
 
 from era.realisation import Realisation
-from modal.modes.indicators import extended_amplitude_coherence
+from modal.modes.extraction import extended_amplitude_coherence
 from modal.modes.modal_form import ModalBasis, continuous_poles, largest_component, modal_basis
 from modal.modes.shape_comparison import Pulses, energies, inner_products, pair_greatest_first, pulses
 from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray, whole_number
 from okid.display import Displayed
-
-__all__ = ["StabilisationPoint", "stabilisation"]
 
 FREE_RUN_STEPS = 200
 """Length of the pulse responses that are compared where no Hankel factors tell it."""

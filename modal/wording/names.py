@@ -16,8 +16,8 @@ _MARKDOWN_ALWAYS = re.compile(r"([\\`*\[\]|~$#!@])")
 _MARKDOWN_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
 
 
-def shorten(text: str, limit: int) -> str:
-    """At most `limit` characters, the middle left out: the end of a channel name often carries the number.
+def shorten(text: str, limit: int = 40) -> str:
+    """At most `limit` characters, for a name in a sentence unless given; the middle goes: its end may carry a number.
 
     Example:
         >>> shorten("acceleration of the third floor", 15)

@@ -8,31 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = [
-    "GOOD_FIT",
-    "LEAST_FIT",
-    "NINETY_FIVE",
-    "Statement",
-    "Subject",
-    "counted",
-    "exact_percent",
-    "fit_text",
-    "hertz",
-    "listed",
-    "number",
-    "part",
-    "percent",
-    "quantity",
-    "ratio_text",
-    "reproduced",
-    "times",
-    "times_floor_text",
-    "whole_percent",
-    "with_interval",
-]
-
 NINETY_FIVE = 1.96
 """Take so many standard deviations on either side as a 95 % interval, the quantile of a normal distribution."""
+
+MOST_NAMED = 3
+"""Name so many things in a sentence and count the others: a table has them all."""
 
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""

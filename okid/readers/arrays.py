@@ -49,10 +49,7 @@ def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> T
         data = [np.asarray(one["data"], dtype=np.float64) for one in channels]
         names = [str(one["name"]) for one in channels]
         axes = {
-            (
-                len(values),
-                float(one["fs"] if one.get("fs") else (len(values) - 1) / (one["time"][-1] - one["time"][0])),
-            )
+            (len(values), float(one["fs"] if one.get("fs") else (len(values) - 1) / (one["time"][-1] - one["time"][0])))
             for one, values in zip(channels, data, strict=True)
         }
     except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:

@@ -264,7 +264,7 @@ def make_shapes(folder):
 
 
 def read_shape_file(path):
-    from modal.modes.shape_sets import read_shapes
+    from modal.modes.shape_comparison import read_shapes
 
     return read_shapes(path)
 

@@ -32,7 +32,7 @@ for folder in (ROOT, ROOT / "tests" / "hidden_effects", ROOT / "tests" / "benchm
 from hidden_cases import hidden_case  # noqa: E402 - after the path is set
 from hidden_kinds import KINDS  # noqa: E402
 from hidden_scoring import describe, model_of, options_of, outcome, records_of, report  # noqa: E402
-from stamps import write_figures  # noqa: E402
+from stamps import seeds_from, write_figures  # noqa: E402
 
 DOCUMENT = ROOT / "modal" / "docs" / "discrepancy_confusion.md"
 
@@ -66,15 +66,6 @@ def diagnosed(kind, seed, most_seconds):
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     return outcome(case, found, seconds=seconds)
-
-
-def seeds_from(text):
-    """Seeds from "1-60" or "1,5,9-12"."""
-    seeds = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        seeds += range(int(first), int(last or first) + 1)
-    return seeds
 
 
 def kinds_from(text):

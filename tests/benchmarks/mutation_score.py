@@ -27,12 +27,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 CORE = (
     "okid/observer.py", "okid/markov.py", "okid/gram.py", "okid/least_squares.py", "era/hankel.py", "era/balanced.py",
-    "modal/modes/extraction.py", "modal/modes/indicators.py", "modal/verdict/probability.py",
+    "modal/modes/extraction.py", "modal/verdict/probability.py",
 )  # fmt: skip
 ALSO = {
+    "modal/modes/extraction.py": ("tests/modal/modes/test_indicators.py",),
     "okid/markov.py": ("tests/okid/test_recovery.py",),
-    "okid/gram.py": ("tests/okid/test_block_grams.py",),
-    "okid/least_squares.py": ("tests/okid/test_regression.py", "tests/okid/test_block_grams.py"),
+    "okid/gram.py": ("tests/modal/estimation/test_block_grams.py",),
+    "okid/least_squares.py": ("tests/okid/test_regression.py", "tests/modal/estimation/test_block_grams.py"),
     "era/balanced.py": ("tests/era/test_realisation.py", "tests/era/test_order.py"),
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
@@ -54,11 +55,11 @@ EQUIVALENT = {
     ("era/balanced.py", "if 1 < end <= rank and end < singular_values.size:", "Lt to LtE"): (
         "with no value beyond the end there is no drop there that the rule could take for a gap"
     ),
-    ("modal/modes/indicators.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
+    ("modal/modes/extraction.py", "size = np.linalg.norm(measured.reshape(n_poles, -1), axis=1)", "one more"): (
         "NumPy takes any negative size for the open one"
     ),
-    ("modal/modes/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
-    ("modal/modes/indicators.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): (
+    ("modal/modes/extraction.py", "died = size**last < decay_limit * (1 - 1e-12)", "Sub to Add"): "a rounding's worth",
+    ("modal/modes/extraction.py", "died = size**last < decay_limit * (1 - 1e-12)", "a tenth more"): (
         "a rounding's worth"
     ),
     ("okid/least_squares.py", "if 2.0 * gram.n_rows * size**2 <= _QR_OPERATIONS:", "LtE to Lt"): (

@@ -7,16 +7,7 @@ import numpy as np
 from crb import cramer_rao_bound
 from environments import run_tasks
 from random_problems import random_problem
-from scoring import (
-    claimed_modes,
-    continued_fit,
-    false_modes,
-    fit,
-    match,
-    matrix,
-    spectral_radius,
-    tolerance,
-)
+from scoring import claimed_modes, continued_fit, false_modes, fit, match, matrix, spectral_radius, tolerance
 
 WITHIN_REACH = 3.0
 """A mode is within reach where the tolerance is at least so many bounds of its frequency: no unbiased estimate finds

@@ -181,13 +181,7 @@ def _choose_order(name, training, folder, work):
         part = [last.samples(0, edge)]
     models = _models(name, [(part, order) for order in ORDERS], stem=folder / "part", dt=last.dt, work=work)
     fits = [
-        continued_fit(
-            model,
-            last.inputs,
-            last.outputs,
-            state_rows=slice(0, edge),
-            scored_rows=slice(edge, None),
-        )
+        continued_fit(model, last.inputs, last.outputs, state_rows=slice(0, edge), scored_rows=slice(edge, None))
         if "failure" not in model
         else -np.inf
         for model in models

@@ -169,6 +169,15 @@ def renew(page):
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def seeds_from(text):
+    """Seeds from "1-60" or "1,5,9-12"."""
+    seeds = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        seeds += range(int(first), int(last or first) + 1)
+    return seeds
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="every block of figures, fresh or stale")

@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "reference"), str(ROOT / "tests" / "benchmarks")]
 
 import numpy as np  # noqa: E402  threads and path are set above
-from stamps import write_figures  # noqa: E402  threads and path are set above
+from stamps import seeds_from, write_figures  # noqa: E402  threads and path are set above
 from structures import random_record  # noqa: E402  threads and path are set above
 from verdict_report import report  # noqa: E402
 
@@ -189,15 +189,6 @@ def code_version():
         for path in sorted((ROOT / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
-
-
-def seeds_from(text):
-    """Seeds from "1-60" or "1,5,9-12"."""
-    seeds = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        seeds += range(int(first), int(last or first) + 1)
-    return seeds
 
 
 def main():

@@ -139,7 +139,7 @@ def head(lines, poles):
     words = [
         f"{len(seeds)} structures (seeds {seeds[0]} to {seeds[-1]}), {len(lines)} identifications of "
         f"{seconds:.1f} CPU-s on average, sources {', '.join(versions)}"
-        + ("; **more than one version of the code**." if len(versions) > 1 else "."),
+        + ("; **more than one version of the code**." if len(versions) > 1 else ".")
     ]
     if failed:
         words.append(f"Ended with an error: {', '.join(f'{count} {name}' for name, count in failed.items())}.")

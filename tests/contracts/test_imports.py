@@ -25,7 +25,7 @@ BEHIND = {
     "rerun": ("modal/recording/",),
     "control": ("era/",),
     "filterpy": ("era/",),
-    "matplotlib": ("modal/plots/figures.py", "modal/plots/results.py"),
+    "matplotlib": ("modal/plots/results.py",),
     "pint": ("okid/",),
     "pyarrow": ("okid/", "modal/"),
     "h5py": ("okid/readers/",),

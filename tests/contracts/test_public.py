@@ -69,7 +69,7 @@ ATTRIBUTES = {
         *("truncated", "to_control", "from_control"),
     },
     "modal.Identification": {
-        *("records", "observer", "markov", "realisation", "modes", "choices", "fit", "warnings", "save"),
+        *("records", "observer", "markov", "realisation", "modes", "choices", "fit", "warnings", "save")
     },
     "modal.ModalModel": {"modes", "system", "frequencies", "damping_ratios", "shapes", "indicator_caution"},
     "modal.Mode": {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from noisy import noisy_data, noisy_system
 
-from era.forecasting import forecast
 from era.gain import estimate_gain
+from era.kalman import forecast
 from era.realisation import Realisation
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
@@ -64,11 +64,7 @@ def test_gaps_and_an_uncertain_start_as_the_textbook(steps):
     P0 = np.diag(rng.uniform(1, 5, 4))
     means, variances = textbook(model, noisy.covariance, u, y, steps=steps, P0=P0)
     found = forecast(
-        model,
-        Record(u, y, model.dt),
-        innovation_covariance=noisy.covariance,
-        steps=steps,
-        initial_covariance=P0,
+        model, Record(u, y, model.dt), innovation_covariance=noisy.covariance, steps=steps, initial_covariance=P0
     )
     # a covariance below 1e-9 of one sample's noise counts as none
     np.testing.assert_allclose(found.means, means, atol=1e-4 * np.abs(means).max())

@@ -5,7 +5,7 @@ import pytest
 from systems import markov, modal_system
 
 from era.balanced import decompose, order_choice
-from era.hankel_svd import choose_order
+from era.hankel import choose_order
 from okid.markov import MarkovParameters
 
 

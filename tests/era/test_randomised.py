@@ -5,8 +5,7 @@ import pytest
 from systems import markov, modal_system, random_system
 
 from era.balanced import decompose, realise_from
-from era.hankel import BlockHankelOperator, block_hankel
-from era.hankel_svd import leading_triplets
+from era.hankel import BlockHankelOperator, block_hankel, leading_triplets
 from okid.markov import MarkovParameters
 
 

@@ -185,10 +185,6 @@ def _periodic(rng, at):
     return {"amplitude": _share(rng, at) * at.driving, "frequency": frequency}
 
 
-def _power_law(rng, at):
-    return {"exponent": rng.uniform(0.4, 0.7)}
-
-
 _DRAWS = {
     "cubic_stiffness": _cubic,
     "quadratic_stiffness": _quadratic,

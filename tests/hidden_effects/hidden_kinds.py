@@ -81,13 +81,7 @@ KINDS = {
     "motor_propeller": Kind(
         number=6,
         plants=MOTOR,
-        effects=(
-            ("quadratic_drag",),
-            ("input_delay",),
-            ("input_saturation",),
-            ("quadratic_drag", "input_delay"),
-            (),
-        ),
+        effects=(("quadratic_drag",), ("input_delay",), ("input_saturation",), ("quadratic_drag", "input_delay"), ()),
         noise=(0.005, 0.02),
     ),
     "motor_friction": Kind(

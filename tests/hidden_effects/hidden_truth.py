@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from hidden_integrator import HiddenPlant, march
 from hidden_laws import law_from
-from hidden_types import HiddenEffect
+from hidden_types import HiddenEffect, NominalChain
 
 __all__ = [
     "INPUT_EFFECTS",
@@ -40,15 +40,8 @@ class Absorber:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TrueChain:
-    """Element e joins degree of freedom e - 1 and e, element 0 the ground. SI units."""
-
-    masses: np.ndarray
-    stiffnesses: np.ndarray
-    dampings: np.ndarray
-    force_dofs: tuple[int, ...]
-    sensor_dofs: tuple[int, ...]
-    sensor_kind: str
+class TrueChain(NominalChain):
+    """The chain itself, with what the user's model has off put right."""
 
     @property
     def n_dofs(self):

@@ -9,8 +9,7 @@ from diagnosis_by_hand import make_diagnosis
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
@@ -49,15 +48,9 @@ def make_gap():
     return make_diagnosis
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_result():
     """A function of names and changed fields -> Identification."""
-    return make_identification
-
-
-@pytest.fixture(scope="session")
-def make_once():
-    """The same, for fixtures that are shared by a file."""
     return make_identification
 
 

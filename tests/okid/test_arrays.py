@@ -85,7 +85,7 @@ def test_frozen_refuses_nan_and_wrong_shapes():
 
 def test_frozen_complex_is_a_copy():
     mine = np.array([1j, 2.0])
-    taken = frozen_complex(mine, name="shape", shape=(2,))
+    taken = frozen_complex(mine, name="shape")
     mine[0] = 0
     assert taken[0] == 1j
     assert not taken.flags.writeable

@@ -5,12 +5,7 @@ import pytest
 from scipy.signal import fftconvolve, lfilter, windows
 
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.frequency_response import (
-    FrequencyResponse,
-    estimate_response,
-    pulse_response,
-    window_autocorrelation,
-)
+from okid.frequency_response import FrequencyResponse, estimate_response, pulse_response, window_autocorrelation
 from okid.record import Record
 
 DT = 0.01

@@ -76,7 +76,7 @@ def test_hundreds_of_short_runs_are_folded_in_several_batches(monkeypatch):
 
 
 def test_chunks_of_one_block_give_the_same(monkeypatch):
-    monkeypatch.setattr("okid.gram._BLOCK_VALUES", 1)
+    monkeypatch.setattr("okid.gram.CACHE_VALUES", 1)
     rng = np.random.default_rng(6)
     assert_gram_is_naive([make(rng, 1500, 2, 2, missing=5)], 6, [rng.random(1500) < 0.9])
 

@@ -80,11 +80,10 @@ def test_units_and_sizes_go_along():
     assert markov.gain[0].item() == 1.0
 
 
-def test_history_of_the_recursion():
+def test_the_recursion_by_hand():
     beta = np.array([[[0.5]], [[0.25]]])
-    history = np.array([[[1.0]], [[2.0]]])  # y(-2), y(-1)
-    forcing = np.zeros((3, 1, 1))
-    assert solve_recursion(beta, forcing, history).ravel().tolist() == [1.25, 1.125, 0.875]
+    forcing = np.array([1.0, 1.5, 0.0, 0.0, 0.0]).reshape(5, 1, 1)
+    assert solve_recursion(beta, forcing).ravel().tolist() == [1.0, 2.0, 1.25, 1.125, 0.875]
 
 
 @pytest.mark.parametrize("n_lags", [0, -3, 1.5, True, np.nan, np.inf, "many", [3]])

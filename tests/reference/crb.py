@@ -33,12 +33,7 @@ class CramerRaoBound:
 
 
 def cramer_rao_bound(
-    system: TruthSystem,
-    inputs: np.ndarray,
-    *,
-    initial_state: np.ndarray,
-    noise_std: np.ndarray,
-    level: Level = "known",
+    system: TruthSystem, inputs: np.ndarray, *, initial_state: np.ndarray, noise_std: np.ndarray, level: Level = "known"
 ) -> CramerRaoBound:
     """Bound for one record with these inputs, this (unknown) initial state and this noise on each output."""
     information = information_matrix(system, inputs, initial_state=initial_state, noise_std=noise_std, level=level)
@@ -61,12 +56,7 @@ def cramer_rao_bound(
 
 
 def information_matrix(
-    system: TruthSystem,
-    inputs: np.ndarray,
-    *,
-    initial_state: np.ndarray,
-    noise_std: np.ndarray,
-    level: Level = "known",
+    system: TruthSystem, inputs: np.ndarray, *, initial_state: np.ndarray, noise_std: np.ndarray, level: Level = "known"
 ) -> np.ndarray:
     """Fisher information; the poles' own parameters come first, in the order of `TruthSystem.poles`."""
     modes = _modal_parts(system, initial_state)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.signal import lfilter
-from structures import participation_of, random_excitation
+from structures import OfPoles, participation_of, random_excitation
 
 RecordKind = Literal["driven", "transient", "decay", "ambient"]
 
@@ -19,7 +19,7 @@ KINDS: tuple[RecordKind, ...] = ("driven", "transient", "decay", "ambient")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class KindRecords:
+class KindRecords(OfPoles):
     """Records of one structure.
 
     `poles` (n_modes,) [1/s], one of each pair; `records`: pairs of inputs (n_samples, n_inputs) and outputs
@@ -37,15 +37,6 @@ class KindRecords:
     words: str
     frequency_std: np.ndarray | None = None
     damping_ratio_std: np.ndarray | None = None
-
-    @property
-    def frequencies(self) -> np.ndarray:
-        """(n_modes,) |pole| / 2 pi [Hz]."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> np.ndarray:
-        return -self.poles.real / np.abs(self.poles)
 
 
 def random_records(kind: RecordKind, seed: int, *, n_records: int | None = None, cell: float = 0.0) -> KindRecords:

@@ -6,14 +6,10 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Fit, ModalModel, Mode
 from modal.verdict.stabilisation import StabilisationPoint
-from okid.excitation import Excitation
 from okid.markov import MarkovParameters
-from okid.observer import ObserverFit
 from okid.record import Record
-from okid.residuals import ResidualCheck
 
 N_OUTPUTS, N_INPUTS, N_MODES, N_RECORDS, N_SAMPLES, DT = 60, 4, 100, 30, 1200, 1e-3
 
@@ -40,23 +36,23 @@ def make_large(small: Identification) -> Identification:
         records=records,
         simulated=records,
         predicted=records,
-        excitation=Excitation(
-            needed_order=80,
-            persistency_order=80,
-            condition=2.0,
+        excitation=replace(
+            small.excitation,
             excited_share=np.ones(N_INPUTS),
             excited_bands=tuple(((float(i), i + 0.5),) * 40 for i in range(N_INPUTS)),
             messages=(),
         ),
-        observer=_observer(),
-        residuals=ResidualCheck(
-            autocorrelation=0.02 * rng.standard_normal((200, N_OUTPUTS)),
-            whiteness_ratio=1.0,
-            whiteness_p_value=0.5,
-            input_correlation_ratio=1.0,
-            confidence_limit=0.02,
-            messages=(),
+        observer=replace(
+            small.observer,
+            feedthrough=np.zeros((N_OUTPUTS, N_INPUTS)),
+            input_coefficients=np.zeros((10, N_OUTPUTS, N_INPUTS)),
+            output_coefficients=np.zeros((10, N_OUTPUTS, N_OUTPUTS)),
+            offset=np.zeros(N_OUTPUTS),
+            input_scale=np.ones(N_INPUTS),
+            output_scale=np.ones(N_OUTPUTS),
+            residual_covariance=np.eye(N_OUTPUTS),
         ),
+        residuals=replace(small.residuals, autocorrelation=0.02 * rng.standard_normal((200, N_OUTPUTS)), messages=()),
         markov=MarkovParameters(system=0.1 * rng.standard_normal((400, N_OUTPUTS, N_INPUTS)), dt=DT),
         realisation=Realisation(
             0.5 * np.eye(order),
@@ -75,25 +71,6 @@ def make_large(small: Identification) -> Identification:
             stabilisation=_poles(rng),
         ),
         fit=Fit(cross_validated=fits, folds=np.array([0.9, 0.91, 0.92]), whole=fits, one_step=fits),
-    )
-
-
-def _observer() -> ObserverFit:
-    return ObserverFit(
-        feedthrough=np.zeros((N_OUTPUTS, N_INPUTS)),
-        input_coefficients=np.zeros((10, N_OUTPUTS, N_INPUTS)),
-        output_coefficients=np.zeros((10, N_OUTPUTS, N_OUTPUTS)),
-        offset=np.zeros(N_OUTPUTS),
-        dt=DT,
-        ridge=1e-3,
-        input_scale=np.ones(N_INPUTS),
-        output_scale=np.ones(N_OUTPUTS),
-        residual_covariance=np.eye(N_OUTPUTS),
-        n_rows=N_SAMPLES * N_RECORDS,
-        n_parameters=641,
-        condition=10.0,
-        method="cholesky",
-        rank=641,
     )
 
 

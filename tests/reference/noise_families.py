@@ -107,13 +107,7 @@ def noise_record(kind: Kind, *, system: int, record: int) -> NoiseRecord:
     if kind == "output":
         seen = seen[:, :0]
     return NoiseRecord(
-        kind=kind,
-        inputs=seen,
-        outputs=y[SPIN_UP:],
-        system=system_,
-        share=share,
-        bound=bound,
-        fed_back=fed_back,
+        kind=kind, inputs=seen, outputs=y[SPIN_UP:], system=system_, share=share, bound=bound, fed_back=fed_back
     )
 
 

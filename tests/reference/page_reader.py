@@ -36,3 +36,9 @@ class Skeleton(HTMLParser):
     def text(self):
         """What a reader reads, a space that does not break as any other."""
         return " ".join(self.words).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def views(container):
+    """Every view of a blueprint's container, those of containers within it included."""
+    for part in container.contents:
+        yield from views(part) if hasattr(part, "contents") and not hasattr(part, "origin") else [part]

@@ -56,15 +56,6 @@ def _record(force, outputs, names, sensors, name):
     )
 
 
-def roving_sensors(seed, sensors, *, point=0, delay=0, level=1.0, gain=1.0, gains=1.0, n=900, noise=0.01):
-    """A shaker at one point; `gain` of its amplifier and `gains` of the sensors are not those that were believed."""
-    rng = np.random.default_rng(seed)
-    force = level * rng.standard_normal(n)
-    clean = gain * later(motion(force, point, sensors), delay) * gains
-    outputs = clean + noise * clean.std(axis=0) * rng.standard_normal(clean.shape)
-    return _record(force, outputs, ["force"], sensors, f"set-up {seed}")
-
-
 def hammer_blows(delays, *, sensors, n=600, noise=1e-3):
     """A record for each point that is struck, each started by a trigger of its own."""
     records = []

@@ -3,6 +3,7 @@
 from typing import Literal
 
 import numpy as np
+import scipy
 
 InputKind = Literal["white", "coloured", "sweep", "multisine", "hits", "steps"]
 
@@ -42,3 +43,11 @@ def random_inputs(
 def with_noise(rng: np.random.Generator, outputs: np.ndarray, share: float) -> np.ndarray:
     """Outputs plus white noise whose standard deviation is a share of each channel's own."""
     return outputs + share * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+
+
+def answer(force, frequency=0.07, damping=0.03):
+    """One mode driven by a force, one sample late, as any sampled structure without feedthrough."""
+    radius = np.exp(-2 * np.pi * frequency * damping)
+    poles = [1.0, -2 * radius * np.cos(2 * np.pi * frequency), radius**2]
+    motion = scipy.signal.lfilter([0.0, 1.0], poles, force)
+    return motion / motion.std()

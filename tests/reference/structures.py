@@ -29,8 +29,23 @@ HUM_DISTANCE = 0.06
 """Share of the frequency by which hum stays away from every mode: nearer, nobody could say which of them was found."""
 
 
+class OfPoles:
+    """Frequencies and damping ratios of whatever has `poles` [1/s], one of each pair."""
+
+    __slots__ = ()
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """(n_modes,) |pole| / 2 pi [Hz]."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> np.ndarray:
+        return -self.poles.real / np.abs(self.poles)
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Structure:
+class Structure(OfPoles):
     """Modes by rising |pole|; Markov parameter k is 2 Re sum c b' lambda^(k-1), parameter 0 is D.
 
     `poles` (n_modes,) [1/s], one of each pair; `shapes` (n_outputs, n_modes); `participation` (n_inputs, n_modes);
@@ -43,15 +58,6 @@ class Structure:
     D: np.ndarray
     dt: float
     traits: tuple[tuple[str, ...], ...]
-
-    @property
-    def frequencies(self) -> np.ndarray:
-        """(n_modes,) |pole| / 2 pi [Hz]."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> np.ndarray:
-        return -self.poles.real / np.abs(self.poles)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 import scipy
 from signals import random_inputs, with_noise
-from systems import (
-    TruthSystem,
-    chain_matrices,
-    initial_state,
-    markov,
-    random_chain,
-    random_system,
-    simulate,
-    structure,
-)
+from systems import TruthSystem, chain_matrices, initial_state, markov, random_chain, random_system, simulate, structure
 
 
 def from_modes(system: TruthSystem, n_lags: int) -> np.ndarray:

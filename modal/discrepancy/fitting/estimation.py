@@ -16,33 +16,15 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.effects.memoryless import WALL
+from modal.effects.effect import WALL
+from modal.estimation.output_error import FIRST_DAMPING
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import step_compliance
 from modal.simulation.scheme import Budget, Scheme, scheme_and_slopes
-from modal.simulation.sensitivity import Sensitivity, sensitivity
-from modal.simulation.trajectory import SHARP, Trajectory, resting_states, simulate_states
+from modal.simulation.trajectory import SHARP, Sensitivity, Trajectory, resting_states, sensitivity, simulate_states
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
-
-__all__ = [
-    "FAR_ABOVE",
-    "Estimate",
-    "Problem",
-    "bounded_step",
-    "covariance",
-    "estimate",
-    "held_unknowns",
-    "moved_by_reciprocals",
-    "reach_of",
-    "score_equations",
-    "sensitivity_of",
-    "simulate_at",
-    "walls",
-    "weighted_residual",
-    "weights_along",
-]
 
 
 def bounded_step(
@@ -164,8 +146,6 @@ def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray
     return after
 
 
-FIRST_DAMPING = 1e-3
-"""Damp the first step by this share of the diagonal (Marquardt)."""
 TRIALS = 5
 """Give an iteration up after so many steps, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
@@ -290,12 +270,7 @@ def simulate_at(
 
 
 def estimate(
-    start: Estimate,
-    problem: Problem,
-    *,
-    iterations: int,
-    standstill: float = STANDSTILL,
-    budget: Budget | None = None,
+    start: Estimate, problem: Problem, *, iterations: int, standstill: float = STANDSTILL, budget: Budget | None = None
 ) -> Estimate:
     """Fit from a simulated start.
 

@@ -16,19 +16,6 @@ from modal.simulation.tolerances import NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
-__all__ = [
-    "CLEAR",
-    "MUCH_LESS",
-    "MUCH_WEAKER",
-    "SOFT",
-    "amplitudes",
-    "observed_fits",
-    "observed_form",
-    "scaled",
-    "weaker_form",
-    "within_reach",
-]
-
 ESCAPED = 100.0
 """Call a motion escaped where the error is so many times that of no motion at all, in mean squares."""
 STRENGTHS = (1.0, 0.5, 0.2)

@@ -15,8 +15,6 @@ import scipy
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from okid.arrays import TINY, FloatArray
 
-__all__ = ["LOST", "LostMotion", "graded_run", "observer_gain"]
-
 
 def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
     """The steady Kalman gain for forces at the ports that would explain what the model leaves.

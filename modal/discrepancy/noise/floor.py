@@ -52,8 +52,6 @@ from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
 
-__all__ = ["SAME_NUMBER", "FloorMethod", "NoiseFloor", "lowered_floor", "noise_floor", "raised_floor", "stacked_floors"]
-
 SAME_NUMBER = 1e-6
 """Take numbers for the same that differ by less than this share, as after a way through a text file."""
 _SAME_PERIOD = 1e-7

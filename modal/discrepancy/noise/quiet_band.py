@@ -32,8 +32,6 @@ from modal.localisation.lines import FALSE_ALARM
 from modal.simulation.tolerances import ROUNDING, SURE
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
-__all__ = ["UNKNOWN", "QuietBand", "ResidualSpectrum", "SteadyLevel", "quiet_band", "residual_spectrum", "steady_level"]
-
 _DEGREE = 2
 """Fit polynomials of this degree in a window."""
 _LINES_A_COLUMN = 5

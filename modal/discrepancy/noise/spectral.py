@@ -23,8 +23,6 @@ from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = ["FEWEST_ROWS", "SpectralFloor", "bridgeable_runs", "bridged", "smallest_variance", "spectral_floor"]
-
 _LONGEST_GAP = 6
 """Bridge no gap of more samples than this."""
 _REACHES = (6, 4, 3, 2)

@@ -14,10 +14,11 @@ import numpy as np
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.discrepancy.noise.floor import NoiseFloor, noise_floor, stacked_floors
-from modal.discrepancy.programs.corrected import CorrectedCallable, along_plant
 from modal.discrepancy.programs.program import (
+    CorrectedCallable,
     IdentifiedPart,
     Simulator,
+    along_plant,
     check_deterministic,
     identify_callable,
     quietest,
@@ -54,17 +55,9 @@ from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import Record
 
-__all__ = ["diagnose_callable", "proved", "without_search"]
-
 
 def proved(
-    found: Diagnosis,
-    runs: Runs,
-    proof: Proof,
-    *,
-    realisation: Realisation,
-    decision: Decision,
-    between: Sequence[Step],
+    found: Diagnosis, runs: Runs, proof: Proof, *, realisation: Realisation, decision: Decision, between: Sequence[Step]
 ) -> Diagnosis:
     """What was found in the linear part, with the callable's own figures.
 

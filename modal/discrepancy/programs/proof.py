@@ -15,8 +15,7 @@ from era.realisation import Realisation
 from era.simulation import estimate_initial_state, simulate
 from modal.discrepancy.fitting.estimation import Estimate
 from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node
-from modal.discrepancy.programs.corrected import CorrectedCallable
-from modal.discrepancy.programs.program import Simulator, run_callable
+from modal.discrepancy.programs.program import CorrectedCallable, Simulator, run_callable
 from modal.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.identification.order_search import choose_orders
 from modal.structure.given import Given, returned_model
@@ -27,8 +26,6 @@ from okid.errors import IdentificationError, quiet
 from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-
-__all__ = ["Proof", "ResidualModel", "Runs", "mean_squares", "prove", "residual_model", "unproved", "with_start"]
 
 MOST_STATES = 12
 """Model what is left by no more states than this."""

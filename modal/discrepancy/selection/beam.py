@@ -22,8 +22,17 @@ from dataclasses import replace
 import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
-from modal.discrepancy.fitting.masses import with_released_masses
-from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node, Task, counts, loaded, node_of, polished, rested
+from modal.discrepancy.fitting.nodes import (
+    SMALLEST_FALL,
+    Node,
+    Task,
+    counts,
+    loaded,
+    node_of,
+    polished,
+    rested,
+    with_released_masses,
+)
 from modal.discrepancy.fitting.observed_fits import (
     CLEAR,
     MUCH_LESS,
@@ -44,8 +53,6 @@ from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
-
-__all__ = ["expand", "search_effects", "seen", "settled_stiffness"]
 
 PLACES, SHAPES = 2, 2
 LEAST_SHARE = 0.1
@@ -231,9 +238,9 @@ def _finished(fit: Estimate, best: Estimate, task: Task) -> Node:
     return node_of(_sharpened(fit, task, iterations=iterations), task)
 
 
-def _softness(node: Node, softness: float) -> float:
+def _softness(node: Node) -> float:
     """Smoothing of a first fit: soft beside a linear model, sharp where an effect is there already that may need it."""
-    return SHARP if node.effects else softness
+    return SHARP if node.effects else SOFT
 
 
 def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[Estimate], dict[int, Node]]:
@@ -256,9 +263,9 @@ def _free_runs(fits: Sequence[Estimate], task: Task, node: Node) -> tuple[list[E
             continue
         if runs and not budget.allows():
             break
-        run = _free_run(fit, task, _softness(node, SOFT))
+        run = _free_run(fit, task, _softness(node))
         if not (explained or _nearly(runs, node)):
-            run = _found_again(run, fit, task, _softness(node, SOFT))
+            run = _found_again(run, fit, task, _softness(node))
         if run is None:
             continue
         if all(run.cost < other.cost for other in runs):

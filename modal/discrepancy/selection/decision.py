@@ -34,7 +34,6 @@ from modal.discrepancy.fitting.estimation import (
     sensitivity_of,
     weights_along,
 )
-from modal.discrepancy.fitting.masses import needed_masses
 from modal.discrepancy.fitting.nodes import (
     MOST_ON_FIT,
     SMALLEST_FALL,
@@ -44,26 +43,32 @@ from modal.discrepancy.fitting.nodes import (
     counts,
     explains_both,
     log_likelihood_gain,
+    needed_masses,
 )
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
-from modal.discrepancy.selection.absorbed_gain import AbsorbedGain, absorbed_gain
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
-from modal.discrepancy.selection.smaller_models import has_limit, run_without, with_limits, with_twins, without
+from modal.discrepancy.selection.smaller_models import (
+    AbsorbedGain,
+    absorbed_gain,
+    has_limit,
+    run_without,
+    with_limits,
+    with_twins,
+    without,
+)
 from modal.discrepancy.setup import circumstances_of
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
 from modal.simulation.assembly import Assembly, EffectPlacement
-from modal.simulation.sensitivity import Sensitivity
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
+from modal.simulation.trajectory import Sensitivity
 from modal.structure.placed import possible_places
 from modal.wording.numbers import listed, number, percent, times_floor_text
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 from okid.record import Record
-
-__all__ = ["Decision", "criterion", "decide_nodes", "doubted_gain", "sureness"]
 
 
 def sureness(node: Node, task: Task) -> list[float]:

@@ -23,8 +23,6 @@ from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import NEAR_FLOOR
 from okid.arrays import FloatArray
 
-__all__ = ["curves_beside", "unsettled"]
-
 MOST_WORK = 5e7
 """End the search for curves beside one model after so much work, about ten CPU seconds."""
 

@@ -38,12 +38,10 @@ from modal.effects.effect import ForceEffect
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
-from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
 from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
+from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.wording.numbers import percent
 from okid.arrays import TINY, BoolArray, FloatArray
-
-__all__ = ["SLIGHT", "lack_of_fit", "only_noise", "something", "what_is_left", "worst_left"]
 
 N_SPLINES = 7
 """Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the

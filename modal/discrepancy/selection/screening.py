@@ -23,13 +23,11 @@ from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import motion_at
 from modal.simulation.scheme import band_of, solve_band
-from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
 from modal.simulation.tolerances import ROUNDING
+from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
-
-__all__ = ["Candidate", "screen_candidates"]
 
 TRIES, MISS = 40, 1e-6
 """Give an effect's states up after so many iterations; end where the last change is this share of the largest state."""
@@ -73,13 +71,7 @@ def _nodes(motion: Motion, firsts: IndexArray) -> IndexArray:
 
 
 def _solved(
-    effect: ForceEffect,
-    shapes: Sequence[Values],
-    motion: Motion,
-    *,
-    nodes: IndexArray,
-    firsts: IndexArray,
-    dt: float,
+    effect: ForceEffect, shapes: Sequence[Values], motion: Motion, *, nodes: IndexArray, firsts: IndexArray, dt: float
 ) -> list[FloatArray | None]:
     """The states at the nodes for each shape, by Newton's method on all shapes; None where they do not settle."""
     n, n_shapes = len(nodes), len(shapes)
@@ -176,12 +168,7 @@ def _trials_of(
     item = replace(
         item, effect=effect, displacement_scale=motion.displacement_scale, velocity_scale=motion.velocity_scale
     )
-    situation = Situation(
-        motion=motion,
-        residual_frequencies=peaks,
-        dt=drive.dt,
-        longest=float(drive.time.max()),
-    )
+    situation = Situation(motion=motion, residual_frequencies=peaks, dt=drive.dt, longest=float(drive.time.max()))
     shapes = effect.starts(situation)
     motions: list[Motion | None] = [motion] * len(shapes)
     if isinstance(effect, ForceEffect) and effect.n_memory and shapes:

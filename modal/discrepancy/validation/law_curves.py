@@ -31,20 +31,28 @@ import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.results import LawCurve
-from modal.discrepancy.validation.law_forces import binned_force, force_law, loaded_law, reading_of
-from modal.discrepancy.validation.law_points import Bins, Told, bins_of, drive_before, input_sources, told_by_sources
+from modal.discrepancy.validation.law_points import (
+    Bins,
+    Told,
+    binned_force,
+    bins_of,
+    drive_before,
+    force_law,
+    input_sources,
+    loaded_law,
+    reading_of,
+    told_by_sources,
+)
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect, is_form_free
 from modal.effects.smooth_law import SmoothLaw
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
-from modal.simulation.sensitivity import Source
 from modal.simulation.tolerances import ROUNDING
+from modal.simulation.trajectory import Source
 from modal.wording.numbers import NINETY_FIVE
 from okid.arrays import FloatArray
-
-__all__ = ["law_curves", "whole_reach"]
 
 N_GRID = 201
 """Draw a law at so many points."""

@@ -25,17 +25,6 @@ from modal.wording.numbers import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
 
-__all__ = [
-    "by_the_better_hold",
-    "cut_into_spans",
-    "half_a_sample",
-    "has_half_a_sample",
-    "highest_frequency",
-    "hold_words",
-    "other_hold",
-    "span_words",
-]
-
 HALF_A_SAMPLE = (0.25, 0.75)
 """Suspect a wrong hold behind a delay that lies between these beyond whole samples."""
 

@@ -36,26 +36,6 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "GAP_TEXT",
-    "HYPOTHESES",
-    "LAW_TEXT",
-    "LEVELS",
-    "STEP_GAP",
-    "STEP_PARTS",
-    "STEP_SPECTRUM",
-    "STEP_TEXT",
-    "VERDICT_TEXT",
-    "gap_text",
-    "law_panes",
-    "law_text",
-    "log_discrepancy_page",
-    "log_steps_page",
-    "spectrum_pane",
-    "step_document",
-    "verdict_text",
-]
-
 LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
 
 
@@ -69,7 +49,7 @@ def verdict_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
     parts.append(_before_after(plan))
     runners_up = [words.runner_up_sentence(finding) for finding in diagnosis.findings if finding.runner_up]
     parts += bullets(judgement.reasons, runners_up)
-    parts += ["**Next**", *bullets(words.next_sentences(diagnosis))]
+    parts += ["**Next**", *bullets(words.next_steps(diagnosis))]
     limits = words.hidden_sentence(diagnosis)
     return "\n\n".join([*parts, *([cell(limits)] if limits else [])])
 
@@ -360,7 +340,7 @@ def _play_lines(
     columns = [
         *rr.LineStrips2D.columns(
             strips=strips, colors=colours, radii=[rr.Radius.ui_points(width)] * len(strips)
-        ).partition(counts),
+        ).partition(counts)
     ]
     _send(recording, path, plan, columns)
     recording.log(path, rr.LineStrips2D.from_fields(draw_order=8.0), static=True, strict=True)

@@ -24,16 +24,6 @@ from modal.sections.discrepancy_values import hypothesis_text, times_floor
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "DiscrepancyPlan",
-    "NumberTable",
-    "diagnosis_tables",
-    "log_histories",
-    "log_tables",
-    "planned_diagnosis",
-    "stage_part",
-]
-
 SERIES_PER_OUTPUT: Final = 8
 """Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
 

@@ -14,16 +14,7 @@ from modal.plots.histories import residual_autocorrelation
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.results import measured_responses
-from modal.recording.figure import (
-    ORANGE,
-    RED,
-    Colour,
-    Pane,
-    document_view,
-    log_chart,
-    plot_view,
-    series_view,
-)
+from modal.recording.figure import ORANGE, RED, Colour, Pane, document_view, log_chart, plot_view, series_view
 from modal.recording.plan import SHOWN_INPUTS, SHOWN_OUTPUTS, DataPlan, Plan, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import choices_text, fit_page_text, log_table
@@ -38,17 +29,6 @@ if TYPE_CHECKING:
 
     from okid.frequency_response import FrequencyResponse
 
-__all__ = [
-    "FIT_TEXT",
-    "MARKOV",
-    "WHITENESS",
-    "fit_page",
-    "inputs_view",
-    "log_fit_page",
-    "log_response_page",
-    "response_page",
-    "run_view",
-]
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
 WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)
@@ -90,7 +70,7 @@ def _log_output(
     colour, width = (PREDICTED, 1.0) if driven else (ORANGE, 1.3)
     models = [Line(channels=predicted, name="one step ahead", colour=colour, width=width)]
     residuals = [
-        Line(channels=_less(measured, predicted), name="measured - one step ahead", colour=ONE_STEP, width=1.0),
+        Line(channels=_less(measured, predicted), name="measured - one step ahead", colour=ONE_STEP, width=1.0)
     ]
     if driven:  # without inputs nothing runs freely: what is called simulated is one step
         models.append(Line(channels=simulated, name="simulated", colour=ORANGE, width=1.3))
@@ -224,11 +204,7 @@ def _everything(identification: Identification, plan: Plan) -> Any:
 def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
     import rerun.blueprint as rrb
 
-    rows = [
-        *inputs_view(plan.data),
-        run_view(identification, plan, output),
-        _window(identification, plan, output),
-    ]
+    rows = [*inputs_view(plan.data), run_view(identification, plan, output), _window(identification, plan, output)]
     shares = [0.7, 1.2, 1.8][-len(rows) :]
     return rrb.Vertical(*rows, row_shares=shares, name=label(_name(identification, output), 18))
 

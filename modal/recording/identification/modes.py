@@ -27,7 +27,7 @@ from modal.geometry.scene import (
 from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import assurance
 from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, WHITE, Pane, document_view, plot_view
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
@@ -40,21 +40,6 @@ from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
-
-__all__ = [
-    "ASSURANCE",
-    "CHOICES_TEXT",
-    "COMPLEXITY",
-    "FIELDS",
-    "MODES_TABLE",
-    "MODES_TEXT",
-    "complexity_pane",
-    "log_complexity",
-    "log_modes_page",
-    "modes_page",
-    "modes_text",
-    "placement_in",
-]
 
 COMPLEXITY: Final = "modes/complexity"
 ROOM: Final = (390.0, 230.0)

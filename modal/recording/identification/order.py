@@ -27,21 +27,6 @@ from okid.arrays import FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "MODEL_ORDER",
-    "ORDER_FIT",
-    "ORDER_TEXT",
-    "SINGULAR_VALUES",
-    "STABILISATION",
-    "is_repeatability_known",
-    "log_order_page",
-    "log_order_texts",
-    "log_poles",
-    "mark_orders",
-    "order_text",
-    "orders_of",
-]
-
 MODEL_ORDER: Final = "model_order"
 ORDER_TEXT: Final = "order/text"
 SURE: Final = 0.95

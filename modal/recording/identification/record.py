@@ -35,17 +35,6 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "LEVEL_COLOURS",
-    "log_record_page",
-    "marked",
-    "marks_path",
-    "quality_path",
-    "quality_text",
-    "record_page",
-    "spectra_pane",
-]
-
 LISTED_FINDINGS: Final = 20
 """List so many findings in words, the gravest first; the table of findings holds all."""
 

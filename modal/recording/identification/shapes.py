@@ -22,8 +22,6 @@ from okid.arrays import ComplexArray, FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = ["MOST_POINTS", "PERIODS", "Pace", "log_shape", "measured_nodes", "pace_of", "shape_path"]
-
 PERIODS: Final = 12
 """Swing so often from the start of the record to its end, in every mode: at their own rates one would see a blur."""
 
@@ -198,13 +196,7 @@ def _log_envelope(
 
 
 def _log_motion(
-    path: str,
-    recording: "rerun.RecordingStream",
-    scene: Scene,
-    pace: Pace,
-    *,
-    times: FloatArray,
-    moving: _Moving,
+    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
 ) -> None:
     import rerun as rr
 

@@ -23,20 +23,6 @@ from okid.arrays import ComplexArray, FloatArray
 if TYPE_CHECKING:
     import rerun
 
-__all__ = [
-    "DECADES",
-    "VALIDATION_TEXT",
-    "density_pane",
-    "drawn_inputs",
-    "log_validation_page",
-    "magnitude_pane",
-    "overview_columns",
-    "response_pane",
-    "two_line_limits",
-    "validation_page",
-    "validation_text",
-]
-
 MOST_RESPONSES: Final = 16
 """Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
 
@@ -234,12 +220,7 @@ def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
 
 
 def _draw_response(
-    identification: Identification,
-    recording: "rerun.RecordingStream",
-    evidence: Gathered,
-    *,
-    output: int,
-    source: int,
+    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, *, output: int, source: int
 ) -> None:
     """Magnitude over phase over coherence, one axis of frequency."""
     measured = evidence.measured
@@ -293,12 +274,7 @@ def _draw_magnitude(
 
 
 def _draw_density(
-    identification: Identification,
-    recording: "rerun.RecordingStream",
-    evidence: Gathered,
-    pane: Pane,
-    *,
-    output: int,
+    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, pane: Pane, *, output: int
 ) -> None:
     first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]

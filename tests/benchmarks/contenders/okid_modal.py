@@ -1,9 +1,7 @@
 """This repository: `modal.identify`, nothing told, through its public names alone."""
 
 REQUIREMENTS = ()
-SETTINGS = {
-    "defaults": "modal.identify(record), no option: order, band and everything else chosen by itself",
-}
+SETTINGS = {"defaults": "modal.identify(record), no option: order, band and everything else chosen by itself"}
 
 
 def identify(records, dt, *, setting, order):

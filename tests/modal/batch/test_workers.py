@@ -8,7 +8,7 @@ from multiprocessing.context import SpawnProcess
 
 import pytest
 
-from modal.batch.workers import WorkerDiedError, Workers
+from modal.batch.running import WorkerDiedError, Workers
 
 HELPERS = """
 import os, signal

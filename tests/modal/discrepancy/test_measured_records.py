@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.diagnosis import fit
 from modal.discrepancy.noise.floor import noise_floor
-from modal.discrepancy.stages import fit
 from modal.structure.given import simulate
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from engine_records import experiment, nominal
 
-from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.diagnosis import calibrate, decide, diagnose, fit, screen
 from modal.discrepancy.noise.floor import noise_floor
-from modal.discrepancy.stages import calibrate, decide, fit, screen
 from okid.errors import InvalidDataError, NumericalError
 
 

@@ -6,157 +6,43 @@ import numpy as np
 import pytest
 
 from modal.effects.catalogue import register
-from modal.effects.constant_force import ConstantForce
-from modal.effects.cubic_stiffness import CubicStiffness
 from modal.effects.effect import ForceEffect, InputEffect, ParameterKind
-from modal.effects.input_gain import InputGain
+from modal.effects.inputs import InputGain
 from modal.effects.missing_mode import MissingMode
-from modal.effects.sensor_gain import SensorGain
+from modal.effects.outside_forces import ConstantForce
+from modal.effects.sensors import SensorGain
+from modal.effects.springs import CubicStiffness
 from okid.errors import InvalidDataError
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spring(CubicStiffness):
-    key = "mine"
+def variant(base, name="Mine", **changes):
+    """A user's effect: one of the catalogue under a key of its own, with some of its attributes changed."""
+    return dataclass(frozen=True, slots=True, kw_only=True)(type(name, (base,), {"key": "mine", **changes}))()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongSlope(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force(values, motion)
-        return replace(right, by_displacement=1.01 * right.by_displacement)
+def other(base, method, change):
+    """The same with what one method gives changed by `change(right, its first two arguments)`."""
+
+    def changed(self, *arguments):
+        return change(getattr(base(), method)(*arguments), *arguments[:2])
+
+    return variant(base, **{method: changed})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForgottenVelocity(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force(values, motion)
-        return replace(right, value=right.value + 0.1 * values[0] * motion.velocity)
+def spring(change):
+    return other(CubicStiffness, "force", change)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongParameter(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force(values, motion)
-        return replace(right, by_parameter=-right.by_parameter)
+def not_linear(self, values, motion):
+    right = CubicStiffness().force([values[0] ** 2], motion)
+    return replace(right, by_parameter=2.0 * values[0] * right.by_parameter)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotLinear(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force([values[0] ** 2], motion)
-        return replace(right, by_parameter=2.0 * values[0] * right.by_parameter)
+K3, OFFSET = CubicStiffness.parameters[0], ConstantForce.parameters[0]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongShape(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force(values, motion)
-        return replace(right, by_velocity=np.zeros((1, 2)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NeverNeutral(Spring):
-    def force(self, values, motion):
-        right = CubicStiffness().force(values, motion)
-        return replace(right, value=right.value + 1.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongMemory(MissingMode):
-    key = "mine"
-
-    def advance(self, values, before, after, dt):
-        right = MissingMode().advance(values, before, after, dt)
-        return replace(right, by_velocity_after=1.1 * right.by_velocity_after)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForgottenMemory(MissingMode):
-    key = "mine"
-
-    def force(self, values, motion):
-        right = MissingMode().force(values, motion)
-        return replace(right, by_memory=np.zeros_like(right.by_memory))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Twice(Spring):
-    parameters = (CubicStiffness.parameters[0], CubicStiffness.parameters[0])
-    neutral = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoStart(Spring):
-    def starts(self, situation):
-        return ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartBelow(ConstantForce):
-    key = "mine"
-    parameters = (ParameterKind(name="offset", meaning="a force", dimension=(1, 0, 0), lower=2.0),)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoLaw(Spring):
-    law = " "
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NoKey(ForceEffect):
     pass
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoNeutral(Spring):
-    neutral = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadsAcceleration(Spring):
-    needs = frozenset({"acceleration"})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SwappedBounds(Spring):
-    parameters = (ParameterKind(name="k3", meaning="a stiffness", dimension=(1, -3, 0), lower=1.0, upper=0.0),)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongSensor(SensorGain):
-    key = "mine"
-
-    def by_parameter(self, values, output, time):
-        return np.ones((output.size, 1))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NeutralSensor(SensorGain):
-    key = "mine"
-    neutral = (2.0,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NeutralInput(InputGain):
-    key = "mine"
-    neutral = (0.0,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShortInput(InputGain):
-    key = "mine"
-
-    def apply(self, values, start, end, dt):
-        return start[1:], end[1:]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WrongInput(InputGain):
-    key = "mine"
-
-    def by_parameter(self, values, sample, start, end, dt):
-        return start[np.newaxis], start[np.newaxis], sample[np.newaxis]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,28 +82,55 @@ def test_an_input_without_derivatives_of_its_own_gets_differences():
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
-        (WrongSlope(), "'mine': by_displacement is off by"),
-        (ForgottenVelocity(), "by_velocity is off by"),
-        (WrongParameter(), "by_parameter of 'k3' is off by"),
-        (NotLinear(), "by_parameter at twice the amplitudes is off by"),
-        (WrongShape(), "by_velocity must be finite and of shape"),
-        (NeverNeutral(), "gives a force at its neutral values"),
-        (WrongMemory(), "by_velocity_after of `advance` is off by"),
-        (ForgottenMemory(), "by_memory is off by"),
-        (Twice(), "needs one or more parameters of different names"),
-        (NoStart(), "proposes no start"),
-        (StartBelow(), "a start has one finite value within its bounds"),
-        (NoLaw(), "NoLaw has no law"),
+        (
+            spring(lambda f, *_: replace(f, by_displacement=1.01 * f.by_displacement)),
+            "'mine': by_displacement is off by",
+        ),
+        (spring(lambda f, v, m: replace(f, value=f.value + 0.1 * v[0] * m.velocity)), "by_velocity is off by"),
+        (spring(lambda f, *_: replace(f, by_parameter=-f.by_parameter)), "by_parameter of 'k3' is off by"),
+        (variant(CubicStiffness, force=not_linear), "by_parameter at twice the amplitudes is off by"),
+        (spring(lambda f, *_: replace(f, by_velocity=np.zeros((1, 2)))), "by_velocity must be finite and of shape"),
+        (spring(lambda f, *_: replace(f, value=f.value + 1.0)), "gives a force at its neutral values"),
+        (
+            other(MissingMode, "advance", lambda m, *_: replace(m, by_velocity_after=1.1 * m.by_velocity_after)),
+            "by_velocity_after of `advance` is off by",
+        ),
+        (
+            other(MissingMode, "force", lambda f, *_: replace(f, by_memory=np.zeros_like(f.by_memory))),
+            "by_memory is off by",
+        ),
+        (
+            variant(CubicStiffness, parameters=(K3, K3), neutral=(0.0, 0.0)),
+            "needs one or more parameters of different names",
+        ),
+        (variant(CubicStiffness, starts=lambda self, situation: ()), "proposes no start"),
+        (
+            variant(ConstantForce, parameters=(replace(OFFSET, lower=2.0),)),
+            "a start has one finite value within its bounds",
+        ),
+        (variant(CubicStiffness, "NoLaw", law=" "), "NoLaw has no law"),
         (NoKey(), "NoKey has no key"),
-        (NoNeutral(), "needs `neutral` with one value for each"),
-        (ReadsAcceleration(), "needs ['acceleration']"),
-        (SwappedBounds(), "the lower must be below the upper"),
-        (WrongSensor(), "by_parameter of 'gain' is off by"),
-        (NeutralSensor(), "changes the output at its neutral values"),
-        (NeutralInput(), "changes the input at its neutral values"),
-        (WrongInput(), "by_parameter of 'gain' is off by"),
+        (variant(CubicStiffness, neutral=()), "needs `neutral` with one value for each"),
+        (variant(CubicStiffness, needs=frozenset({"acceleration"})), "needs ['acceleration']"),
+        (
+            variant(CubicStiffness, parameters=(replace(K3, lower=1.0, upper=0.0),)),
+            "the lower must be below the upper",
+        ),
+        (
+            other(SensorGain, "by_parameter", lambda _right, _values, output: np.ones((output.size, 1))),
+            "by_parameter of 'gain' is off by",
+        ),
+        (variant(SensorGain, neutral=(2.0,)), "changes the output at its neutral values"),
+        (variant(InputGain, neutral=(0.0,)), "changes the input at its neutral values"),
+        (
+            other(InputGain, "by_parameter", lambda right, *_: (right[0], right[0], right[2])),
+            "by_parameter of 'gain' is off by",
+        ),
         (NoForce(), "'mine' lacks a method"),
-        (ShortInput(), "must return a finite start and end"),
+        (
+            other(InputGain, "apply", lambda right, *_: (right[0][1:], right[1][1:])),
+            "must return a finite start and end",
+        ),
     ],
 )
 def test_a_fault_is_found_and_said_in_one_sentence(effect, words):
@@ -228,5 +141,5 @@ def test_a_fault_is_found_and_said_in_one_sentence(effect, words):
 
 
 def test_the_faultless_ones_pass():
-    for effect in (Spring(), ConstantForce(), MissingMode(), SensorGain(), InputGain()):
+    for effect in (variant(CubicStiffness), ConstantForce(), MissingMode(), SensorGain(), InputGain()):
         assert register(effect, catalogue={})[effect.key] is effect

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion, Situation
-from modal.effects.input_delay import DelayedInput
+from modal.effects.inputs import DelayedInput
 
 GAUSS = np.polynomial.legendre.leggauss(3)  # exact for the squares that a line times (s - 1/2) makes
 delays = st.floats(-7.0, 7.0)

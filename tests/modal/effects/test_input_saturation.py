@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion, Situation
-from modal.effects.input_saturation import InputSaturation
+from modal.effects.inputs import InputSaturation
 
 drives = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20).map(np.array)
 

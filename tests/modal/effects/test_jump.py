@@ -6,9 +6,8 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.coulomb_friction import CoulombFriction
+from modal.effects.dampers import NEAR, CoulombFriction, jump, jump_line
 from modal.effects.effect import Motion
-from modal.effects.jump import NEAR, jump, jump_line
 
 speeds = st.floats(-50.0, 50.0).map(lambda v: round(v, 4))
 widths = st.floats(1e-3, 5.0)

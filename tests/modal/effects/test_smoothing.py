@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.memoryless import LARGEST, cut_to_finite, levels, positive_part
+from modal.effects.effect import LARGEST, cut_to_finite, levels, positive_part
 
 points = st.floats(-1e3, 1e3)
 widths = st.floats(1e-6, 10.0)

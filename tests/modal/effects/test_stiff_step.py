@@ -6,7 +6,7 @@ from differences import central
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.effects.memoryless import WALL, share_of_end
+from modal.effects.effect import WALL, share_of_end
 
 stiffness = st.floats(0.0, 1e9)
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion
-from modal.effects.rate_independent import turning_point
+from modal.effects.hysteresis import turning_point
 
 
 def motion(displacement, velocity):

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from textbook_output_error import (
-    differences,
-    loop_sensitivities,
-    loop_signals,
-    loop_states,
-    random_loop_model,
-)
+from textbook_output_error import differences, loop_sensitivities, loop_signals, loop_states, random_loop_model
 
 from modal.estimation import modal_states
 from modal.estimation.modal_states import ModalParameters, SignalLayout, blocks_of, signal_grams, whole_gram

@@ -23,11 +23,7 @@ from okid.record import Record
 def a_record(seed, n_samples=400, *, noise=0.05, n_inputs=2, n_outputs=2, frequencies=(5.0, 21.0)):
     rng = np.random.default_rng(seed)
     system = modal_system(
-        rng,
-        frequencies=frequencies,
-        damping_ratios=[0.03] * len(frequencies),
-        n_inputs=n_inputs,
-        n_outputs=n_outputs,
+        rng, frequencies=frequencies, damping_ratios=[0.03] * len(frequencies), n_inputs=n_inputs, n_outputs=n_outputs
     )
     inputs = random_inputs(rng, n_samples, n_inputs)
     outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))

@@ -11,15 +11,17 @@ from modal.command import run as job
 from modal.command.main import app
 from modal.examples import demo, struck_mass
 from modal.examples.demo import demo_geometry
-from modal.examples.struck_mass import StruckMass, measured_samples, study
-from modal.examples.struck_mass_models import (
+from modal.examples.struck_mass import (
+    StruckMass,
     frequency_and_damping,
     full_order_model,
     hankel,
+    measured_samples,
     reduced_model,
     sampled_pulse,
     singular_value_shares,
     step_response,
+    study,
     truncated_model,
 )
 from modal.geometry.sensors import Geometry

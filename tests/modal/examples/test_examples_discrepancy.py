@@ -58,7 +58,7 @@ def test_the_motor_story_finds_the_drag_and_the_loss():
 def test_the_frame_is_integrated_right():
     """Against 64 Runge-Kutta steps a sample, on equations that are written out storey by storey."""
     frame, level, n_samples = Frame(noise=0), 25.0, 60
-    record = loose_joint.measured_record(frame, np.random.default_rng(6), level=level, name="run", n_samples=n_samples)
+    record = loose_joint.frame_record(frame, np.random.default_rng(6), level=level, name="run", n_samples=n_samples)
     again = np.random.default_rng(6)  # the same draws: 120 frequencies, 120 phases, then the start
     pulses = 2 * np.pi * again.uniform(0.5, 25.0, 120)
     phases = again.uniform(0.0, 2 * np.pi, 120)

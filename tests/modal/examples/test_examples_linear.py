@@ -10,7 +10,7 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import read_specification
 from modal.examples import many_records, three_storey_frame
 from modal.examples.demo import compare_with_truth
-from modal.examples.linear_structure import random_forces
+from modal.examples.story import random_forces
 from okid.readers import read_record
 
 STRUCTURES = {"frame": three_storey_frame.frame(), "modules": many_records.modules(loss=0.3)}
@@ -109,7 +109,7 @@ def test_the_frame_is_found_as_it_is(frame_run):
 def test_the_measured_file_and_the_test_file_say_what_the_script_knows(frame_run):
     """A user goes on from here with `modal-report run frame.csv --test three_storey_frame.toml`."""
     _, folder = frame_run
-    record = three_storey_frame.measured_record(np.random.default_rng(1))
+    record = three_storey_frame.storeys_record(np.random.default_rng(1))
     read = read_record(folder / "frame.csv", inputs=["force 32X+", "force 23Y+"], input_hold="zero_order")
     assert (read.output_names, read.output_units) == (record.output_names, record.output_units)
     assert read.dt == pytest.approx(record.dt, rel=1e-6)

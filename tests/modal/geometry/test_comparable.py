@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.geometry.scene import comparable_shapes, comparison_words
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import assurance
 
 POLES = (-0.1 + 8.0j, -0.2 + 30.0j)
 MOTION = np.random.default_rng(0).standard_normal((4, 2)) + 0j

@@ -67,16 +67,7 @@ def test_what_pyuff_writes_is_read(tmp_path):
     zero = np.zeros(len(numbers))
     file.write_sets(
         [
-            {
-                "type": 15,
-                "node_nums": numbers,
-                "def_cs": zero,
-                "disp_cs": zero,
-                "color": zero,
-                "x": x,
-                "y": y,
-                "z": z,
-            },
+            {"type": 15, "node_nums": numbers, "def_cs": zero, "disp_cs": zero, "color": zero, "x": x, "y": y, "z": z},
             {
                 "type": 82,
                 "trace_num": 1,

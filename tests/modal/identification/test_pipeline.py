@@ -319,10 +319,7 @@ def tally(seeds):
     for seed in seeds:
         rng = np.random.default_rng([77, seed])
         system = random_system(
-            rng,
-            n_modes=int(rng.integers(2, 6)),
-            n_inputs=int(rng.integers(1, 3)),
-            n_outputs=int(rng.integers(1, 5)),
+            rng, n_modes=int(rng.integers(2, 6)), n_inputs=int(rng.integers(1, 3)), n_outputs=int(rng.integers(1, 5))
         )
         kind = ("white", "coloured")[seed % 2]
         inputs = random_inputs(rng, int(rng.integers(2000, 4000)), system.n_inputs, kind=kind)

@@ -122,17 +122,26 @@ def by_explicit_jacobian(model: RefinedModel, variance):
     return of_poles[:n], of_poles[n:], shape, deviation(lambda one: pulses_of(one, out[:, np.newaxis] / into))
 
 
-@pytest.mark.parametrize("case", ["two records", "real pole", "other weights", "missing rows"])
-def test_white_noise_gives_what_an_explicit_jacobian_of_all_parameters_gives(case):
-    rng, truth = truth_of(11, real_poles=(-8.0,) if case == "real pole" else ())
-    inputs, clean, _ = data_of(rng, truth, (150, 120) if case == "two records" else (250,))
-    outputs = [y + [0.02, 0.05] * y.std(axis=0) * rng.standard_normal(y.shape) for y in clean]
+cases = pytest.mark.parametrize("case", ["two records", "real pole", "other weights", "missing rows"])
+
+
+def refined_case(case, seed, lengths, *, noise, whiteness_ratio):
+    """The truth of a case, a model refined on data with `noise(rng, clean)`, and its modes."""
+    rng, truth = truth_of(seed, real_poles=(-8.0,) if case == "real pole" else ())
+    inputs, clean, _ = data_of(rng, truth, lengths if case == "two records" else (250,))
+    outputs = [y + y.std(axis=0) * noise(rng, y.shape) for y in clean]
     if case == "missing rows":
         outputs[0][100:130] = np.nan
-    model = replace(refined_of(truth, inputs, outputs), whiteness_ratio=1.0)
+    model = replace(refined_of(truth, inputs, outputs), whiteness_ratio=whiteness_ratio)
     if case == "other weights":
         model = replace(model, weights=np.diag([1.0, 5.0]))
-    modes = extract_modes(model.realisation).modes
+    return truth, model, extract_modes(model.realisation).modes
+
+
+@cases
+def test_white_noise_gives_what_an_explicit_jacobian_of_all_parameters_gives(case):
+    white = lambda rng, shape: np.array([0.02, 0.05]) * rng.standard_normal(shape)  # noqa: E731
+    truth, model, modes = refined_case(case, 11, (150, 120), noise=white, whiteness_ratio=1.0)
     found = output_error_uncertainty(model, modes, n_lags=N_LAGS)
     n_rows = sum(int(rows.sum()) for rows in model.data.rows)
     loop = loop_model_of(model)
@@ -142,17 +151,10 @@ def test_white_noise_gives_what_an_explicit_jacobian_of_all_parameters_gives(cas
     compare(found, modes, model, variance)
 
 
-@pytest.mark.parametrize("case", ["two records", "real pole", "other weights", "missing rows"])
+@cases
 def test_blocks_give_what_the_scores_of_all_parameters_give(case):
-    rng, truth = truth_of(14, real_poles=(-8.0,) if case == "real pole" else ())
-    inputs, clean, _ = data_of(rng, truth, (200, 120) if case == "two records" else (250,))
-    outputs = [y + 0.05 * y.std(axis=0) * coloured(rng, y.shape) for y in clean]
-    if case == "missing rows":
-        outputs[0][100:130] = np.nan
-    model = replace(refined_of(truth, inputs, outputs), whiteness_ratio=9.0)
-    if case == "other weights":
-        model = replace(model, weights=np.diag([1.0, 5.0]))
-    modes = extract_modes(model.realisation).modes
+    noise = lambda rng, shape: 0.05 * coloured(rng, shape)  # noqa: E731
+    _, model, modes = refined_case(case, 14, (200, 120), noise=noise, whiteness_ratio=9.0)
     found = output_error_uncertainty(model, modes, n_lags=N_LAGS)
     assert found.degrees_of_freedom == len(model.data.blocks) - 1
     compare(found, modes, model, None)

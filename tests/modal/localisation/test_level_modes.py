@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from nonlinear_chain import no_force, run_chain
 from systems import chain_matrices
 
-from modal.localisation.level_fits import decay_windows
-from modal.localisation.levels import LevelModes, level_modes, tendency
-from modal.localisation.words import mode_statements
+from modal.localisation.evidence import mode_statements
+from modal.localisation.levels import LevelModes, decay_windows, level_modes, tendency
 from okid.record import Record
 
 DT, N = 0.03, 2048

@@ -164,10 +164,7 @@ def test_a_line_of_the_motion_itself_is_no_disturbance():
         (lambda level, run, rng: 0.1 * coloured(rng), "a disturbance, not a property of the structure"),
         (lambda level, run, rng: 0.1 * np.sin(9.0 * TIME)[:, np.newaxis], "a periodic disturbance"),
         (lambda level, run, rng: 0.1 + 0 * run, "an offset of a sensor or a constant force"),
-        (
-            lambda level, run, rng: 0.1 * run / level,
-            "of it does), as of friction or of the play in a joint",
-        ),
+        (lambda level, run, rng: 0.1 * run / level, "of it does), as of friction or of the play in a joint"),
         (lambda level, run, rng: 0.1 * level * coloured(rng) * (level == 3.0), "level 3 of 3 only: a contact, a limit"),
         (lambda level, run, rng: 0.1 * level * coloured(rng) * (level == 0.3), "level 1 of 3 only: a force that grows"),
     ],

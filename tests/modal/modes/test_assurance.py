@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.modes.shape_sets import assurance
+from modal.modes.shape_comparison import assurance
 from okid.errors import InvalidDataError
 
 

@@ -7,11 +7,11 @@ from systems import markov, modal_system, random_system
 from textbook_modal import textbook_era, textbook_indicators
 
 from era.realisation import HankelFactors, Realisation
-from modal.modes.extraction import extract_modes
-from modal.modes.indicators import (
+from modal.modes.extraction import (
     amplitude_coherence,
     evaluate,
     extended_amplitude_coherence,
+    extract_modes,
     mean_phase_deviation,
     mode_singular_values,
     phase_collinearity,

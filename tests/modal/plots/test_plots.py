@@ -39,8 +39,8 @@ def vector_texts(request):
 
 
 @pytest.fixture(scope="module")
-def shared_result(make_once):
-    return make_once()
+def shared_result(make_result):
+    return make_result()
 
 
 def test_every_colour_of_a_picture_belongs_to_the_page(vector_texts):
@@ -67,9 +67,9 @@ def test_every_reference_of_a_picture_is_in_it_and_in_no_other(vector_texts):
             assert seen.setdefault(identity, name) == name
 
 
-def test_same_figure_same_bytes(make_once):
+def test_same_figure_same_bytes(make_result):
     def once():
-        figure = plots.mode_shapes(make_once().modes.system, output_names=("a", "b", "c"))
+        figure = plots.mode_shapes(make_result().modes.system, output_names=("a", "b", "c"))
         return plots.svg_text(figure, name="shapes", description="shapes")
 
     assert once() == once()

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modal.plots.histories import frequencies_in_time, places_of_records
 from modal.plots.layout import Key, grid_of, row_of
 from modal.plots.panels import Panel, text_width, ticks_between
-from modal.plots.records import frequencies_in_time, places_of_records
 from modal.plots.vector import page_of, svg_text
 
 

@@ -24,8 +24,8 @@ TOWER = Geometry(
 
 
 @pytest.fixture(scope="module")
-def modes(make_once):
-    return make_once().modes.system
+def modes(make_result):
+    return make_result().modes.system
 
 
 def deflected(figure, panel=0):

@@ -1,19 +1,13 @@
 import numpy as np
 import pytest
 import scipy.signal
+from signals import answer
 
 from modal.modes.response_synthesis import measured_frf
 from modal.quality.check import check_quality
 from modal.quality.coherence import explained_share, in_excess_of_chance, modelled_share
 from okid.frequency_response import averaged_spectra, segment_length
 from okid.record import Record
-
-
-def answer(force, frequency=0.07, damping=0.03):
-    radius = np.exp(-2 * np.pi * frequency * damping)
-    poles = [1.0, -2 * radius * np.cos(2 * np.pi * frequency), radius**2]
-    motion = scipy.signal.lfilter([0.0, 1.0], poles, force)
-    return motion / motion.std()
 
 
 def found(record, what):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from modal.quality.spectrum import hum_findings, mains_lines
+from modal.quality.channels import hum_findings, mains_lines
 
 DT = 0.001
 

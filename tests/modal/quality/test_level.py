@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from modal.preparation.samples import gap_findings, missing_findings
-from modal.quality.level import is_steady, level_findings, offset_findings
+from modal.quality.channels import is_steady, level_findings, offset_findings
 from okid.record import Record
 
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from modal.quality.channels import most_white_noise
 from modal.quality.check import check_quality
-from modal.quality.spectrum import most_white_noise
 from okid.record import Record
 
 

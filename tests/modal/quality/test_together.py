@@ -2,18 +2,11 @@ import numpy as np
 import pytest
 import scipy
 import scipy.signal
+from signals import answer
 
+from modal.quality.channels import drift_findings
 from modal.quality.inputs import copy_findings, timing_findings
-from modal.quality.level import drift_findings
 from okid.record import Record
-
-
-def answer(force, frequency=0.07, damping=0.03):
-    """One mode driven by a force, one sample late, as any sampled structure without feedthrough."""
-    radius = np.exp(-2 * np.pi * frequency * damping)
-    poles = [1.0, -2 * radius * np.cos(2 * np.pi * frequency), radius**2]
-    motion = scipy.signal.lfilter([0.0, 1.0], poles, force)
-    return motion / motion.std()
 
 
 @pytest.fixture

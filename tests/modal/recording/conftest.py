@@ -7,8 +7,7 @@ import pytest
 
 from era.realisation import Realisation
 from modal.identification.result import Identification, OrderEvidence
-from modal.modes.choice import Choice, Fit
-from modal.modes.mode import ModalModel, Mode
+from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters

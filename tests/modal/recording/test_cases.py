@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from page_reader import views
 
 from modal.recording import save_recording
 from modal.recording.plan import gather, planned
@@ -61,11 +62,6 @@ def test_nothing_is_shown_that_a_viewer_without_fonts_cannot_draw(build, tmp_pat
     assert [text for text in shown if not drawn_by_the_viewer(text)] == []
     assert any("X" in text and "\\" in text for text in shown)
     assert any("□" in text for text in shown)
-
-
-def views(container):
-    for part in container.contents:
-        yield from views(part) if hasattr(part, "contents") and not hasattr(part, "origin") else [part]
 
 
 def test_missing_samples_stay_gaps(build, tmp_path, read):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from levels_by_hand import HARDENS, POLE, RESTS, VAGUE, with_levels
+from page_reader import views
 
 from modal.discrepancy.results import in_words
 from modal.recording import log_diagnosis, save_recording
@@ -21,16 +22,6 @@ HOSTILE = ("<script>alert(1)</script>", "مرحبا |`*[x](http://y)\n#\u202e")
 @pytest.fixture(scope="module")
 def stored(diagnosis, tmp_path_factory, read):
     return read(save_recording(diagnosis, tmp_path_factory.mktemp("recording") / "gap.rrd"))
-
-
-def views(container):
-    import rerun.blueprint as rrb
-
-    for part in container.contents:
-        if isinstance(part, rrb.api.Container):
-            yield from views(part)
-        else:
-            yield part
 
 
 def there(series):

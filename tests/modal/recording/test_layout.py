@@ -1,21 +1,11 @@
 """The blueprint: every view has an origin that holds something, and a name; panels are out of the way."""
 
 import pytest
+from page_reader import views
 
 from modal.recording import save_recording
 from modal.recording.plan import gather, planned
 from modal.recording.stream import GLOBAL_AXIS, blueprint
-
-
-def views(container):
-    import rerun.blueprint as rrb
-
-    for part in container.contents:
-        if isinstance(part, rrb.api.Container):
-            yield from views(part)
-        else:
-            yield part
-
 
 CASES = [
     {},

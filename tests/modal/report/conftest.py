@@ -11,13 +11,13 @@ NASTY_INPUT = "--><img src=x onerror=alert(1)>"
 
 
 @pytest.fixture(scope="session")
-def nasty(make_once):
-    return make_once(names=NASTY_NAMES, input_name=NASTY_INPUT, warnings=(f"Look at {NASTY_NAMES[0]}.",))
+def nasty(make_result):
+    return make_result(names=NASTY_NAMES, input_name=NASTY_INPUT, warnings=(f"Look at {NASTY_NAMES[0]}.",))
 
 
 @pytest.fixture(scope="session")
-def plain(make_once):
-    return make_once(warnings=("Look at floor_1.",))
+def plain(make_result):
+    return make_result(warnings=("Look at floor_1.",))
 
 
 @pytest.fixture(scope="session")

@@ -145,12 +145,7 @@ def test_lines_of_a_block_stay_lines(pages):
             ("The best guess", "Not proved", "Do not build on the named effect yet"),
             ("What is missing", "Simulate with the updated"),
         ),
-        (
-            "none",
-            0,
-            ("What could still hide", "Go on with the calibrated"),
-            ("What is missing", "What else was tried"),
-        ),
+        ("none", 0, ("What could still hide", "Go on with the calibrated"), ("What is missing", "What else was tried")),
         ("unresolved", 0, ("no effect of the catalogue explains it",), ("What is missing", "The best guess")),
     ],
 )

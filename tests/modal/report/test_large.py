@@ -17,8 +17,8 @@ BUDGET = 5_000_000
 
 
 @pytest.fixture(scope="module")
-def large(make_once):
-    return make_large(make_once())
+def large(make_result):
+    return make_large(make_result())
 
 
 @pytest.mark.slow
@@ -54,8 +54,8 @@ def test_a_mesh_of_many_nodes_moves_fewer_modes_than_a_small_structure(large):
         assert len(text) < 600_000
 
 
-def test_a_small_result_leaves_nothing_out(make_once):
-    small = make_once()
+def test_a_small_result_leaves_nothing_out(make_result):
+    small = make_result()
     several = replace(small, modes=replace(small.modes, modes=small.modes.modes[:3]))
     for picture in draw_pictures(several).values():
         assert "The first" not in picture.caption

@@ -9,8 +9,8 @@ from modal.sections.provenance import Provenance
 
 
 @pytest.fixture(scope="module")
-def document(make_once):
-    result = make_once()
+def document(make_result):
+    result = make_result()
     return result, json.loads(json_text(result, Provenance(command="c", sources=("s",))))
 
 
@@ -45,8 +45,8 @@ def test_json_keeps_names_as_they_are(nasty, nasty_files):
     assert names == nasty.records[0].output_names
 
 
-def test_csv_has_a_row_a_mode_and_equal_columns(make_once):
-    result = make_once()
+def test_csv_has_a_row_a_mode_and_equal_columns(make_result):
+    result = make_result()
     rows = list(csv.DictReader(csv_text(result).splitlines()))
     assert [float(row["frequency"]) for row in rows] == [mode.frequency for mode in result.modes]
     assert [row["verdict"] for row in rows] == [mode.verdict for mode in result.modes]

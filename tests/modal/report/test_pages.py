@@ -197,8 +197,8 @@ def test_markdown_tables_have_equal_rows(nasty_files):
         width = cells
 
 
-def test_page_without_system_modes(make_once):
-    result = make_once()
+def test_page_without_system_modes(make_result):
+    result = make_result()
     nothing = replace(result, modes=replace(result.modes, modes=result.modes.modes[3:]))
     page = Skeleton(html_text(nothing, Provenance(), {}))
     assert "No mode of the system was found." in " ".join(page.words)
@@ -206,15 +206,15 @@ def test_page_without_system_modes(make_once):
 
 
 @pytest.mark.parametrize("unit", ["m/s^2", "m"])
-def test_shapes_of_mixed_units_are_said_to_be_mixed(make_once, unit):
-    result = make_once()
+def test_shapes_of_mixed_units_are_said_to_be_mixed(make_result, unit):
+    result = make_result()
     record = replace(result.records[0], output_units=("m/s^2", "m/s^2", unit))
     caption = draw_pictures(replace(result, records=(record,)))["shapes"].caption
     assert ("different units" in caption) == (unit == "m")
 
 
-def test_without_inputs_no_picture_says_that_they_drove_the_model(make_once):
-    result = make_once()
+def test_without_inputs_no_picture_says_that_they_drove_the_model(make_result):
+    result = make_result()
     alone = tuple(record.select(inputs=[]) for record in result.records)
     markov = replace(result.markov, system=result.markov.system[:, :, :0], input_scale=np.ones(0))
     pictures = draw_pictures(replace(result, records=alone, markov=markov))
@@ -224,9 +224,9 @@ def test_without_inputs_no_picture_says_that_they_drove_the_model(make_once):
     assert "inputs alone" in draw_pictures(result)["histories"].caption
 
 
-def test_what_stands_among_the_warnings_is_not_said_again(make_once):
+def test_what_stands_among_the_warnings_is_not_said_again(make_result):
     sentence = "input 'ground' moves in 20 % of the band."
-    result = make_once(warnings=(sentence,))
+    result = make_result(warnings=(sentence,))
     result = replace(result, excitation=replace(result.excitation, messages=(sentence,)))
     for text in (html_text(result, Provenance(), {}), markdown_text(result, Provenance())):
         assert text.count("of the band") == 1

@@ -28,8 +28,7 @@ def test_shapes_stand_on_the_geometry_where_there_is_one(identification, mast):
 
 
 @pytest.mark.parametrize(
-    ("fits", "said"),
-    [([0.5, 0.9, 0.9], ""), ([0.5, np.nan, 0.9], " Tried too, but unstable: 4.")],
+    ("fits", "said"), [([0.5, 0.9, 0.9], ""), ([0.5, np.nan, 0.9], " Tried too, but unstable: 4.")]
 )
 def test_an_order_that_was_not_tried_is_not_called_unstable(identification, fits, said):
     evidence = replace(

@@ -49,10 +49,7 @@ def test_without_deviations_no_interval_is_explained(identification):
     assert "No standard deviations" in words(known(identification, std=np.nan))
 
 
-@pytest.mark.parametrize(
-    ("method", "said"),
-    [("output error", "free-run error"), ("propagation", "first order")],
-)
+@pytest.mark.parametrize(("method", "said"), [("output error", "free-run error"), ("propagation", "first order")])
 def test_the_method_is_named(identification, method, said):
     others = {"free-run error", "first order", "random weight"} - {said}
     text = words(known(identification, method=method))

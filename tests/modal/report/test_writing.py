@@ -42,10 +42,10 @@ def test_the_real_recording_is_written(plain_files):
     assert plain_files.recording.read_bytes()[:4] == b"RRF2"
 
 
-def test_same_result_same_bytes(make_once, plain_files, tmp_path, monkeypatch):
+def test_same_result_same_bytes(make_result, plain_files, tmp_path, monkeypatch):
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     again = write_report(
-        make_once(warnings=("Look at floor_1.",)),
+        make_result(warnings=("Look at floor_1.",)),
         tmp_path / "again",
         provenance=Provenance(command="modal-report run x", sources=("x",), remarks=("x",)),
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modal.sections.columns import INDICATORS
+from modal.sections.words import INDICATORS
 from modal.verdict import judgement as verdict
 
 COLUMNS = {column.key: column for column in INDICATORS}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modal.discrepancy.results import in_words
-from modal.discrepancy.validation.cautions import with_cautions
+from modal.discrepancy.validation.summary import with_cautions
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_values import (
     NAMED_WITHIN,
@@ -48,7 +48,7 @@ def test_masses_that_explain_the_records_are_the_best_guess(diagnosis_of):
     )
     assert words.diagnosis_headline(found) == "Not settled: the best guess is another mass of dof_0."
     assert found.verdict.startswith("Unresolved: the best guess is another mass of lower; ")
-    assert "mass of dof_0" in words.next_sentences(found)[0]
+    assert "mass of dof_0" in words.next_steps(found)[0]
 
 
 def test_masses_are_told_wherever_they_were_changed(diagnosis_of):
@@ -169,7 +169,7 @@ def test_none_is_no_praise_of_a_model_that_explains_nothing(diagnosis_of, output
     assert (judged.trust == "carried") == (not outputs)
     assert label is None or judged.label == label
     assert (judged.label == "Nothing explained") == (len(outputs) == 2)
-    assert ("nothing was compared but noise" in words.next_sentences(found)[0]) == (len(outputs) == 2)
+    assert ("nothing was compared but noise" in words.next_steps(found)[0]) == (len(outputs) == 2)
     assert ("explains nothing of" in found.verdict) == bool(outputs)
     assert bool(words.hidden_sentence(found)) == (len(outputs) < 2)
 

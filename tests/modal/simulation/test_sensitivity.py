@@ -8,8 +8,7 @@ from engine_plants import VALUES, imposed_motion, moved, some_records, two_masse
 
 from modal.simulation.drive import drive_of
 from modal.simulation.scheme import scheme_and_slopes
-from modal.simulation.sensitivity import Source, force_response, respond, sensitivity
-from modal.simulation.trajectory import resting_states, simulate_states
+from modal.simulation.trajectory import Source, force_response, respond, resting_states, sensitivity, simulate_states
 
 SMOOTHING = 0.3
 

@@ -1,13 +1,18 @@
 """The printed equations say what the matrices hold: they are read back and compared."""
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from modal.discrepancy import register
+from modal.effects.springs import CubicStiffness
 from modal.structure.equations import equations_of_plant, equations_of_structure, linear_sum
+from modal.structure.given import simulate
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
+from okid.errors import InvalidDataError
 
 CHAIN = StructuralModel.chain(
     [1.5, 0.8], [900.0, 700.0], [0.9, 0.4], force_dofs=[1], sensor_dofs=[0, 1], sensor_kind=("displacement", "velocity")
@@ -107,3 +112,23 @@ def test_a_plant_prints_its_state_equations() -> None:
 def test_sums() -> None:
     assert linear_sum([-1.0, 2.0], ["a", "b"]) == "-a + 2 b"
     assert linear_sum([], []) == "0"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mine(CubicStiffness):
+    key = "mine"
+
+
+def test_an_effect_of_ones_own_needs_its_catalogue_and_that_is_said() -> None:
+    mine, same = (
+        CHAIN.with_effect(Mine(), "element_1", k3=2e5),
+        CHAIN.with_effect("cubic_stiffness", "element_1", k3=2e5),
+    )
+    catalogue = register(Mine())
+    assert mine.equations(catalogue=catalogue) == same.equations().replace("cubic_stiffness", "mine")
+    drive = np.random.default_rng(1).standard_normal((200, 1))
+    found = simulate(mine, drive, dt=0.01, catalogue=catalogue)
+    np.testing.assert_array_equal(found.outputs, simulate(same, drive, dt=0.01).outputs)
+    for call in (mine.equations, lambda: simulate(mine, drive, dt=0.01)):
+        with pytest.raises(InvalidDataError, match=r"no effect 'mine' in the catalogue; pass catalogue=.*\.$"):
+            call()

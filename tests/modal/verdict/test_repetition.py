@@ -84,12 +84,7 @@ def test_a_half_gets_an_observer_that_its_rows_can_carry():
     """A long observer on half of a short record interpolates its noise; a weak mode would be lost in it."""
     rng = np.random.default_rng(6)
     system = modal_system(
-        rng,
-        frequencies=[5.0, 21.0],
-        damping_ratios=[0.03, 0.02],
-        mode_sizes=[1.0, 0.15],
-        n_inputs=1,
-        n_outputs=2,
+        rng, frequencies=[5.0, 21.0], damping_ratios=[0.03, 0.02], mode_sizes=[1.0, 0.15], n_inputs=1, n_outputs=2
     )
     inputs = random_inputs(rng, 800, 1)
     record = Record(inputs, with_noise(rng, simulate(system, inputs), 0.03), system.dt).detrended()

@@ -160,8 +160,7 @@ def test_the_smallest_part_is_named(parts, words):
 
 
 @pytest.mark.parametrize(
-    ("mode", "words"),
-    [(vibration(damping=-0.01), "grows in time"), (on_real_axis(-0.9), "a negative real pole")],
+    ("mode", "words"), [(vibration(damping=-0.01), "grows in time"), (on_real_axis(-0.9), "a negative real pole")]
 )
 def test_a_pole_that_cannot_be_a_mode_is_noise_however_well_it_repeats(mode, words):
     again = model_of(mode)
@@ -388,12 +387,7 @@ def test_a_model_larger_than_the_excitation_is_at_most_doubtful(persistency, nee
 )
 def test_a_mode_where_no_input_moves_is_not_certain(bands, verdict):
     excitation = Excitation(
-        needed_order=10,
-        persistency_order=10,
-        condition=1.0,
-        excited_share=np.ones(2),
-        excited_bands=bands,
-        messages=(),
+        needed_order=10, persistency_order=10, condition=1.0, excited_share=np.ones(2), excited_bands=bands, messages=()
     )
     mode = judged(vibration(5.0), found_with(), excitation=excitation)
     assert mode.verdict == verdict

@@ -45,14 +45,7 @@ def lvm(*, x_columns="One", decimal=".", separator="\t", samples=50, units=("New
 
 
 @pytest.mark.parametrize(
-    "layout",
-    [
-        {},
-        {"x_columns": "No"},
-        {"x_columns": "Multi"},
-        {"decimal": ","},
-        {"separator": ",", "x_columns": "No"},
-    ],
+    "layout", [{}, {"x_columns": "No"}, {"x_columns": "Multi"}, {"decimal": ","}, {"separator": ",", "x_columns": "No"}]
 )
 def test_measurement_files_of_labview(tmp_path, layout):
     text, values = lvm(**layout)

@@ -24,8 +24,7 @@ def file_with_time(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("unit", "scale"),
-    [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0), ("sec", 1.0)],
+    ("unit", "scale"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0), ("sec", 1.0)]
 )
 @pytest.mark.parametrize("brackets", ["[]", "()"])
 def test_any_unit_of_time(file_with_time, unit, scale, brackets):

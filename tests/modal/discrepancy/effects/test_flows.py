@@ -6,10 +6,8 @@ from differences import by_value, central, disagreement, force_disagreement
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.effects.effect import Motion, Situation
-from modal.effects.memoryless import WALL
-from modal.effects.overflow import Overflow
-from modal.effects.power_law_flow import PowerLawFlow
+from modal.effects.effect import WALL, Motion, Situation
+from modal.effects.flows import Overflow, PowerLawFlow
 
 exponents = st.floats(0.06, 2.9)
 rates = st.floats(0.01, 100.0)

@@ -3,9 +3,8 @@ from differences import by_value, disagreement
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.effects.input_gain import InputGain
-from modal.effects.sensor_bias import SensorBias
-from modal.effects.sensor_gain import SensorGain
+from modal.effects.inputs import InputGain
+from modal.effects.sensors import SensorBias, SensorGain
 
 signals = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20).map(np.array)
 numbers = st.floats(-10.0, 10.0)

@@ -8,10 +8,8 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.bouc_wen_hysteresis import BoucWenHysteresis, bouc_wen_flow
 from modal.effects.effect import Motion
-from modal.effects.rate_independent import stop_operator
-from modal.effects.slack_in_hysteresis import SlackInHysteresis
+from modal.effects.hysteresis import BoucWenHysteresis, SlackInHysteresis, bouc_wen_flow, stop_operator
 
 seeds = given(seed=st.integers(0, 2**32 - 1))
 

@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.effects.bilinear_stiffness import BilinearStiffness
-from modal.effects.coulomb_friction import CoulombFriction
-from modal.effects.cubic_stiffness import CubicStiffness
+from modal.effects.dampers import CoulombFriction, QuadraticDrag
 from modal.effects.effect import Motion
-from modal.effects.gap_spring import GapSpring
-from modal.effects.quadratic_drag import QuadraticDrag
-from modal.effects.quadratic_stiffness import QuadraticStiffness
-from modal.effects.sine_softening import SineSoftening
-from modal.effects.time_varying_stiffness import TimeVaryingStiffness
+from modal.effects.springs import (
+    BilinearStiffness,
+    CubicStiffness,
+    GapSpring,
+    QuadraticStiffness,
+    SineSoftening,
+    TimeVaryingStiffness,
+)
 
 coordinates = st.floats(-100.0, 100.0).map(lambda x: round(x, 6))  # no subnormal numbers: their squares are 0
 positive = st.floats(1e-3, 100.0)

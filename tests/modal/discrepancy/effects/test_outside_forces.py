@@ -4,9 +4,8 @@ from differences import force_disagreement
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.effects.constant_force import ConstantForce
 from modal.effects.effect import Motion, Situation
-from modal.effects.periodic_disturbance import PeriodicDisturbance
+from modal.effects.outside_forces import ConstantForce, PeriodicDisturbance
 
 
 def motion(*, seed=0, n=30, dt=0.01, scale=1.0):

@@ -19,7 +19,7 @@ from modal.discrepancy.fitting.estimation import (
 from modal.discrepancy.fitting.nodes import loaded
 from modal.simulation.drive import drive_of
 from modal.simulation.scheme import Budget
-from modal.simulation.sensitivity import sensitivity
+from modal.simulation.trajectory import sensitivity
 
 KEYS = ["cubic_stiffness", "quadratic_drag", "periodic_disturbance", "sensor_gain"]
 

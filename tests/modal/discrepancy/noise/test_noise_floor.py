@@ -353,12 +353,7 @@ def test_records_differ_in_length_noise_and_gaps():
     assert "bridged" in floor.reason[0]
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    scale=st.floats(-6, 6),
-    n_outputs=st.integers(1, 3),
-    gaps=st.booleans(),
-)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-6, 6), n_outputs=st.integers(1, 3), gaps=st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_variance_follows_units_and_order_of_the_outputs(seed, scale, n_outputs, gaps):
     rng = np.random.default_rng(seed)

@@ -10,7 +10,7 @@ import systems
 
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.programs.black_box import diagnose_callable
-from modal.discrepancy.programs.corrected import CorrectedCallable
+from modal.discrepancy.programs.program import CorrectedCallable
 from modal.effects.catalogue import CATALOGUE
 from modal.structure.placed import PlacedEffect
 from okid.errors import InvalidDataError
@@ -76,12 +76,7 @@ def measured(truth, *, seed, levels=(1.0, 3.0, 2.0), n_samples=500, noise=0.01):
 
 def diagnosed(simulator, records, catalogue=SOME):
     return diagnose_callable(
-        simulator,
-        *records,
-        catalogue=catalogue,
-        sensor_kind=None,
-        progress=lambda what, share: None,
-        notes=("a note",),
+        simulator, *records, catalogue=catalogue, sensor_kind=None, progress=lambda what, share: None, notes=("a note",)
     )
 
 

@@ -49,11 +49,7 @@ def test_every_output_has_its_numbers_and_the_shown_ones_their_picture(stored, i
         assert f"/validation/overview/{output:02d}/plot/synthesised" in paths
         for source in (1, 2):
             plot = f"/validation/response/{output:02d}/{source:02d}/plot"
-            parts = {
-                f"{plot}/0/measured",
-                f"{plot}/1/synthesised",
-                f"{plot}/2/with_all_inputs",
-            }
+            parts = {f"{plot}/0/measured", f"{plot}/1/synthesised", f"{plot}/2/with_all_inputs"}
             assert parts <= paths
     assert identification.records[0].n_inputs == 2
 

@@ -5,7 +5,7 @@ import pytest
 import scipy
 from systems import modal_system, simulate
 
-from okid.coefficient_covariance import block_deviations, block_grams, coefficient_covariance
+from modal.estimation.propagation import block_deviations, block_grams, coefficient_covariance
 from okid.gram import lag_gram
 from okid.least_squares import solve
 from okid.record import Record

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from okid.coefficient_covariance import coefficient_covariance
+from modal.estimation.propagation import coefficient_covariance
 from okid.gram import lag_gram
 from okid.record import Record
 from okid.scaling import channel_scaling
