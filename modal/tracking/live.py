@@ -495,6 +495,8 @@ class _Growing:
 class _Text(_Growing):
     """Whole lines of a text table, as they come."""
 
+    _table: Table
+
     def __init__(self, path: Path) -> None:
         if READERS.get(path.suffix.lower()) is not read_text:
             raise UnreadableFileError(
