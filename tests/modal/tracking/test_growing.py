@@ -9,6 +9,7 @@ import scipy
 
 import modal
 from modal.command.main import status
+from modal.command.stopping import Requests
 from modal.tracking.live import growing_blocks
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -237,3 +238,10 @@ def test_the_command_writes_modes_against_time_into_a_recording(tmp_path, writer
     assert "has not grown" in shown
     assert (tmp_path / "live.rrd").stat().st_size > 1000
     assert status(["live", str(path), *options[:2], "--window", "100", "--patience", "0.2", *options[6:]]) == 1
+
+
+def test_a_session_stopped_before_its_first_rows_is_no_fault(tmp_path, monkeypatch):
+    (tmp_path / "run.csv").write_text("time,force,tip\n")
+    monkeypatch.setattr(Requests, "asked", 0)
+    monkeypatch.setattr("modal.tracking.live.time.sleep", lambda _seconds: Requests.note(2, None))
+    assert status(["live", str(tmp_path / "run.csv"), "--inputs", "force"]) == 130
