@@ -175,6 +175,7 @@ def live(
             stop=lambda: Requests.asked > 0,
         )
         began = list(itertools.islice(blocks, BLOCKS))
+        Requests.check()
         if not began:
             raise InvalidDataError(f"{file.name} holds fewer rows than channels; write more, or wait longer.")
         if observer_order is None or order is None:

@@ -11,13 +11,19 @@ the indicators tell a mode of the system; `modal.identify` on a stretch that was
 The blocks may be rows that another program is appending to a text table or to a NumPy array. Only whole lines are
 read, so a row that is half written waits for its end. Stamps in a time column tell where rows are lost or a clock was
 set: there a block ends, and the next one says when it begins, which is all that `follow` needs to take a gap for a gap.
+What a disturbed logger writes (an infinite cell, a row without its time, a channel that is gone for a while) counts as
+missing and is said once: a session ends only where the file is no longer the one that it was.
 """
 
+import contextlib
+import itertools
+import operator
+import os
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import reduce
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +34,7 @@ from era.balanced import realise
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.modes.shape_comparison import EVEN, assurance, pair_greatest_first
+from modal.wording.numbers import listed
 from okid.arrays import FloatArray, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, UnreadableFileError
@@ -37,14 +44,14 @@ from okid.markov import recover_markov
 from okid.observer import check_channels_move, observer_fit
 from okid.readers.dispatch import READERS
 from okid.readers.guard import check_file, foreign
-from okid.readers.table import Column, Table, to_record
+from okid.readers.table import Column, Table, choose_channels, to_record
 from okid.readers.text import more_rows, read_text, table_of_text
 from okid.readers.units import convert_unit
 from okid.record import InputHold, Record
 from okid.scaling import ChannelScaling, channel_scaling
 
 REBUILT = 10_000
-"""Sum the window afresh after so many blocks: the rounding of what was added and taken off has grown till then."""
+"""Sum the window afresh once what was taken off exceeds so often what is left: its rounding stays behind till then."""
 
 ON_TIME = 0.5
 """Take a block for the next one where it begins within so many time steps of the end of the last."""
@@ -75,7 +82,6 @@ class _Part:
     """One block with the rows before it that its own rows look back to."""
 
     record: Record
-    start: float
     stop: float
     gram: LagGram
 
@@ -128,27 +134,30 @@ def follow(
     past: deque[LiveEstimate] = deque()
     scaling: ChannelScaling | None = None
     total: LagGram | None = None
-    n_blocks, end = 0, 0.0
+    taken_off, end = np.zeros(1), 0.0
     for block in blocks:
         record = _as_record(block, dt, end)
         _check(record, dt, window, observer_order, parts)
-        late = record.start_time - end
-        if parts and not -ON_TIME * dt <= late <= window:
+        if parts and not -ON_TIME * dt <= record.start_time - end <= window:
             parts.clear()
             past.clear()
             total = None
-        tail = parts[-1].record if parts and abs(late) <= ON_TIME * dt else None
         end = record.start_time + record.duration
-        n_blocks += 1
-        if scaling is None or n_blocks % REBUILT == 0:
-            scaling = channel_scaling([part.record for part in parts] + [record])
-            parts = deque(_part(part.record, None, part.start, observer_order, scaling) for part in parts)
-            total = _sum(parts)
-        parts.append(_part(record, tail, record.start_time, observer_order, scaling))
+        if scaling is None:
+            scaling = channel_scaling([record])
+        parts.append(_part(record, parts, observer_order, scaling))
         total = parts[-1].gram if total is None else total + parts[-1].gram
         while end - parts[0].stop >= window - ON_TIME * dt:
-            total = total - parts.popleft().gram
-        if end - parts[0].start < window - ON_TIME * dt:
+            gone = parts.popleft().gram
+            total, taken_off = total - gone, taken_off + np.diag(gone.matrix)
+        if (taken_off / REBUILT > np.diag(total.matrix)).any():
+            scaling = channel_scaling([part.record for part in parts])
+            afresh: deque[_Part] = deque()
+            for part in parts:
+                afresh.append(_part(part.record, afresh, observer_order, scaling))
+            parts, taken_off = afresh, np.zeros(1)
+            total = reduce(operator.add, (part.gram for part in parts))
+        if end - parts[0].record.start_time < window - ON_TIME * dt:
             continue
         estimate = _estimate(total, scaling, parts, order=order, ridge=ridge, n_lags=n_lags, past=past)
         past.append(estimate)
@@ -179,21 +188,23 @@ def _check(record: Record, dt: float, window: float, observer_order: int, parts:
         raise InvalidDataError("all blocks must have the same inputs and outputs; start again where channels change.")
 
 
-def _part(record: Record, tail: Record | None, start: float, order: int, scaling: ChannelScaling) -> _Part:
-    whole = record
-    if tail is not None:
-        # a row before the tail of `order` rows would count twice
-        last = tail.samples(max(0, tail.n_samples - order)) if tail.n_samples > order else tail
-        whole = Record(np.vstack([last.inputs, record.inputs]), np.vstack([last.outputs, record.outputs]), record.dt)
-    stop = start + record.duration
-    return _Part(record=record, start=start, stop=stop, gram=lag_gram([whole], order, scaling=scaling))
-
-
-def _sum(parts: Iterable[_Part]) -> LagGram | None:
-    total: LagGram | None = None
-    for part in parts:
-        total = part.gram if total is None else total + part.gram
-    return total
+def _part(record: Record, before: Sequence[_Part], order: int, scaling: ChannelScaling) -> _Part:
+    most = order + record.n_samples  # more rows of the past would count twice
+    start, inputs, outputs = record.start_time, record.inputs, record.outputs
+    for part in reversed(before):
+        if len(outputs) >= most or abs(start - part.stop) > ON_TIME * record.dt:
+            break
+        start = part.record.start_time
+        inputs, outputs = np.vstack([part.record.inputs, inputs]), np.vstack([part.record.outputs, outputs])
+    whole = Record(inputs[-most:], outputs[-most:], record.dt)
+    with np.errstate(over="ignore", invalid="ignore"):  # said below
+        gram = lag_gram([whole], order, scaling=scaling)
+    if not np.isfinite(gram.matrix).all():
+        raise InvalidDataError(
+            "the squares of all values must add up to a number below 1e308, but those of the block at "
+            f"{record.start_time:.6g} s do not; remove the samples that are no measurements."
+        )
+    return _Part(record=record, stop=record.start_time + record.duration, gram=gram)
 
 
 def _estimate(
@@ -207,7 +218,8 @@ def _estimate(
     past: Sequence[LiveEstimate],
 ) -> LiveEstimate:
     dt = parts[0].record.dt
-    time = 0.5 * (parts[0].start + parts[-1].stop)
+    span = parts[-1].stop - parts[0].record.start_time
+    time = parts[-1].stop - 0.5 * span
     try:
         check_channels_move([part.record for part in parts], channel_scaling([part.record for part in parts]))
         gram, own = _own_scaling(total, scaling)
@@ -216,12 +228,16 @@ def _estimate(
     except (IdentificationError, InsufficientDataError) as error:
         nothing = ModalModel(modes=(), dt=dt, indicator_caution=np.nan)
         return LiveEstimate(time=time, modes=nothing, n_rows=total.n_rows, warnings=(str(error),))
-    span = parts[-1].stop - parts[0].start
     return LiveEstimate(time=time, modes=modes, n_rows=total.n_rows, warnings=_smeared(modes, past, time, span))
 
 
 def _own_scaling(gram: LagGram, scaling: ChannelScaling) -> tuple[LagGram, ChannelScaling]:
     """The Gram matrix of channels that have mean 0 and size 1 over its own rows: exact, as phi' = T phi."""
+    if not gram.n_rows:
+        raise InsufficientDataError(
+            f"no row of the window and the {gram.order} rows before it have a number in every channel; leave out the "
+            "channel without, or use a smaller order."
+        )
     n_channels = gram.n_inputs + gram.n_outputs
     now = slice(1, 1 + n_channels)
     mean = gram.matrix[0, now] / gram.n_rows
@@ -272,6 +288,10 @@ HEAD_BYTES = 1 << 16
 """Tell the layout of a text table from so many bytes of its beginning."""
 FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
+SEEN_BYTES = 64
+"""Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
+LARGEST = 1e150
+"""Count a cell beyond this as missing: sums of its square are no numbers."""
 
 
 def growing_blocks(
@@ -300,41 +320,33 @@ def growing_blocks(
         stop: asked while waiting; True ends as if the file had stopped.
 
     Raises:
-        UnreadableFileError: no such file, no table, or one that was cut shorter while it was read.
-        InvalidDataError: no time column and no dt, or a channel that is not there.
+        UnreadableFileError: no such file, no table, or one that is removed, replaced or cut while it is read.
+        InvalidDataError: no time column and no dt, a channel that is not there, or too few rows.
     """
     path = Path(path)
     check_file(path)
-    source = _Numpy(path) if path.suffix.lower() == ".npy" else _Text(path)
-    table: Table | None = None
-    held = np.empty((0, 0))
-    end: float | None = None
-    last, complete = time.monotonic(), False
-    while not complete:
-        fresh = source.rows()
-        if len(fresh):
-            last = time.monotonic()
-            held = fresh if not held.size else np.vstack([held, fresh])
-        complete = stop() or time.monotonic() - last > patience
-        if table is None:
-            if len(held) < FEWEST_ROWS and not complete:
-                time.sleep(POLL)
-                continue
-            table = source.table(held)
-            step = _step(table, held, dt)
-            recorded = partial(to_record, kind=Record, inputs=inputs, outputs=outputs, dt=step, input_hold=input_hold)
-        n_rows = max(1, round(block / step))
-        while len(held) >= n_rows or (complete and len(held)):
-            first = _unbroken(table, held[:n_rows], step)
-            if end is not None:
-                _tell_break(table, held, end, step, tell)
-            record = _record(table, held[:first], recorded, 0.0 if end is None else end)
-            held = held[first:]
-            if record is not None:
-                end = record.start_time + record.duration
-                yield record
-        if not len(fresh) and not complete:
-            time.sleep(POLL)
+    missing = _Missing(path.name, tell)
+    with contextlib.closing(_Numpy(path) if path.suffix.lower() == ".npy" else _Text(path)) as source:
+        pieces = _pieces(source, path.name, patience, stop)
+        for first in itertools.islice(pieces, 1):
+            table = source.table(np.vstack(first[0]))
+            step = _step(table, dt)
+            into, out = choose_channels(table, inputs, outputs)
+            kept = [*into, *out]
+            chosen = replace(table, columns=tuple(table.columns[k] for k in kept))
+            n_rows = len(kept), max(len(kept), round(block / step))
+            for start, rows in _runs(table, itertools.chain([first], pieces), step, n_rows, missing):
+                if not missing.channels(table, rows, kept):
+                    record = to_record(
+                        replace(chosen, values=rows[:, kept]),
+                        Record,
+                        inputs=[table.names[k] for k in into],
+                        outputs=[table.names[k] for k in out],
+                        dt=step,
+                        input_hold=input_hold,
+                    )
+                    yield replace(record, start_time=start)
+    missing.tell_all()
     tell(
         f"{path.name} has not grown for {patience:.3g} s, so its end was taken for the end of the measurement; "
         "give a longer --patience if it may pause."
@@ -343,8 +355,144 @@ def growing_blocks(
     )
 
 
-class _Text:
+def _pieces(
+    source: "_Text | _Numpy", name: str, patience: float, stop: Callable[[], bool]
+) -> Iterator[tuple[list[FloatArray], bool]]:
+    """Rows as they come, and whether they are the last; the first ones are enough to tell the layout."""
+    waiting: list[FloatArray] = []
+    last, begun, complete = time.monotonic(), False, False
+    while not complete:
+        fresh = source.rows()
+        if len(fresh):
+            last = time.monotonic()
+            waiting.append(fresh)
+        complete = stop() or time.monotonic() - last > patience
+        begun = begun or sum(map(len, waiting)) >= FEWEST_ROWS
+        if begun:
+            yield waiting, complete
+            waiting = []
+        elif complete and not stop():
+            raise InvalidDataError(
+                f"{name} has not grown for {patience:.3g} s and holds fewer than the {FEWEST_ROWS} rows that tell its "
+                "layout and time step; write more, or give a longer --patience."
+            )
+        if not len(fresh) and not complete:
+            time.sleep(POLL)
+
+
+def _runs(
+    table: Table,
+    pieces: Iterable[tuple[list[FloatArray], bool]],
+    step: float,
+    n_rows: tuple[int, int],
+    missing: "_Missing",
+) -> Iterator[tuple[float, FloatArray]]:
+    """Rows without a gap, at least and at most so many at a time, with the time of the first [s]."""
+    fewest, most = n_rows
+    held = missing.left(table, table.values[:0])
+    end: float | None = None
+    for fresh, complete in pieces:
+        held = np.vstack([held, *(missing.left(table, rows) for rows in fresh)])
+        while len(held) >= most or (complete and len(held)):
+            n_unbroken = _unbroken(table, held[:most], step)
+            rows, held = held[:n_unbroken], held[n_unbroken:]
+            stamps = _seconds(table, rows)
+            start = float(stamps[0]) if stamps is not None else end or 0.0
+            if end is not None:
+                _tell_break(start, end, step, missing.tell)
+            if len(rows) >= fewest:
+                end = start + len(rows) * step
+                yield start, rows
+
+
+class _Missing:
+    """What counts as missing in a growing file: each kind is said where it first occurs, and all of it at the end."""
+
+    def __init__(self, name: str, tell: Callable[[str], None]) -> None:
+        self._name, self.tell = name, tell
+        self._n_rows = 0
+        self._counts: Counter[str] = Counter()
+
+    def left(self, table: Table, values: FloatArray) -> FloatArray:
+        """The rows that have a time, without cells that are no measurement; behind each its number in the file."""
+        wild = ~np.isnan(values) & ~(np.abs(values) <= LARGEST)
+        for row, column in np.argwhere(wild)[:1]:
+            what = f"holds {values[row, column]:g} in {table.names[column]!r}"
+            self._say("cells that are no measurement", f"row {self._n_rows + row + 1}", what, int(wild.sum()))
+        numbers = self._n_rows + 1.0 + np.arange(len(values))
+        self._n_rows += len(values)
+        values = np.column_stack([np.where(wild, np.nan, values), numbers])
+        stamps = _seconds(table, values)
+        lost = np.zeros(len(values), dtype=np.bool_) if stamps is None else np.isnan(stamps)
+        if lost.any():
+            self._say("rows without a time", f"row {values[lost][0, -1]:.0f}", "has no time", int(lost.sum()))
+        return values[~lost]
+
+    def channels(self, table: Table, rows: FloatArray, kept: Sequence[int]) -> bool:
+        """Whether a channel has no number in any of these rows."""
+        empty = [table.names[k] for k in kept if np.isnan(rows[:, k]).all()]
+        if empty:
+            where = f"rows {rows[0, -1]:.0f} to {rows[-1, -1]:.0f}"
+            self._say("rows without a channel", where, f"hold no number of {listed(empty)}", len(rows))
+        return bool(empty)
+
+    def _say(self, kind: str, where: str, what: str, count: int) -> None:
+        if not self._counts[kind]:
+            self.tell(f"{where} of {self._name} {what}; {kind} count as missing, here and later.")
+        self._counts[kind] += count
+
+    def tell_all(self) -> None:
+        """Say how much counted as missing."""
+        if self._counts:
+            said = [f"{kind} ({count})" for kind, count in self._counts.items()]
+            self.tell(f"missing in {self._name}: {listed(said)}.")
+
+
+class _Growing:
+    """The bytes that are appended to a file, which is held open: no other one is then taken for it."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("rb", buffering=0)
+        except OSError as error:
+            raise UnreadableFileError(f"{path} cannot be opened ({error.strerror}); check the path.") from error
+        self._path, self._at, self._last = path, 0, b""
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _behind(self) -> bytes:
+        """What stands behind all that was taken."""
+        try:
+            named, opened = self._path.stat(), os.fstat(self._file.fileno())
+        except OSError as error:
+            raise UnreadableFileError(
+                f"{self._path.name} was removed while it was followed ({error.strerror}); start again."
+            ) from error
+        self._file.seek(self._at - len(self._last))
+        data = self._file.readall()
+        how = (
+            "was replaced by another file"
+            if not os.path.samestat(named, opened)
+            else "became shorter"
+            if opened.st_size < self._at
+            else "was written anew"
+            if not data.startswith(self._last)
+            else ""
+        )
+        if how:
+            raise UnreadableFileError(f"{self._path.name} {how} while it was followed; start again.")
+        return data[len(self._last) :]
+
+    def _take(self, data: bytes) -> None:
+        self._at += len(data)
+        self._last = (self._last + data[-SEEN_BYTES:])[-SEEN_BYTES:]
+
+
+class _Text(_Growing):
     """Whole lines of a text table, as they come."""
+
+    _table: Table
 
     def __init__(self, path: Path) -> None:
         if READERS.get(path.suffix.lower()) is not read_text:
@@ -352,38 +500,29 @@ class _Text:
                 f"{path.name} is of type {path.suffix or 'none'}, whose rows cannot be followed while it grows; write "
                 "a text table (.csv, .txt, ...) or .npy."
             )
-        self._path, self._at, self._head = path, 0, b""
+        super().__init__(path)
+        self._head, self._n_lines = b"", 0
 
     def rows(self) -> FloatArray:
-        size = self._path.stat().st_size
-        if size < self._at:
-            raise UnreadableFileError(f"{self._path.name} became shorter while it was followed; start again.")
-        with self._path.open("rb") as file:
-            if not self._head:
-                data = file.read()
-                whole = data[: data.rfind(b"\n") + 1]
-                if whole.count(b"\n") < FEWEST_ROWS:
-                    return np.empty((0, 0))
-                self._head, self._at = whole[: whole[:HEAD_BYTES].rfind(b"\n") + 1], len(whole)
-                return np.array(self._parsed(whole).values)
-            file.seek(self._at)
-            data = file.read()
+        data = self._behind()
         whole = data[: data.rfind(b"\n") + 1]
-        if not whole.strip():
+        if not whole.strip() or (not self._head and whole.count(b"\n") < FEWEST_ROWS):
             return np.empty((0, 0))
-        self._at += len(whole)
-        return more_rows(whole, self._head, self._path)[:, : self._n_columns]
+        if self._head:
+            values = more_rows(whole, self._head, self._path, n_lines=self._n_lines)[:, : len(self._table.columns)]
+        else:
+            self._head = whole[: whole.find(b"\n", min(HEAD_BYTES, len(whole) - 1)) + 1]
+            self._table = table_of_text(whole, self._path)
+            values = self._table.values
+        self._take(whole)
+        self._n_lines += whole.count(b"\n")
+        return values
 
     def table(self, values: FloatArray) -> Table:
         return replace(self._table, values=values)
 
-    def _parsed(self, whole: bytes) -> Table:
-        self._table = table_of_text(whole, self._path)
-        self._n_columns = len(self._table.columns)
-        return self._table
 
-
-class _Numpy:
+class _Numpy(_Growing):
     """Rows behind the header of an array, however many the header says that there are."""
 
     def __init__(self, path: Path) -> None:
@@ -391,27 +530,20 @@ class _Numpy:
             version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, by_columns, self._dtype = read(file)
-            self._at = file.tell()
-        if by_columns or len(shape) != 2 or self._dtype.kind not in "iuf":
+            header = file.tell()
+        if by_columns or len(shape) != 2 or shape[1] < 1 or self._dtype.kind not in "iuf":
             raise UnreadableFileError(
                 f"{path.name} holds an array of {self._dtype} of shape {shape}; rows can be followed in an array of "
                 "real numbers with a row a sample, in C order."
             )
-        self._path, self._n_columns = path, shape[1]
+        super().__init__(path)
+        self._at, self._n_columns = header, shape[1]
 
     def rows(self) -> FloatArray:
-        size = self._path.stat().st_size
-        if size < self._at:
-            raise UnreadableFileError(f"{self._path.name} became shorter while it was followed; start again.")
-        width = self._n_columns * self._dtype.itemsize
-        count = (size - self._at) // width
-        if not count:
-            return np.empty((0, 0))
-        with self._path.open("rb") as file:
-            file.seek(self._at)
-            data = file.read(count * width)
-        self._at += count * width
-        return np.frombuffer(data, self._dtype).reshape(count, -1).astype(np.float64)
+        data, width = self._behind(), self._n_columns * self._dtype.itemsize
+        whole = data[: len(data) // width * width]
+        self._take(whole)
+        return np.frombuffer(whole, self._dtype).reshape(-1, self._n_columns).astype(np.float64)
 
     def table(self, values: FloatArray) -> Table:
         columns = tuple(Column(name=f"column_{index}") for index in range(self._n_columns))
@@ -429,12 +561,15 @@ def _seconds(table: Table, values: FloatArray) -> FloatArray | None:
     return stamps
 
 
-def _step(table: Table, values: FloatArray, dt: float | None) -> float:
-    stamps = _seconds(table, values)
+def _step(table: Table, dt: float | None) -> float:
+    stamps = _seconds(table, table.values)
     if dt is not None:
         return time_step(dt)
     if stamps is None:
         raise InvalidDataError(f"{table.path.name} has no time column, so the time step must be given: --dt SECONDS.")
+    stamps = stamps[np.abs(stamps) <= LARGEST]
+    if len(stamps) < 2:
+        raise InvalidDataError(f"{table.path.name} has no times in its first rows; correct them, or give --dt SECONDS.")
     return time_step(float(np.median(np.diff(stamps))))
 
 
@@ -447,23 +582,9 @@ def _unbroken(table: Table, values: FloatArray, step: float) -> int:
     return int(np.argmax(off)) + 1 if off.any() else len(values)
 
 
-def _tell_break(table: Table, values: FloatArray, end: float, step: float, tell: Callable[[str], None]) -> None:
-    stamps = _seconds(table, values[:1])
-    if stamps is None:
-        return
-    late = float(stamps[0]) - end
+def _tell_break(start: float, end: float, step: float, tell: Callable[[str], None]) -> None:
+    late = start - end
     if late > OFF_GRID * step:
-        tell(f"{late:.4g} s are missing before {stamps[0]:.6g} s; rows after the gap look back to nothing before it.")
+        tell(f"{late:.4g} s are missing before {start:.6g} s; rows after the gap look back to nothing before it.")
     elif late < -OFF_GRID * step:
-        tell(f"the clock jumped back by {-late:.4g} s to {stamps[0]:.6g} s; a new window begins there.")
-
-
-def _record(table: Table, values: FloatArray, to: Callable[[Table], Record], end: float) -> Record | None:
-    """The record of unbroken rows; None where they are fewer than the channels."""
-    if len(values) < len(table.columns):
-        return None
-    stamps = _seconds(table, values)
-    without = table.time_column()
-    kept = [k for k in range(len(table.columns)) if k != without]
-    record = to(replace(table, columns=tuple(table.columns[k] for k in kept), values=values[:, kept]))
-    return replace(record, start_time=end if stamps is None else float(stamps[0]))
+        tell(f"the clock jumped back by {-late:.4g} s to {start:.6g} s; a new window begins there.")

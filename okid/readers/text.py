@@ -18,7 +18,7 @@ import io
 import itertools
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -346,18 +346,19 @@ def table_of_text(data: bytes, path: Path) -> Table:
     return _read(io.BytesIO(data), data[:SAMPLE_BYTES], path)
 
 
-def more_rows(data: bytes, head: bytes, path: Path) -> FloatArray:
+def more_rows(data: bytes, head: bytes, path: Path, *, n_lines: int) -> FloatArray:
     """The numbers of lines that were appended to a text table, laid out as its first lines are.
 
     Args:
         data: whole lines.
         head: the first lines of the file.
         path: of the file, for messages.
+        n_lines: that stand before them in the file, for messages.
     """
     data, head = _seconds(data, path, head), _seconds(head, path)
     layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
     names = [split_header(header)[0] for header in layout.headers] or [str(k) for k in range(layout.n_columns)]
-    return _numbers(io.BytesIO(data), layout, names, path)
+    return _numbers(io.BytesIO(data), replace(layout, first_line=n_lines), names, path)
 
 
 def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -> FloatArray:

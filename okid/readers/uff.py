@@ -1,7 +1,8 @@
 """Universal files, data sets 58 and 58b: each time history in a file is one channel; frequency responses are written.
 
-pyuff finds and decodes the data sets, but takes what it gets: it returns fewer values than a cut-off set announces, and
-passes over a last set that is not closed. Both are checked here.
+pyuff finds and decodes the data sets, but takes what it gets: it returns more or fewer values than a set announces,
+reads any byte order and passes over a last set that is not closed. All that is checked here. What fills up the last
+line is no value: some programs write zeros there (https://github.com/ladisk/pyuff/issues/22).
 """
 
 import re
@@ -78,7 +79,7 @@ def read_uff(path: Path) -> Table:
     if not chosen:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
     sets = [file.read(number) for number in chosen]
-    ordinates = [_ordinate(each, path) for each in sets]
+    ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
     names = _names(sets)
     _check_same_axis(sets, names, path)
     is_si = any(states_si(each) for _, each in file.sets(SET_164))
@@ -92,7 +93,7 @@ def read_uff(path: Path) -> Table:
         step, start_time = factor * sets[0]["abscissa_inc"], factor * sets[0]["abscissa_min"]
     else:
         columns.insert(0, Column(name="time", unit=label_of(sets[0], "abscissa_axis_units_lab"), header="time"))
-        ordinates.insert(0, np.asarray(sets[0]["x"][: len(ordinates[0])], dtype=np.float64))
+        ordinates.insert(0, np.asarray(sets[0]["x"], dtype=np.float64))
     left_out = [
         LeftOut(name=f"data set {number + 1}", reason=f"it is a {_kind(head)}, not a time history")
         for number, head in heads.items()
@@ -123,9 +124,11 @@ class UniversalFile:
     kinds: tuple[int, ...]
 
     def read(self, number: int, *, header_only: bool = False) -> Set:
-        """One data set by its number."""
+        """One data set by its number; raises where a measurement announces something else than it holds."""
         result: Set = _guarded(self.path, lambda: self.file.read_sets(number, header_only=header_only))
-        return result
+        if header_only or self.kinds[number] != SET_58:
+            return result
+        return _as_announced(result, f"data set {number + 1} of {self.path.name}")
 
     def sets(self, kind: int, *, header_only: bool = False) -> Iterator[tuple[int, Set]]:
         """Number and contents of every data set of a kind."""
@@ -181,14 +184,58 @@ def _what_it_holds(path: Path, kinds: Sequence[int], heads: Sequence[Set]) -> st
     return f"{path.name} holds no data set 58 (its sets: {sets}), so no measurement; export time histories as set 58."
 
 
-def _ordinate(data_set: Set, path: Path) -> FloatArray:
-    announced, values = int(data_set["num_pts"]), np.asarray(data_set["data"], dtype=np.float64)
-    if announced < 1 or len(values) < announced:
+def _as_announced(data_set: Set, name: str) -> Set:
+    """The data set without what fills up its end: zeros in its last line of text, line ends behind binary values."""
+    if "data" not in data_set:
         raise UnreadableFileError(
-            f"a data set of {path.name} announces {announced} samples but holds {len(values)}: the file is cut off or "
-            "damaged; copy or export it again."
+            f"{name} states ordinates of type {data_set['ord_data_type']}, and the format knows 2, 4, 5 and 6; export "
+            "it again."
         )
-    return values[:announced]  # line ends after binary data may look like one value more
+    announced, held = int(data_set["num_pts"]), len(data_set["data"])
+    numbers = [data_set["data"].real]
+    if np.iscomplexobj(data_set["data"]):
+        numbers.append(data_set["data"].imag)
+    if data_set["abscissa_spacing"] == 0:
+        numbers.insert(0, data_set["x"])
+    is_double = data_set["ord_data_type"] in {4, 6}
+    if data_set["binary"]:
+        behind = np.column_stack([part[announced:] for part in numbers]).astype("f8" if is_double else "f4").tobytes()
+        is_filling = not behind.strip()
+    else:
+        a_line = (4 if is_double else 6) // len(numbers)
+        is_filling = held <= -(-announced // a_line) * a_line and not data_set["data"][announced:].any()
+    if announced < 1 or held < announced or not is_filling:
+        cause = "the file is cut off or damaged" if held < announced else "the number is wrong, or lines are doubled"
+        raise UnreadableFileError(
+            f"{name} announces {announced} samples but holds {held}: {cause}; copy or export it again."
+        )
+    if data_set["binary"]:
+        _check_binary(data_set, name, announced * (8 if is_double else 4), len(numbers))
+    start, step = data_set["abscissa_min"], data_set["abscissa_inc"]
+    if data_set["abscissa_spacing"] == 1 and not np.isfinite([start, step]).all():
+        raise UnreadableFileError(
+            f"{name} states {start:g} as the start of its axis and {step:g} as its step, and both must be numbers; "
+            "export it again."
+        )
+    return {**data_set, "x": data_set["x"][:announced], "data": data_set["data"][:announced]}
+
+
+def _check_binary(data_set: Set, name: str, ordinate_bytes: int, n_numbers: int) -> None:
+    """Raise unless the line that says how the binary values are stored agrees with what they are.
+
+    pyuff writes the bytes of one real ordinate a sample, whatever else it stores.
+    """
+    order, form = data_set["byte_ordering"], data_set["fp_format"]
+    if (order, form) not in {(1, 2), (2, 2)}:
+        raise UnreadableFileError(
+            f"{name} states byte order {order} and number format {form}; read are the orders 1 (little-endian) and 2 "
+            "(big-endian) of the format 2 (IEEE 754), so export it so, or as text."
+        )
+    if data_set["n_bytes"] not in {ordinate_bytes * n_numbers, ordinate_bytes}:
+        raise UnreadableFileError(
+            f"{name} announces {data_set['n_bytes']} bytes, but its {data_set['num_pts']} samples are "
+            f"{ordinate_bytes * n_numbers}: the file is damaged; copy or export it again."
+        )
 
 
 def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> None:
@@ -196,7 +243,7 @@ def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> N
     for other, name in zip(sets[1:], names[1:], strict=True):
         keys = ("num_pts", "abscissa_spacing", "abscissa_inc", "abscissa_min")
         differing = [key for key in keys if other[key] != first[key]]
-        same_times = first["abscissa_spacing"] == 1 or np.array_equal(first["x"], other["x"])
+        same_times = first["abscissa_spacing"] == 1 or np.array_equal(first["x"], other["x"], equal_nan=True)
         if differing or not same_times:
             key = differing[0] if differing else "x"
             words = {"num_pts": "samples", "abscissa_inc": "s as time step", "abscissa_min": "s as start"}

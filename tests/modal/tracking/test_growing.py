@@ -9,6 +9,7 @@ import scipy
 
 import modal
 from modal.command.main import status
+from modal.command.stopping import Requests
 from modal.tracking.live import growing_blocks
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -101,6 +102,128 @@ def test_what_cannot_be_followed_is_one_sentence(tmp_path, name, match):
         next(growing_blocks(tmp_path / name, inputs="force", block=1.0, patience=0.1))
 
 
+def begun(path, text, **options):
+    """The blocks of a file that holds this, of which the first one came."""
+    path.write_text(text)
+    blocks = growing_blocks(path, inputs="force", block=1.0, patience=20.0, **options)
+    next(blocks)
+    return blocks
+
+
+def replaced(path, text):
+    other = path.with_name("other.csv")
+    other.write_text(text)
+    other.replace(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda path, _text: path.unlink(), "run.csv was removed while it was followed"),
+        (replaced, "run.csv was replaced by another file"),
+        (lambda path, text: path.write_text(text[:3000]), "run.csv became shorter"),
+        (lambda path, text: path.write_text(text.replace("0.", "1.")), "run.csv was written anew"),
+    ],
+)
+def test_a_file_that_is_another_one_ends_in_one_sentence(tmp_path, change, match):
+    lines = ["time,force,tip\n", *lines_of(STAMPS, *motion())]
+    blocks = begun(tmp_path / "run.csv", "".join(lines[:700]))
+    change(tmp_path / "run.csv", "".join(lines))
+    with pytest.raises(UnreadableFileError, match=match):
+        list(blocks)
+
+
+def test_too_few_rows_are_one_sentence(tmp_path, capsys):
+    (tmp_path / "run.csv").write_text("x" * 100)
+    np.save(tmp_path / "run.npy", np.column_stack(motion())[:3])
+    for name in ("run.csv", "run.npy"):
+        with pytest.raises(InvalidDataError, match="holds fewer than the 20 rows"):
+            list(growing_blocks(tmp_path / name, inputs="column_0", dt=DT, block=1.0, patience=0.1))
+        said = []
+        stopped = growing_blocks(
+            tmp_path / name, inputs="column_0", dt=DT, block=1.0, tell=said.append, stop=lambda: True
+        )
+        assert not list(stopped)
+        assert said == [f"stopped while {name} was growing."]
+    assert status(["live", str(tmp_path / "run.csv"), "--inputs", "force", "--patience", "0.1"]) == 2
+    assert "fewer than the 20 rows" in capsys.readouterr().err
+
+
+def test_a_later_line_is_named_by_its_number_in_the_file(tmp_path):
+    lines = ["time,force,tip\n", *lines_of(STAMPS, *motion())]
+    blocks = begun(tmp_path / "run.csv", "".join(lines[:401]))
+    with (tmp_path / "run.csv").open("a") as file:
+        file.write(lines[401] + "4.01,rubbish,1\n")
+    with pytest.raises(UnreadableFileError, match=r"line 403, column 'force' of run\.csv holds 'rubbish'"):
+        list(blocks)
+
+
+@pytest.mark.parametrize(
+    ("cells", "first", "n_rows", "words"),
+    [
+        (",inf,", 5, 1, "row 6 of run.csv holds inf in 'force'; cells that are no measurement"),
+        (",0,-1e308", 700, 3, "row 701 of run.csv holds -1e+308 in 'tip'; cells that are no measurement"),
+        (",nan,nan", 700, 200, "rows 701 to 800 of run.csv hold no number of force and tip; rows without a channel"),
+    ],
+)
+def test_what_is_no_measurement_is_missing_and_said_once(tmp_path, cells, first, n_rows, words):
+    lines = lines_of(STAMPS, *motion())
+    lines[first : first + n_rows] = [line.partition(",")[0] + cells + "\n" for line in lines[first : first + n_rows]]
+    (tmp_path / "run.csv").write_text("time,force,tip\n" + "".join(lines))
+    said = []
+    blocks = list(growing_blocks(tmp_path / "run.csv", inputs="force", block=1.0, patience=0.0, tell=said.append))
+    assert said[0] == f"{words} count as missing, here and later."
+    assert said[1] == f"missing in run.csv: {words.partition('; ')[2]} ({n_rows})."
+    assert len(said) == 3
+    there = np.ones(N, dtype=bool)
+    there[first : first + n_rows] = n_rows < 100
+    assert sum(one.n_samples for one in blocks) == there.sum()
+    np.testing.assert_allclose([one.start_time for one in blocks], STAMPS[there][::100])
+    *_, last = modal.follow(blocks, dt=DT, window=3.0, observer_order=4, order=2)
+    assert last.modes.modes[0].frequency == pytest.approx(5.0, rel=0.01)
+
+
+def test_rows_without_a_time_leave_a_gap(tmp_path):
+    lines = lines_of(STAMPS, 1e3 * motion()[0], motion()[1])
+    for row in (0, 7, 700, 701, 900):
+        lines[row] = "nan" + lines[row][lines[row].index(",") :]
+    (tmp_path / "run.csv").write_text("time,force,tip\n" + "".join(lines))
+    said = []
+    blocks = list(growing_blocks(tmp_path / "run.csv", inputs="force", block=1.0, patience=0.0, tell=said.append))
+    assert said[0].startswith("row 1 of run.csv has no time; rows")
+    assert sum("no time" in text for text in said) == 1
+    assert sum("are missing before" in text for text in said) == 3
+    assert "rows without a time (5)." in said[-2]
+    force = np.full(N, np.nan)
+    for one in blocks:
+        at = round(one.start_time / DT)
+        force[at : at + one.n_samples] = one.inputs[:, 0]
+    np.testing.assert_allclose(np.delete(force, [0, 7, 700, 701, 900]), np.delete(motion()[0], [0, 7, 700, 701, 900]))
+
+
+def test_a_block_without_a_channel_keeps_the_time_of_rows_that_have_none(tmp_path):
+    values = np.column_stack(motion())
+    values[400:600, 1] = np.nan
+    np.save(tmp_path / "run.npy", values)
+    blocks = list(growing_blocks(tmp_path / "run.npy", inputs="column_0", dt=DT, block=1.0, patience=0.0))
+    np.testing.assert_allclose([one.start_time for one in blocks], [0, 1, 2, 3, *range(6, 15)], atol=1e-9)
+
+
+def test_a_column_that_counts_the_rows_never_becomes_a_channel(tmp_path):
+    lines = [f"{k},{line}" for k, line in enumerate(lines_of(STAMPS, *motion()))]
+    (tmp_path / "run.csv").write_text(",time,force,tip\n" + "".join(lines))
+    blocks = list(growing_blocks(tmp_path / "run.csv", inputs="force", block=1.0, patience=0.0))
+    assert {one.output_names for one in blocks} == {("tip",)}
+
+
+def test_lines_longer_than_the_head(tmp_path):
+    names = [f"channel {'x' * 60} {k}" for k in range(1200)]
+    row = ",".join(["1"] * 1201) + "\n"
+    (tmp_path / "run.csv").write_text(",".join(["force", *names]) + "\n" + 30 * row)
+    source = growing_blocks(tmp_path / "run.csv", inputs="force", outputs=names[0], dt=DT, block=0.1, patience=0.3)
+    assert sum(one.n_samples for one in source) == 30
+
+
 def test_the_command_writes_modes_against_time_into_a_recording(tmp_path, writer, capsys):
     force, tip = motion()
     path = tmp_path / "run.csv"
@@ -115,3 +238,10 @@ def test_the_command_writes_modes_against_time_into_a_recording(tmp_path, writer
     assert "has not grown" in shown
     assert (tmp_path / "live.rrd").stat().st_size > 1000
     assert status(["live", str(path), *options[:2], "--window", "100", "--patience", "0.2", *options[6:]]) == 1
+
+
+def test_a_session_stopped_before_its_first_rows_is_no_fault(tmp_path, monkeypatch):
+    (tmp_path / "run.csv").write_text("time,force,tip\n")
+    monkeypatch.setattr(Requests, "asked", 0)
+    monkeypatch.setattr("modal.tracking.live.time.sleep", lambda _seconds: Requests.note(2, None))
+    assert status(["live", str(tmp_path / "run.csv"), "--inputs", "force"]) == 130

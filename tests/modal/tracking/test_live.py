@@ -32,10 +32,13 @@ def blocks_of(force, tip, n_rows=150, start=0.0):
     ]
 
 
-def test_each_window_is_the_fit_of_its_own_rows():
+@pytest.mark.parametrize("n_rows", [150, 4])
+def test_each_window_is_the_fit_of_its_own_rows(n_rows):
     force, tip = driven(4.0, noise=0.05)
-    found = list(modal.follow(blocks_of(force, tip), dt=DT, window=15.0, observer_order=10, order=2, ridge=0.0))
-    assert len(found) == 1 + (N - 1500) // 150
+    force, tip = force[: 1500 + 30 * n_rows], tip[: 1500 + 30 * n_rows]
+    blocks = blocks_of(force, tip, n_rows)
+    found = list(modal.follow(blocks, dt=DT, window=15.0, observer_order=10, order=2, ridge=0.0))
+    assert len(found) == 31
     for estimate in found[::7]:
         middle = round(estimate.time / DT)
         rows = slice(max(0, middle - 750 - 10 * (middle > 750)), middle + 750)
@@ -88,6 +91,35 @@ def test_missing_samples_and_channels_at_rest_do_not_stop_it():
     assert dampings == pytest.approx([0.01] * len(dampings), rel=1e-3)
     assert "does not" in found[-1].warnings[0]
     assert len(found[-1].modes) == 0
+
+
+@pytest.mark.parametrize("spike", [1e9, 1e149])
+def test_a_spike_leaves_nothing_behind_once_it_is_out_of_the_window(spike):
+    force, tip = driven(4.0, noise=0.05)
+    spiked = tip.copy()
+    spiked[2000, 0] = spike
+    options = {"dt": DT, "window": 10.0, "observer_order": 8, "order": 2}
+    without, found = (list(modal.follow(blocks_of(force, some), **options)) for some in (tip, spiked))
+    for one, other in zip(without, found, strict=True):
+        if other.time > 20.0 + 10.0 / 2 + 1.5:
+            for mode, like in zip(one.modes.modes, other.modes.modes, strict=True):
+                assert like.frequency == pytest.approx(mode.frequency, rel=1e-6)
+                assert like.damping_ratio == pytest.approx(mode.damping_ratio, rel=1e-4)
+
+
+def test_values_without_a_square_are_refused_in_words():
+    force, tip = driven(4.0)
+    tip[2000, 0] = 1e308
+    with pytest.raises(InvalidDataError, match=r"squares of all values .* those of the block at 19\.5 s do not"):
+        list(modal.follow(blocks_of(force, tip), dt=DT, window=10.0, observer_order=8, order=2))
+
+
+def test_a_window_without_a_complete_row_says_so():
+    force, tip = driven(4.0)
+    tip[3000::2, 0] = tip[3001::2, 1] = np.nan
+    *_, last = modal.follow(blocks_of(force, tip), dt=DT, window=10.0, observer_order=8, order=2)
+    assert (len(last.modes), last.n_rows) == (0, 0)
+    assert "no row of the window" in last.warnings[0]
 
 
 def test_a_window_too_short_for_the_observer_says_what_it_needs():

@@ -8,6 +8,7 @@ import pyuff
 
 from okid.errors import IdentificationWarning, UnreadableFileError
 from okid.readers import describe_file, read_record
+from okid.readers.response import read_response
 
 RNG = np.random.default_rng(10)
 N_SAMPLES = 64
@@ -59,21 +60,35 @@ def test_uneven_abscissa_is_a_time_column(tmp_path, binary):
     np.testing.assert_allclose(record.outputs, 9.80665 * TIPS, rtol=1e-9)
 
 
-def hand_written(values, *, big_endian=False, double=False, node=1, name="NONE", label="Acceleration", unit="m/s2"):
+def hand_written(
+    values,
+    *,
+    big_endian=False,
+    double=False,
+    node=1,
+    name="NONE",
+    label="Acceleration",
+    unit="m/s2",
+    stated=(),
+    n_stated=None,
+    behind=b"",
+):
     """Data set 58b after its published definition, as analysers write it: the data end in a line end of their own."""
     order = ">" if big_endian else "<"
+    n_stated = len(values) if n_stated is None else n_stated
     data = struct.pack(f"{order}{len(values)}{'d' if double else 'f'}", *values)
+    storage = {"order": 2 if big_endian else 1, "form": 2, "n_bytes": len(data)} | dict(stated)
     lines = [
         f"{-1:6d}",
-        f"{58:6d}b{2 if big_endian else 1:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
+        f"{58:6d}b{storage['order']:6d}{storage['form']:6d}{11:12d}{storage['n_bytes']:12d}{0:6d}{0:6d}{0:12d}{0:12d}",
         *("run", "NONE", "08-Oct-24 10:27:07", "NONE", "NONE"),
         f"{1:5d}{0:10d}{0:5d}{0:10d} {name:<10s}{node:10d}{3:4d} {'NONE':<10s}{0:10d}{0:4d}",
-        f"{4 if double else 2:10d}{len(values):10d}{1:10d}{2.0:13.5E}{0.125:13.5E}{0.0:13.5E}",
+        f"{4 if double else 2:10d}{n_stated:10d}{1:10d}{2.0:13.5E}{0.125:13.5E}{0.0:13.5E}",
         f"{17:10d}{0:5d}{0:5d}{0:5d} {'Time':<20s} {'s':<20s}",
         f"{12:10d}{0:5d}{0:5d}{0:5d} {label:<20s} {unit:<20s}",
         *[f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20s} {'NONE':<20s}"] * 2,
     ]
-    return "".join(f"{line}\r\n" for line in lines).encode() + data + b"\r\n    -1\r\n"
+    return "".join(f"{line}\r\n" for line in lines).encode() + data + behind + b"\r\n    -1\r\n"
 
 
 @pytest.mark.parametrize("big_endian", [False, True])
@@ -128,6 +143,88 @@ def test_data_missing_in_the_middle(tmp_path, missing):
     (tmp_path / "a.uff").write_bytes(whole[: -missing - 10] + whole[-10:])
     with pytest.raises(UnreadableFileError, match=r"announces 64 samples but holds \d+"):
         read_record(tmp_path / "a.uff")
+
+
+def announcing(path, n_samples):
+    """The file with another number of samples in its head."""
+    path.write_bytes(path.read_bytes().replace(b"%10d" % N_SAMPLES, b"%10d" % n_samples))
+    return path
+
+
+@pytest.mark.parametrize("n_stated", [61, 60, 1, 0, -5])
+@pytest.mark.parametrize("binary", [False, True])
+def test_more_values_than_announced(tmp_path, binary, n_stated):
+    path = tmp_path / "a.uff"
+    if binary:
+        path.write_bytes(hand_written(TIPS[:, 0], n_stated=n_stated))
+    else:
+        announcing(write(path, values=TIPS[:, :1]), n_stated)
+    with pytest.raises(UnreadableFileError, match=rf"data set 1 of a.uff announces {n_stated} samples but holds 64: "):
+        read_record(path)
+
+
+@pytest.mark.parametrize("n_samples", [64, 62])
+def test_a_line_that_stands_twice(tmp_path, n_samples):
+    lines = write(tmp_path / "a.uff", values=TIPS[:n_samples, :1]).read_bytes().splitlines(keepends=True)
+    (tmp_path / "a.uff").write_bytes(b"".join([*lines[:20], lines[19], *lines[20:]]))
+    with pytest.raises(UnreadableFileError, match=rf"announces {n_samples} samples but holds {n_samples + 4}: "):
+        read_record(tmp_path / "a.uff")
+
+
+def test_what_fills_up_the_end_is_no_value(tmp_path):
+    """Zeros in the last line: https://github.com/ladisk/pyuff/issues/22."""
+    path = write(tmp_path / "a.uff", values=np.vstack([TIPS[:62, :1], np.zeros((2, 1))]))
+    np.testing.assert_allclose(read_record(announcing(path, 62)).outputs, 9.80665 * TIPS[:62, :1], rtol=1e-9)
+    with pytest.raises(UnreadableFileError, match="announces 60 samples but holds 64"):
+        read_record(announcing(write(tmp_path / "b.uff", values=np.vstack([TIPS[:60], np.zeros((4, 3))])), 60))
+    path.write_bytes(hand_written(TIPS[:, 0], double=True, behind=b"\r\n" + b" " * 14))
+    np.testing.assert_array_equal(read_record(path).outputs, TIPS[:, :1])
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ({"n_bytes": 0}, "announces 0 bytes, but its 64 samples are 256"),
+        ({"n_bytes": -8}, "announces -8 bytes"),
+        ({"n_bytes": 10**11}, "announces 100000000000 bytes"),
+        ({"order": 9}, "byte order 9"),
+        ({"form": 1}, "number format 1"),
+    ],
+)
+def test_binary_values_that_are_stored_otherwise_than_stated(tmp_path, stated, words):
+    (tmp_path / "a.uff").write_bytes(hand_written(TIPS[:, 0], stated=stated))
+    with pytest.raises(UnreadableFileError, match=words):
+        read_record(tmp_path / "a.uff")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # pyuff's writer of binary sets leaves its file open
+@pytest.mark.parametrize("spacing", [0, 1])
+def test_binary_responses_count_their_bytes_as_pyuff_does(tmp_path, spacing):
+    values = TIPS[:, :1] + 1j * TIPS[:, 1:2]
+    path = write(tmp_path / "a.uff", values=values, func_type=4, binary=1, spacing=spacing)
+    np.testing.assert_allclose(read_response(path).response[:, 0], 9.80665 * values, rtol=1e-9)
+    with pytest.raises(UnreadableFileError, match="announces 60 samples but holds 64"):
+        read_response(announcing(path, 60))
+    path.write_bytes(path.read_bytes().replace(b"%10d%10d" % (6, 60), b"%10d%10d" % (3, 60)))
+    with pytest.raises(UnreadableFileError, match="ordinates of type 3"):
+        read_response(path)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_doubles_that_are_said_to_be_singles(tmp_path):
+    """So pyuff writes binary sets when it is asked for singles."""
+    file = pyuff.UFF(str(tmp_path / "a.uff"))
+    data_set = pyuff.UFF(str(write(tmp_path / "b.uff", values=TIPS[:, :1]))).read_sets(0)
+    file.write_sets([data_set | {"binary": 1, "ord_data_type": 2}], "add", force_double=False)
+    with pytest.raises(UnreadableFileError, match="announces 64 samples but holds 128"):
+        read_record(tmp_path / "a.uff")
+
+
+def test_a_step_that_is_no_number(tmp_path):
+    path = write(tmp_path / "a.uff")
+    path.write_bytes(path.read_bytes().replace(b"1.00000e-02", b"        nan"))
+    with pytest.raises(UnreadableFileError, match="0 as the start of its axis and nan as its step"):
+        read_record(path)
 
 
 def test_different_time_axes(tmp_path):
