@@ -22,7 +22,17 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["GivenKind", "KindFound", "RecordKind", "acts", "find_kind", "given_kind", "rings_down", "variance"]
+__all__ = [
+    "GivenKind",
+    "KindFound",
+    "RecordKind",
+    "acting_rows",
+    "acts",
+    "find_kind",
+    "given_kind",
+    "rings_down",
+    "variance",
+]
 
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
@@ -151,17 +161,22 @@ def acts(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
     A record in which none acts is rest to its end: (n_samples, 0).
     """
-    found = [(record.n_samples, 0) for record in records]
+    found = []
+    for rows in acting_rows(records):
+        at = np.flatnonzero(rows)
+        found.append((int(at[0]), int(at[-1]) + 1) if at.size else (rows.size, 0))
+    return tuple(found)
+
+
+def acting_rows(records: Sequence[Record]) -> tuple[BoolArray, ...]:
+    """(n_samples,) a record: whether some input is away from rest, beyond chance and one per cent of its peak."""
+    found: list[BoolArray] = [np.zeros(record.n_samples, dtype=np.bool_) for record in records]
     for j in range(records[0].n_inputs):
         each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
         squares = np.concatenate(each)
         chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
         level = max(chance, 1e-4 * float(squares.max()))
-        rows = [np.flatnonzero(own > level) for own in each]
-        found = [
-            (min(first, *own[:1].tolist(), first), max(last, *(own[-1:] + 1).tolist(), last))
-            for (first, last), own in zip(found, rows, strict=True)
-        ]
+        found = [rows | (own > level) for rows, own in zip(found, each, strict=True)]
     return tuple(found)
 
 
