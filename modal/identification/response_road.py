@@ -23,7 +23,7 @@ from modal.estimation.response_fit import (
     refined,
     start_of,
 )
-from modal.estimation.response_noise import Noise, drawn_noise, noise_of, pole_deviations
+from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.choice import Choice, Fit
 from modal.modes.extraction import extract_modes
@@ -344,17 +344,9 @@ def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
 
     Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
     """
-    joined = _lines_joined(table)
+    joined = lines_joined(table)
     n_values = 2 * int(table.known.sum()) / joined
     return 2 * fit.error / joined + fit.n_parameters * float(np.log(n_values))
-
-
-def _lines_joined(table: ResponseLines) -> float:
-    """Sum over lines of the correlation of their errors with those of one."""
-    if table.lags is None or not table.leaks:
-        return 1.0
-    powers = [abs(table.ambiguity(m)[0][0]) ** 2 for m in range(9)]
-    return float(powers[0] + 2 * sum(powers[1:]))
 
 
 def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
@@ -380,7 +372,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         unjudged,
         reruns,
         gain=_gains(unjudged, fit.left, weight, table),
-        n_values=int(2 * table.known.sum() / _lines_joined(table)),
+        n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
     )
     modes = _named(_in_these_words(_within(found.response, modes)), found.response)
