@@ -267,8 +267,8 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
             part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
             spread += part + part.T
     # in units of their own, so that what is undetermined does not depend on how the unknowns are measured
-    size = np.outer(*2 * [np.sqrt(np.maximum(np.diag(curvature), TINY))])
-    inverse = np.linalg.pinv(curvature / size, hermitian=True) / size
+    units = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    inverse = np.linalg.pinv(curvature / np.outer(units, units), hermitian=True) / np.outer(units, units)
     covariance, least = inverse @ spread @ inverse, 0.5 * inverse / lines_joined(table)
     n_poles, pairs = fit.poles.size, np.flatnonzero(fit.is_pair)
     f_std, d_std = np.full(n_poles, np.nan), np.full(n_poles, np.nan)
@@ -278,8 +278,8 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
         rows = [r] + ([fit.inputs.size + int(np.searchsorted(pairs, r))] if fit.is_pair[r] else [])
         block, floor = covariance[np.ix_(rows, rows)], least[np.ix_(rows, rows)]
         radial = np.array([s.real, s.imag][: len(rows)]) / size
-        f_std[r] = np.sqrt(max(radial @ floor @ radial, radial @ block @ radial)) / (2 * np.pi * table.dt)
+        f_std[r] = np.sqrt(max(float(radial @ floor @ radial), float(radial @ block @ radial))) / (2 * np.pi * table.dt)
         # damping -a / |s|: its slope is -b^2 / |s|^3 by a and a b / |s|^3 by b
         bend = np.array([-(s.imag**2), s.real * s.imag][: len(rows)]) / size**3
-        d_std[r] = np.sqrt(max(bend @ floor @ bend, bend @ block @ bend))
+        d_std[r] = np.sqrt(max(float(bend @ floor @ bend), float(bend @ block @ bend)))
     return f_std, d_std

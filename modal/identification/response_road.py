@@ -14,6 +14,7 @@ import scipy
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
+from modal.estimation.force_dips import moved_by_dips
 from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
     ResponseFit,
@@ -77,6 +78,10 @@ WORDS = {
     "the observer order and ridge": "the lags that the start is made of",
 }
 """Say what was changed for a rerun of responses."""
+FORCE_DIPS = (
+    "The force dips at the resonances, as that of a shaker does which the structure loads, and the lines are too far "
+    "apart to show how: deviations hold how far the modes may be shifted by that. Average over longer blocks."
+)
 SEED = 20
 """Draw the halves of the averages from one seed, so that equal tables give equal results."""
 
@@ -344,9 +349,12 @@ def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
 
     Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
     """
+    return _schwarz(table, fit.error, fit.n_parameters)
+
+
+def _schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
     joined = lines_joined(table)
-    n_values = 2 * int(table.known.sum()) / joined
-    return 2 * fit.error / joined + fit.n_parameters * float(np.log(n_values))
+    return 2 * error / joined + n_parameters * float(np.log(2 * int(table.known.sum()) / joined))
 
 
 def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
@@ -363,6 +371,8 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     table, fit, noise = found.table, found.fit, found.noise
     model = realised(fit, table)
     frequency_std, damping_std = pole_deviations(table, fit, noise)
+    dips = moved_by_dips(table, fit, _weight(table, noise), lambda error, n: _schwarz(table, error, n))
+    frequency_std, damping_std = np.hypot(frequency_std, dips[0]), np.hypot(damping_std, dips[1])
     unjudged = _with_deviations(extract_modes(model), fit, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
     weight = _weight(table, noise)
@@ -402,7 +412,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=_warnings(found, modes, measured, tried),
+        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if dips.any() else [])),
     )
 
 

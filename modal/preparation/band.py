@@ -67,30 +67,29 @@ def coherent_band(records: Sequence[Record]) -> Band:
     nyquist = 0.5 / dt
     n_segment = _segment_length(records)
     frequencies = np.asarray(np.fft.rfftfreq(n_segment, dt), dtype=np.float64)
-    spectra, n_averages = _spectra(records, n_segment)
     n_inputs = records[0].n_inputs
+    untouched = np.ones((frequencies.size, records[0].n_outputs))
     if n_inputs and find_kind(records).kind == "transient":
         upper = _struck_up_to(records)
-        factor, untouched = _factor(records, upper), np.ones((frequencies.size, records[0].n_outputs))
+        factor = _factor(records, upper)
         reason = f"what follows a blow stands above the rest up to {upper:.4g} Hz of {nyquist:.4g} Hz: " + (
             "nothing to gain from decimation" if factor == 1 else f"decimated by {factor}"
         )
         return Band(upper_frequency=upper, factor=factor, frequencies=frequencies, coherence=untouched, reason=reason)
+    spectra, n_averages = _spectra(records, n_segment)
     if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
         return Band(
             upper_frequency=nyquist,
             factor=1,
             frequencies=frequencies,
-            coherence=np.ones((frequencies.size, records[0].n_outputs)),
+            coherence=untouched,
             reason="the whole band is kept: there is no input to compare the outputs with"
             if n_inputs == 0
             else "the whole band is kept: the record is too short between its gaps to judge coherence "
             f"({n_averages} averages of {n_segment} samples)",
         )
     coherence = _multiple_coherence(spectra, n_inputs, n_averages)
-    upper = _upper_frequency(frequencies, spectra, coherence)
-    if upper is None:
-        upper = nyquist
+    upper = _upper_frequency(frequencies, spectra, coherence) or nyquist
     factor = _factor(records, upper)
     if factor == 1:
         reason = (
