@@ -75,11 +75,21 @@ class ResponseLines:
             g = 1 / (self.z[:, np.newaxis] - both)
             return g, both * g**2
         steps = np.r_[0.0, np.arange(self.lags.size - 1.0)]
-        spectra = self._spectra(poles, np.stack([self.lags, self.lags * steps]))
+        g, dg = self._both(poles, np.stack([self.lags, self.lags * steps])).transpose(1, 0, 3, 2)
+        return g, dg
+
+    def values_of(self, poles: ComplexArray) -> ComplexArray:
+        """(2, n_lines, n_poles) g of each pole, then of its conjugate."""
+        if self.lags is None:
+            return self.basis(poles)[0]
+        return np.asarray(self._both(poles, self.lags).transpose(0, 2, 1), dtype=np.complex128)
+
+    def _both(self, poles: ComplexArray, lags: FloatArray) -> ComplexArray:
+        """(2, ..., n_poles, n_lines) transforms of each pole's powers over lags, then of its conjugate's."""
+        spectra = self._spectra(poles, lags)
         lines = self.first + np.arange(self.z.size)
         # real lags: the conjugate's spectrum is the pole's own, mirrored
-        g, dg = np.stack([spectra[..., lines], spectra[..., -lines].conj()]).transpose(1, 0, 3, 2)
-        return g, dg
+        return np.stack([spectra[..., lines], spectra[..., -lines].conj()])
 
     def transformed(self, poles: ComplexArray, lags: FloatArray | ComplexArray) -> ComplexArray:
         """(n_lines, n_poles) sum over lags k >= 1 of lambda^(k-1) lags(k) z^-k."""
@@ -210,7 +220,7 @@ def fit_at(
     for q in range(n_outputs):
         w = np.tile(weight[:, q].ravel(), 2)
         wanted = _stacked(table.values[:, q, :, np.newaxis])[:, 0]
-        basis, found = _orthonormal(w[:, np.newaxis] * columns, w * wanted)
+        basis, found = orthonormal(w[:, np.newaxis] * columns, w * wanted)
         c = found[:n_poles] + 0j
         c[pairs] += 1j * found[n_poles : n_poles + pairs.size]
         shapes[q], feedthrough[q] = c, found[n_poles + pairs.size :]
@@ -253,7 +263,7 @@ def _stacked(values: ComplexArray) -> FloatArray:
     return np.concatenate([flat.real, flat.imag])
 
 
-def _orthonormal(columns: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+def orthonormal(columns: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Orthonormal basis of what the columns span, and the coefficients that fit what is wanted.
 
     By Cholesky factors of the Gram matrix, twice over, which is as orthonormal as Householder's and a third of the work

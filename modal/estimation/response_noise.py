@@ -200,6 +200,14 @@ def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: i
     return np.asarray(scaled, dtype=np.complex128)
 
 
+def lines_joined(table: ResponseLines) -> float:
+    """Sum over lines of the correlation of their errors with those of one."""
+    if table.lags is None or not table.leaks:
+        return 1.0
+    powers = [abs(table.ambiguity(m)[0][0]) ** 2 for m in range(9)]
+    return float(powers[0] + 2 * sum(powers[1:]))
+
+
 def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
     """(n_lines, n_outputs, n_inputs) errors as the table has them, correlated over outputs and lines.
 
@@ -228,7 +236,9 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
     """(n_poles,) standard deviations of frequency [Hz] and damping ratio, for the weights 1 / variance.
 
     M^-1 S M^-1 with M the curvature and S the covariance of the slope under errors that are correlated over outputs and
-    over the lines that the window joins, and not alike in their real and imaginary parts.
+    over the lines that the window joins, and not alike in their real and imaginary parts. The correlations are those
+    of a model, and cut off where they fade, so that S may have negative parts; no deviation is less than if each line
+    told as much as those that the window joins do together.
     """
     flat = fit.slopes.reshape(-1, fit.slopes.shape[-1])
     curvature = flat.T @ flat
@@ -254,18 +264,20 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
             other = np.einsum("jlqb,lqi->lijb", scaled[:, : later.shape[0]], here, optimize=True)
             part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
             spread += part + part.T
-    inverse = np.linalg.pinv(curvature, hermitian=True)
-    covariance = inverse @ spread @ inverse
+    # in units of their own, so that what is undetermined does not depend on how the unknowns are measured
+    units = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    inverse = np.linalg.pinv(curvature / np.outer(units, units), hermitian=True) / np.outer(units, units)
+    covariance, least = inverse @ spread @ inverse, 0.5 * inverse / lines_joined(table)
     n_poles, pairs = fit.poles.size, np.flatnonzero(fit.is_pair)
     f_std, d_std = np.full(n_poles, np.nan), np.full(n_poles, np.nan)
     for r in range(n_poles):
         s = np.log(fit.poles[r])
         size = max(abs(s), TINY)
         rows = [r] + ([fit.inputs.size + int(np.searchsorted(pairs, r))] if fit.is_pair[r] else [])
-        block = covariance[np.ix_(rows, rows)]
+        block, floor = covariance[np.ix_(rows, rows)], least[np.ix_(rows, rows)]
         radial = np.array([s.real, s.imag][: len(rows)]) / size
-        f_std[r] = np.sqrt(max(0.0, radial @ block @ radial)) / (2 * np.pi * table.dt)
+        f_std[r] = np.sqrt(max(float(radial @ floor @ radial), float(radial @ block @ radial))) / (2 * np.pi * table.dt)
         # damping -a / |s|: its slope is -b^2 / |s|^3 by a and a b / |s|^3 by b
         bend = np.array([-(s.imag**2), s.real * s.imag][: len(rows)]) / size**3
-        d_std[r] = np.sqrt(max(0.0, bend @ block @ bend))
+        d_std[r] = np.sqrt(max(float(bend @ floor @ bend), float(bend @ block @ bend)))
     return f_std, d_std

@@ -7,7 +7,7 @@ Standard deviations of its modes: of the model of its noise, else of its refinem
 ERA.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,9 +16,17 @@ import numpy as np
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Folds, Trial, hankel_limits, markov_lags
+from modal.estimation.cross_validation import (
+    Folds,
+    Trial,
+    corner,
+    hankel_limits,
+    markov_lags,
+    training_decomposition,
+)
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
+from modal.estimation.modal_parameters import in_data_states
 from modal.estimation.propagation import propagated
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
@@ -92,6 +100,8 @@ def fit_all_rows(
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
 
+    A refinement of all rows that falls behind what its folds promised starts again from where the folds started.
+
     Args:
         records: that the search saw.
         found: by the search.
@@ -117,23 +127,25 @@ def fit_all_rows(
         model = None if fitted is None else _stable(fitted.decomposition, trial.model_order - 2 * trial.weak_modes)
         if fitted is None or model is None:
             continue
-        made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
-        if refinement == "auto":
-            refined = _refined(
-                records,
-                fitted,
-                model,
-                trial,
-                n_rest=n_rest,
-                by=found.ground.by,
-                feedback=feedback,
-                order_given=len(found.limits.model_orders) == 1,
-                progress=progress,
-            )
-            made = made[0], refined
-        if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
-            return made
-        fallback = fallback or made
+        for start in _starts(found, trial, model, of_folds=refinement == "auto" and not n_made):
+            made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
+            if refinement == "auto":
+                refined = _refined(
+                    records,
+                    fitted,
+                    model,
+                    trial,
+                    start=start,
+                    n_rest=n_rest,
+                    by=found.ground.by,
+                    feedback=feedback,
+                    order_given=len(found.limits.model_orders) == 1,
+                    progress=progress,
+                )
+                made = made[0], refined
+            if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
+                return made
+            fallback = fallback or made
         n_made += 1
         if n_made == MOST_MADE:
             break
@@ -143,6 +155,16 @@ def fit_all_rows(
         f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
         "be trusted; give a longer record, or remove a drift from the outputs."
     )
+
+
+def _starts(found: Search, trial: Trial, model: Realisation, *, of_folds: bool) -> Iterator[Realisation]:
+    """The model cut from all rows, then those from which the trial's folds went where it was chosen."""
+    yield model
+    for fold in range(len(found.ground.folds) if of_folds and trial.refinement_steps else 0):
+        decomposition = training_decomposition(found.ground, trial.observer_order, trial.ridge, fold, model.order)
+        start = None if decomposition is None else corner(decomposition, model.order)
+        if start is not None:
+            yield in_data_states(start, start, found.ground.scaling)
 
 
 def _keeps_promise(model: Realisation, records: Sequence[Record], trial: Trial) -> bool:
@@ -187,6 +209,7 @@ def _refined(
     model: Realisation,
     trial: Trial,
     *,
+    start: Realisation,
     n_rest: int,
     by: Folds,
     feedback: bool,
@@ -199,7 +222,7 @@ def _refined(
         evidence = realise_from(fitted.decomposition, largest)
         refined = refined_model(
             records,
-            model,
+            start,
             trial.refinement_steps,
             weak_modes=trial.weak_modes,
             evidence=evidence,

@@ -14,6 +14,7 @@ import scipy
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
+from modal.estimation.force_dips import moved_by_dips
 from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
     ResponseFit,
@@ -23,7 +24,7 @@ from modal.estimation.response_fit import (
     refined,
     start_of,
 )
-from modal.estimation.response_noise import Noise, drawn_noise, noise_of, pole_deviations
+from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
@@ -76,6 +77,10 @@ WORDS = {
     "the observer order and ridge": "the lags that the start is made of",
 }
 """Say what was changed for a rerun of responses."""
+FORCE_DIPS = (
+    "The force dips at the resonances, as that of a shaker does which the structure loads, and the lines are too far "
+    "apart to show how: deviations hold how far the modes may be shifted by that. Average over longer blocks."
+)
 SEED = 20
 """Draw the halves of the averages from one seed, so that equal tables give equal results."""
 
@@ -343,17 +348,12 @@ def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
 
     Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
     """
-    joined = _lines_joined(table)
-    n_values = 2 * int(table.known.sum()) / joined
-    return 2 * fit.error / joined + fit.n_parameters * float(np.log(n_values))
+    return _schwarz(table, fit.error, fit.n_parameters)
 
 
-def _lines_joined(table: ResponseLines) -> float:
-    """Sum over lines of the correlation of their errors with those of one."""
-    if table.lags is None or not table.leaks:
-        return 1.0
-    powers = [abs(table.ambiguity(m)[0][0]) ** 2 for m in range(9)]
-    return float(powers[0] + 2 * sum(powers[1:]))
+def _schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
+    joined = lines_joined(table)
+    return 2 * error / joined + n_parameters * float(np.log(2 * int(table.known.sum()) / joined))
 
 
 def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
@@ -370,6 +370,8 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     table, fit, noise = found.table, found.fit, found.noise
     model = realised(fit, table)
     frequency_std, damping_std = pole_deviations(table, fit, noise)
+    dips = moved_by_dips(table, fit, _weight(table, noise), lambda error, n: _schwarz(table, error, n))
+    frequency_std, damping_std = np.hypot(frequency_std, dips[0]), np.hypot(damping_std, dips[1])
     unjudged = _with_deviations(extract_modes(model), fit, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
     weight = _weight(table, noise)
@@ -379,7 +381,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         unjudged,
         reruns,
         gain=_gains(unjudged, fit.left, weight, table),
-        n_values=int(2 * table.known.sum() / _lines_joined(table)),
+        n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
     )
     modes = _named(_in_these_words(_within(found.response, modes)), found.response)
@@ -409,7 +411,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=_warnings(found, modes, measured, tried),
+        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if dips.any() else [])),
     )
 
 

@@ -368,9 +368,12 @@ def with_feedback(result: Identification, moved: FloatArray | None) -> Identific
 
 
 def _wants_a_longer_observer(found: Search) -> bool:
-    """The largest order was taken, and every lower one that was tried is clearly worse."""
+    """The largest order was taken, and every lower one that was tried is clearly worse.
+
+    More rows of what was struck or let go are rest, and carry nothing.
+    """
     orders = found.limits.observer_orders
-    if len(orders) == 1 or found.chosen.observer_order < max(orders):
+    if found.ground.by == "rows" or len(orders) == 1 or found.chosen.observer_order < max(orders):
         return False
     lower = min((t.error for t in found.trials if t.observer_order < max(orders)), default=np.inf)
     return lower > WITHIN * found.chosen.error

@@ -2,6 +2,9 @@
 
 Above it a record holds noise alone; keeping it would spend most of the observer on noise. Oversampled records are
 decimated to that band, inputs and outputs through the same filter.
+
+Where inputs move throughout, coherence tells it. After a blow nearly every segment holds nothing that acts, and
+averages over them hide what the blow does: there the band is what rows after a blow show above those at rest.
 """
 
 from collections.abc import Sequence
@@ -10,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from okid.arrays import ComplexArray, FloatArray
+from modal.preparation.kind import acting_rows, find_kind
+from okid.arrays import TINY, ComplexArray, FloatArray
 from okid.record import Record
 
 __all__ = ["FOLLOWS", "Band", "chance_of_following", "coherent_band", "missed_share"]
@@ -21,6 +25,10 @@ COHERENT_POWER = 0.9999
 """Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
 FEWEST_SAMPLES = 500
 """A record is not decimated to fewer samples than this."""
+LENGTHS = (64, 256, 1024)
+"""Look at so many rows after each blow: an answer stands out most over as many rows as it takes."""
+NEIGHBOURS = 8
+"""Take for rest what so many lines on either side have in the median: a line that stands out of them is an answer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,27 +67,30 @@ def coherent_band(records: Sequence[Record]) -> Band:
     nyquist = 0.5 / dt
     n_segment = _segment_length(records)
     frequencies = np.asarray(np.fft.rfftfreq(n_segment, dt), dtype=np.float64)
-    spectra, n_averages = _spectra(records, n_segment)
     n_inputs = records[0].n_inputs
+    untouched = np.ones((frequencies.size, records[0].n_outputs))
+    if n_inputs and find_kind(records).kind == "transient":
+        upper = _struck_up_to(records)
+        factor = _factor(records, upper)
+        reason = f"what follows a blow stands above the rest up to {upper:.4g} Hz of {nyquist:.4g} Hz: " + (
+            "nothing to gain from decimation" if factor == 1 else f"decimated by {factor}"
+        )
+        return Band(upper_frequency=upper, factor=factor, frequencies=frequencies, coherence=untouched, reason=reason)
+    spectra, n_averages = _spectra(records, n_segment)
     if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
         return Band(
             upper_frequency=nyquist,
             factor=1,
             frequencies=frequencies,
-            coherence=np.ones((frequencies.size, records[0].n_outputs)),
+            coherence=untouched,
             reason="the whole band is kept: there is no input to compare the outputs with"
             if n_inputs == 0
             else "the whole band is kept: the record is too short between its gaps to judge coherence "
             f"({n_averages} averages of {n_segment} samples)",
         )
     coherence = _multiple_coherence(spectra, n_inputs, n_averages)
-    upper = _upper_frequency(frequencies, spectra, coherence)
-    if upper is None:
-        upper = nyquist
-    shortest = sum(record.n_samples for record in records)
-    factor = max(1, min(int(nyquist / (1.25 * upper)), shortest // FEWEST_SAMPLES))
-    while factor > 1 and any(record.n_samples < 60 * factor for record in records):
-        factor -= 1
+    upper = _upper_frequency(frequencies, spectra, coherence) or nyquist
+    factor = _factor(records, upper)
     if factor == 1:
         reason = (
             f"the outputs follow the inputs up to {upper:.4g} Hz of {nyquist:.4g} Hz: nothing to gain from decimation"
@@ -90,6 +101,49 @@ def coherent_band(records: Sequence[Record]) -> Band:
             f"record goes to {nyquist:.4g} Hz: decimated by {factor}"
         )
     return Band(upper_frequency=upper, factor=factor, frequencies=frequencies, coherence=coherence, reason=reason)
+
+
+def _factor(records: Sequence[Record], upper: float) -> int:
+    """That leaves a fifth of the new band above the upper frequency, and enough samples."""
+    total = sum(record.n_samples for record in records)
+    factor = max(1, min(int(0.5 / records[0].dt / (1.25 * upper)), total // FEWEST_SAMPLES))
+    while factor > 1 and any(record.n_samples < 60 * factor for record in records):
+        factor -= 1
+    return factor
+
+
+def _struck_up_to(records: Sequence[Record]) -> float:
+    """Highest frequency at which rows after a blow have more power than rest has by chance, the last one if none has.
+
+    Rest is what half of the segments in which nothing acts stay below (line by line, then in the median over lines
+    nearby, which is ln 2 times the mean of exponentially distributed powers); the power after n blows over it is then
+    gamma-distributed. The least chance of all lines, outputs and lengths counts, times their number (Bonferroni).
+    """
+    acting: list[BoolArray] = [np.asarray(rows.any(axis=1)) for rows in acting_rows(records)]
+    struck = [(np.nan_to_num(one.outputs), rows) for one, rows in zip(records, acting, strict=True) if rows.any()]
+    lengths = [n for n in LENGTHS if 4 * n <= min(rows.size for _, rows in struck)]
+    highest = 0.0
+    for n in lengths:
+        ratios, n_blows = np.zeros((n // 2 + 1, records[0].n_outputs)), 0
+        for outputs, rows in struck:
+            quiet = [k for k in range(0, rows.size - n + 1, n // 2) if not rows[k : k + n].any()]
+            blows = [k for k in np.flatnonzero(rows[: 1 - n]) if not rows[max(0, k - n) : k].any()]
+            if not quiet or not blows:
+                continue
+            rest = np.median([_power(outputs[k : k + n]) for k in quiet], axis=0)
+            rest = scipy.ndimage.median_filter(rest, size=(2 * NEIGHBOURS + 1, 1), mode="nearest") / np.log(2)
+            ratios += np.sum([_power(outputs[k : k + n]) for k in blows], axis=0) / np.maximum(rest, TINY)
+            n_blows += len(blows)
+        chance = scipy.special.gammaincc(max(1, n_blows), ratios).min(axis=1) * ratios.size * len(lengths)
+        above = np.flatnonzero(chance < FOLLOWS)
+        highest = max(highest, above[-1] / (n * records[0].dt) if above.size else 0.0)
+    return float(highest or 0.5 / records[0].dt)
+
+
+def _power(rows: FloatArray) -> FloatArray:
+    """(n_lines, n_columns) of a Hann-windowed segment, its mean removed."""
+    window = np.hanning(len(rows) + 2)[1:-1, np.newaxis]
+    return np.asarray(np.abs(np.fft.rfft((rows - rows.mean(axis=0)) * window, axis=0)) ** 2)
 
 
 def missed_share(records: Sequence[Record], left: Sequence[FloatArray]) -> float:

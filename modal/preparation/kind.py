@@ -170,14 +170,18 @@ def acts(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
 def acting_rows(records: Sequence[Record]) -> list[BoolArray]:
     """(n_samples, n_inputs) a record: rows in which an input is away from rest, beyond chance and 1 % of its peak."""
-    found = []
+    found: list[list[BoolArray]] = [[] for _ in records]
     for j in range(records[0].n_inputs):
         each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
         squares = np.concatenate(each)
         chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
         level = max(chance, 1e-4 * float(squares.max()))
-        found.append([own > level for own in each])
-    return [np.array(own).T for own in zip(*found, strict=True)]
+        for columns, own in zip(found, each, strict=True):
+            columns.append(own > level)
+    return [
+        np.reshape(np.array(columns, dtype=np.bool_), (len(columns), record.n_samples)).T
+        for columns, record in zip(found, records, strict=True)
+    ]
 
 
 def _active_share(columns: Sequence[FloatArray]) -> float:

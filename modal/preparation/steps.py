@@ -120,15 +120,18 @@ def prepare(
     trials = FreedTrials.of(filling.records)
     integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
-    banded, factor, band = _to_band(filling.records, decimation, number)
-    n_rest: tuple[int, ...]
+    n_rest: tuple[int, ...] = (0,) * len(centred) if rested is None else rested.n_rest
+    measured = tuple(one.samples(n) for one, n in zip(filling.records, n_rest, strict=True))
+    if kind == "decay":  # nobody measured a release
+        measured = tuple(one.select(inputs=[]) for one in measured)
+    banded, factor, band = _to_band(filling.records, decimation, number, measured)
     centring: tuple[Choice, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
-        centring, n_rest = (_MEAN,), (0,) * len(banded)
+        centring = (_MEAN,)
     else:
         lost = filter_half_length(factor) if factor > 1 else 0
-        n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in rested.n_rest)
+        n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in n_rest)
         centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
@@ -204,11 +207,14 @@ def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice,
 
 
 def _to_band(
-    records: Sequence[Record], decimation: int | Literal["auto"], n_integrators: int
+    records: Sequence[Record], decimation: int | Literal["auto"], n_integrators: int, measured: Sequence[Record]
 ) -> tuple[tuple[Record, ...], int, Choice]:
-    """Decimated records, the factor and why; outputs that integrate are compared by what they integrate."""
+    """Decimated records, the factor and why; outputs that integrate are compared by what they integrate.
+
+    They are compared as measured: rows of rest that stand in front are quieter than the record's own rest.
+    """
     if decimation == "auto":
-        compared = [replace(record, outputs=_differences(record.outputs, n_integrators)) for record in records]
+        compared = [replace(record, outputs=_differences(record.outputs, n_integrators)) for record in measured]
         band = coherent_band(compared)
         factor, reason = band.factor, band.reason
     else:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from response_tables import table_of
+from response_tables import averaged, drawn_structure, held_response, table_of
 from typer.testing import CliRunner
 
 import modal
@@ -86,6 +86,50 @@ def test_damping_is_not_that_of_the_window(window):
         assert abs(mode.frequency - f) < 5 * mode.frequency_std
         assert abs(mode.damping_ratio - d) < 5 * mode.damping_ratio_std < d
     assert any("window of the blocks is not stated" in text for text in result.warnings) == (window == "unknown")
+
+
+def identified_shaker(seed):
+    test = table_of(seed, window="hann", n_samples=1024, kind="shaker")
+    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
+    return test, modal.identify(FrequencyResponse(test.response, test.frequencies, **known))
+
+
+@pytest.mark.parametrize("seed", [341, 342])
+def test_a_force_that_dips_at_resonances_widens_the_intervals(seed):
+    """Deviations of a force that is white over a resonance are up to twenty times too small."""
+    test, result = identified_shaker(seed)
+    assert any("force dips at the resonances" in text for text in result.warnings)
+    pairs = [
+        (min(result.modes, key=lambda mode: abs(mode.frequency - f)), f, d)
+        for f, d in zip(test.true_frequencies, test.true_damping, strict=True)
+    ]
+    near = [(mode, f, d) for mode, f, d in pairs if abs(mode.frequency - f) < 0.005 * f and mode.verdict != "noise"]
+    assert len(near) >= 3
+    for mode, f, d in near:
+        assert abs(mode.frequency - f) < 4 * mode.frequency_std < 0.05 * f
+        assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
+
+
+def test_a_white_force_has_no_dips():
+    f, damping, shapes = drawn_structure(np.random.default_rng(59), 100.0)
+    rng = np.random.default_rng(60)
+    force = rng.standard_normal((65536, 1))
+    outputs = held_response(force, f, damping, shapes, shapes[:1], dt=0.01)
+    outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    response, coherence, n_averages = averaged(force, outputs, "hann", 1024)
+    grid = np.arange(513) * 100.0 / 1024
+    result = modal.identify(
+        FrequencyResponse(response, grid, window="hann", coherence=coherence, n_averages=n_averages)
+    )
+    assert not result.warnings
+    assert all(mode.frequency_std < 1e-3 * mode.frequency for mode in result.modes.system)
+    assert len(result.modes.system) >= 4
+
+
+def test_no_deviation_is_zero():
+    """The covariance of joined lines comes from a model of the leakage, and may have negative parts."""
+    _, result = identified_shaker(310)
+    assert all(mode.frequency_std > 0 for mode in result.modes)
 
 
 def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):

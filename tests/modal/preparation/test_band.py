@@ -165,3 +165,37 @@ def test_segments_shorter_than_a_modes_memory_accuse_nothing(seed):
     motion = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], force)
     outputs = np.outer(motion, (1.0, -0.5)) + 0.02 * rng.standard_normal((250, 2))
     assert chance_of_following([Record(force, outputs, 0.02)], [3.0], [0.03])[0] < FOLLOWS
+
+
+def struck(seed, *, tops=(), n_samples=4000, noise=0.003, at=700, length=5):
+    """One hit in a record of rest: slow modes, and others of the displacement's size that falls with 1 / f^2."""
+    rng = np.random.default_rng(seed)
+    frequencies = np.array([1.1, 1.7, 2.6, *tops])
+    system = modal_system(rng, frequencies=frequencies, damping_ratios=[0.02] * frequencies.size, n_outputs=2)
+    inputs = np.zeros((n_samples, system.n_inputs))
+    inputs[at : at + length] = np.hanning(length + 2)[1:-1, np.newaxis]
+    clean = simulate(system, inputs)
+    outputs = clean + noise * np.abs(clean).max(axis=0) * rng.standard_normal(clean.shape)
+    return Record(inputs, outputs, system.dt)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_one_hit_carries_above_rest_stays_in_the_band(seed):
+    """Averages over segments in which nothing acts hide it: their coherence is that of noise."""
+    slow, fast = coherent_band([struck(seed)]), coherent_band([struck(seed, tops=(21.0,))])
+    assert slow.factor >= 3
+    assert "stands above the rest" in slow.reason
+    assert fast.upper_frequency > 20.5
+    assert fast.factor == 1
+
+
+def test_a_mode_that_rings_through_the_whole_record_is_not_taken_for_rest():
+    """Hit in the first row, no rest anywhere: the mode is as loud at the end as at the start."""
+    rng = np.random.default_rng(3)
+    inputs = np.zeros((4000, 1))
+    inputs[:3, 0] = 1.0
+    time = np.arange(4000) * 0.01
+    low, high = np.exp(-0.7 * time) * np.sin(2 * np.pi * 1.5 * time), 0.05 * np.sin(2 * np.pi * 31.0 * time)
+    outputs = low + high + 0.005 * rng.standard_normal(4000)
+    assert coherent_band([Record(inputs, outputs, 0.01)]).upper_frequency > 30.5
+    assert coherent_band([Record(inputs, outputs - high, 0.01)]).upper_frequency < 10.0
