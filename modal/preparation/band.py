@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from modal.preparation.kind import acting_rows, find_kind
-from okid.arrays import TINY, ComplexArray, FloatArray
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
 __all__ = ["FOLLOWS", "Band", "chance_of_following", "coherent_band", "missed_share"]
