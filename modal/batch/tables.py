@@ -118,9 +118,8 @@ def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
     if not done:
         return tuple(outcomes)
     step = Counter(_step(one) for one in done).most_common(1)[0][0]
-    inputs, outputs = (
-        Counter(values).most_common(1)[0][0] for values in ([one.inputs for one in done], [one.outputs for one in done])
-    )
+    inputs = Counter(one.inputs for one in done).most_common(1)[0][0]
+    outputs = Counter(one.outputs for one in done).most_common(1)[0][0]
     lengths = np.array([one.n_samples for one in done])
     middle = int(np.median(lengths))
     length = middle if np.mean((lengths >= SHORT * middle) & (SHORT * lengths <= middle)) > 0.5 else 0
