@@ -122,6 +122,7 @@ def prepare(
     number = integrating.number
     banded, factor, band = _to_band(filling.records, decimation, number)
     n_rest: tuple[int, ...]
+    centring: tuple[Choice, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
         centring, n_rest = (_MEAN,), (0,) * len(banded)
