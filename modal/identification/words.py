@@ -299,7 +299,7 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
 
     Args:
         modes: judged.
-        inflation: (n_modes,) of each one's deviations, over those that white noise of sensors and forces makes.
+        inflation: (n_modes,) of each one's deviations, over those that white noise of all sensors makes.
     """
     own = [(mode, times) for mode, times in zip(modes, inflation.tolist(), strict=True) if mode.verdict == "system"]
     larger = [times for _, times in own if NOT_UNDERSTOOD < times <= NO_INTERVAL]
@@ -308,12 +308,12 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
     if larger:
         words.append(
             "Noise not understood: what the model leaves makes the deviations of frequency and damping up to "
-            f"{max(larger):.1f} times those that white noise of sensors and forces makes; the larger ones are stated."
+            f"{max(larger):.1f} times those that white noise of all sensors makes; the larger ones are stated."
         )
     if lost:
         words.append(
             f"Noise not understood: what the model leaves makes the deviations at {lost} Hz more than "
-            f"{NO_INTERVAL:.0f} times those that white noise of sensors and forces makes: no interval is given there."
+            f"{NO_INTERVAL:.0f} times those that white noise of all sensors makes: no interval is given there."
         )
     return tuple(words)
 
