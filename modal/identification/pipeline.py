@@ -35,7 +35,7 @@ from modal.identification.words import (
 )
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.preparation.amplitude import clipping_power
+from modal.preparation.amplitude import distortion_power
 from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
 from modal.preparation.faults import free_of_clipping, mended
@@ -248,7 +248,7 @@ def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequenc
     """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they came."""
     several = [record.select(outputs=output_names) for record in mended(records).records]
     half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
-    return clipping_power(several, [mode.frequency for mode in modes.modes], half_widths)
+    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths)
 
 
 def _identified(

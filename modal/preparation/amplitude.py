@@ -49,8 +49,8 @@ from okid.scaling import channel_scaling
 __all__ = [
     "clipped_samples",
     "clipping_findings",
-    "clipping_power",
     "constant_findings",
+    "distortion_power",
     "repeat_findings",
     "resolution_findings",
     "resolution_of",
@@ -84,6 +84,9 @@ SUDDEN = 0.3
 
 LIMITED_TERMS = 12
 """Follow the distortion of a limit to the eleventh power of the motion."""
+
+ANGLES = 0.5 * np.pi * np.linspace(-1.0, 1.0, 2001)
+"""Tabulate the autocorrelation after a distortion at the sines of these angles of that before it."""
 
 LIMITED_SEGMENT = 2048
 """Resolve the spectrum of a clipped channel by segments of so many rows, or of its longest record."""
@@ -140,15 +143,18 @@ def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
     )
 
 
-def clipping_power(records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]) -> FloatArray:
-    """(n_frequencies, n_outputs) share of the power in each band that limits make, 0 for what is not clipped.
+def distortion_power(
+    records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]
+) -> FloatArray:
+    """(n_frequencies, n_outputs) share of the power in each band that limits or coarse levels make, 0 without them.
 
-    A limit g turns Gaussian motion of autocorrelation rho(tau) into one of
+    A law g of the present value turns Gaussian motion of autocorrelation rho(tau) into one of R(rho(tau)), with
 
-        sum_k E[g He_k]^2 / k! rho(tau)^k,    E[g He_k] = phi(a) He_k-2(a) - phi(b) He_k-2(b) from k = 2 on,
+        d^n R / d rho^n = E[g^(n)(x) g^(n)(x')],    x and x' of correlation rho:
 
-    a the lower and b the upper limit, in deviations of the motion and known from how often each is met: all but the
-    first term is sums and differences of what moves, which stand in the spectrum as modes do.
+    all but its part E[g'(x)]^2 rho is sums and differences of what moves, which stand in the spectrum as modes do. A
+    limit has one pulse in its second derivative, a converter one a level in its first; how many deviations away they
+    lie is known from how often each is met.
 
     Args:
         records: as measured, without inputs.
@@ -164,28 +170,32 @@ def clipping_power(records: Sequence[Record], frequencies: Sequence[float], half
         ...     motion[k] = 1.6 * motion[k - 1] - 0.95 * motion[k - 2] + rng.standard_normal()
         >>> limit = 1.5 * motion.std()
         >>> record = Record([], np.clip(motion, -limit, limit), 0.01)
-        >>> clipping_power([record], [9.7, 29.0], [0.3, 0.3]).round(2).tolist()
-        [[0.01], [0.84]]
+        >>> distortion_power([record], [9.7, 29.0], [0.3, 0.3]).round(2).tolist()
+        [[0.01], [0.86]]
     """
     outputs = [channel for channel in channels_of(records, channel_scaling(records)) if channel.role == "output"]
     found = np.zeros((len(frequencies), len(outputs)))
     for channel in outputs:
-        sizes = _limited_sizes(channel)
-        if not sizes[2:].any():
+        law = _limited(channel) or _stepped(channel)
+        if law is None:
             continue
         lines, power = _power(channel)
         correlation = np.fft.irfft(power)
-        rho = correlation / correlation[0]
-        made = np.fft.rfft(np.polynomial.polynomial.polyval(rho, [0.0, 0.0, *sizes[2:]])).real
-        power *= sizes.sum() / correlation[0]
+        linear, distorted = law
+        of_motion = np.interp(correlation / correlation[0], np.maximum.accumulate(distorted), np.sin(ANGLES))
+        made = power - linear * correlation[0] * np.fft.rfft(of_motion).real
         for i, (frequency, half) in enumerate(zip(frequencies, half_widths, strict=True)):
             band = np.abs(lines - frequency) <= max(half, lines[1])  # resolution of the segments, if not the mode's
             found[i, channel.index] = max(0.0, made[band].sum() / power[band].sum())
     return found
 
 
-def _limited_sizes(channel: Channel) -> FloatArray:
-    """(LIMITED_TERMS,) terms k of the autocorrelation at tau = 0, the motion's own deviation as unit."""
+def _limited(channel: Channel) -> tuple[float, FloatArray] | None:
+    """E[g']^2 and R at the sines of `ANGLES`, R(1) as unit, of what is clipped; None where nothing is.
+
+    R = sum_k E[g He_k]^2 / k! rho^k, and E[g He_k] = phi(a) He_k-2(a) - phi(b) He_k-2(b) from k = 2 on between limits a
+    and b.
+    """
     middle = 0.5 * (channel.smallest + channel.largest)
     at_limit = clipped_samples(channel)
     low, high = (
@@ -193,6 +203,8 @@ def _limited_sizes(channel: Channel) -> FloatArray:
         / channel.n_samples
         for side in (-1.0, 1.0)
     )
+    if not low + high > 0.0:
+        return None
     normal = NormalDist()
     means = np.zeros(LIMITED_TERMS)
     means[1] = 1.0 - low - high
@@ -200,7 +212,35 @@ def _limited_sizes(channel: Channel) -> FloatArray:
         if share > 0.0:
             limit = sign * normal.inv_cdf(share)
             means[2:] += sign * normal.pdf(limit) * hermevander(limit, LIMITED_TERMS - 3).ravel()
-    return np.array([mean**2 / math.factorial(k) for k, mean in enumerate(means)])
+    sizes = np.array([mean**2 / math.factorial(k) for k, mean in enumerate(means)])
+    sizes /= sizes.sum()
+    return float(sizes[1]), np.asarray(np.polynomial.polynomial.polyval(np.sin(ANGLES), sizes))
+
+
+def _stepped(channel: Channel) -> tuple[float, FloatArray] | None:
+    """The same of a converter that the motion moves over few levels; None where they are many.
+
+    With rho = sin(theta): dR / d theta = sum_ij q_i q_j exp(-(t_i^2 - 2 rho t_i t_j + t_j^2) / (2 cos^2 theta)) / 2 pi
+    for steps q_i at t_i deviations.
+    """
+    if channel.std == 0.0 or _n_levels(channel) > OUTERMOST:
+        return None
+    values = np.concatenate([part[~np.isnan(part)] for part in channel.parts])
+    near = ROUNDING * channel.extent
+    levels, counts = np.unique(np.round(values / near), return_counts=True)
+    if not 2 < levels.size <= OUTERMOST:  # what has two levels only is switched
+        return None
+    edges = np.array([NormalDist().inv_cdf(share) for share in np.cumsum(counts[:-1]) / values.size])
+    steps = near * np.diff(levels) / values.std()
+    squares, products = np.add.outer(edges**2, edges**2), np.multiply.outer(edges, edges)
+    inner = ANGLES[1:-1, np.newaxis, np.newaxis]
+    exponents = (squares - 2.0 * np.sin(inner) * products) / (2.0 * np.cos(inner) ** 2)
+    slopes = np.einsum("i,j,tij->t", steps, steps, np.exp(-exponents)) / (2.0 * math.pi)
+    slopes = np.concatenate([slopes[:1], slopes, slopes[-1:]])
+    sums = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(ANGLES) * (slopes[1:] + slopes[:-1]))])
+    sums -= sums[ANGLES.size // 2]
+    linear = float(steps @ np.exp(-0.5 * edges**2)) ** 2 / (2.0 * math.pi)
+    return linear / sums[-1], sums / sums[-1]
 
 
 def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:

@@ -138,10 +138,10 @@ def edge_doubt(mode: Mode, edge: float) -> tuple[str, ...]:
 
 
 def clipping_doubt(mode: Mode, made: float) -> tuple[str, ...]:
-    """The share `made` of what moves at the mode's frequency is made by the limits of clipped outputs."""
+    """The share `made` of what moves at the mode's frequency is made by limits or coarse levels of the outputs."""
     if not made > MOST_MADE:
         return ()
-    return (f"clipping alone makes {100 * min(made, 1.0):.0f} % of what moves at {mode.frequency:.4g} Hz",)
+    return (f"clipping or rounding alone makes {100 * min(made, 1.0):.0f} % of what moves at {mode.frequency:.4g} Hz",)
 
 
 def unexcited_doubt(mode: Mode, excitation: Excitation | None) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ def printed(show, *arguments, **options):
 def test_the_verdict_comes_first_then_values_with_their_deviations(diagnosis):
     text = printed(show_diagnosis, diagnosis)
     assert text.split("\n")[1] == "The simulation lacks cubic stiffness and Coulomb friction at the link lower-upper."
-    assert "cubic stiffness   the link lower-upper  k3  (2.013 ± 0.019)e5  N/m^3" in text
+    assert "\ncubic stiffness at the link lower-upper\nk3  (2.013 ± 0.019)e5  N/m^3  95 %: (1.976 to 2.050)e5" in text
     assert "0.05960 ± 0.00060" in text
     assert "Runner-up: gap spring" in text
     assert "Add a record at twice the level" in text

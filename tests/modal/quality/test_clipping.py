@@ -3,7 +3,7 @@ import pytest
 import scipy
 
 from modal.identification.pipeline import identify
-from modal.preparation.amplitude import clipping_findings, clipping_power
+from modal.preparation.amplitude import clipping_findings, distortion_power
 from okid.record import Record
 
 
@@ -106,7 +106,25 @@ def test_the_spectrum_of_what_limits_make_is_that_of_what_they_change(limits):
     lines, whole = scipy.signal.welch(clipped, 100.0, nperseg=2048)
     _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
     frequencies = [3.0, 4.0, 7.0, 14.0, 15.0, 18.0, 21.0, 25.0, 29.0, 33.0]
-    shares = clipping_power([Record([], clipped, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
+    shares = distortion_power([Record([], clipped, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
+    for f, share in zip(frequencies, shares, strict=True):
+        band = np.abs(lines - f) <= 0.3
+        assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("step", [0.8, 1.5, 2.5])
+def test_the_spectrum_of_what_coarse_levels_make_is_that_of_what_they_change(step):
+    """By hand, as above: every odd harmonic and their sums, folded down, and not only the first few."""
+    rng = np.random.default_rng(7)
+    motion = resonance(rng.standard_normal(400_000), 36.4, 0.002)
+    motion /= motion.std()
+    motion += 0.1 * rng.standard_normal(motion.size)
+    coarse = step * np.round(motion / step)
+    made = coarse - (coarse @ motion) / (motion @ motion) * motion
+    lines, whole = scipy.signal.welch(coarse, 100.0, nperseg=2048)
+    _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
+    frequencies = [3.0, 9.2, 18.0, 27.6, 36.4, 45.2]  # 36.4 and its odd harmonics, folded about 50 and 100 Hz
+    shares = distortion_power([Record([], coarse, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
     for f, share in zip(frequencies, shares, strict=True):
         band = np.abs(lines - f) <= 0.3
         assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
@@ -119,7 +137,7 @@ def resonance(force, frequency, damping):
 
 def test_what_is_not_clipped_makes_nothing():
     values = np.column_stack([noise(), np.clip(noise(seed=1), -1.0, 1.0)])
-    shares = clipping_power([Record([], values, 0.01)], [3.0, 30.0], [0.5, 0.5])
+    shares = distortion_power([Record([], values, 0.01)], [3.0, 30.0], [0.5, 0.5])
     assert (shares[:, 0] == 0.0).all()
     assert (shares[:, 1] > 0.0).all()
 
@@ -136,4 +154,4 @@ def test_sums_and_differences_that_clipping_makes_are_no_modes():
     found = [mode.frequency for mode in result.modes.system]
     assert len(found) == 4
     assert all(np.abs(frequencies - one).min() < 0.01 * one for one in found)
-    assert any("clipping alone makes" in mode.reason for mode in result.modes)
+    assert any("clipping or rounding alone makes" in mode.reason for mode in result.modes)
