@@ -9,7 +9,7 @@ import numpy as np
 
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import table_of_channels
-from okid.readers.guard import check_channel_count, check_memory, first_line, foreign
+from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign
 from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
 
 __all__ = ["read_parquet", "table_of_frame"]
@@ -29,10 +29,30 @@ def read_parquet(path: Path) -> Table:
         check_channel_count(path, file.metadata.num_columns)
         check_memory(path, 24.0 * file.metadata.num_rows * file.metadata.num_columns)
         fields = list(file.schema_arrow)
-        # texts and lists may unpack to thousands of times their size, and would be left out
         table = file.read(columns=[field.name for field in fields if is_numbers(field.type)])
-    left_out = [_no_numbers(field) for field in fields if not is_numbers(field.type)]
+    others = [field for field in fields if not is_numbers(field.type)]
+    with foreign(path, "Parquet file"):
+        _check_others(path, others)
+    left_out = [_no_numbers(field) for field in others]
     return table_of_arrow(table, path=path, file_format="Parquet", left_out=left_out)
+
+
+def _check_others(path: Path, fields: Sequence[Any]) -> None:
+    """Raise where a column that is left out is damaged, for a file is whole or not.
+
+    One after the other, and texts stay in their dictionary: they may unpack to thousands of times their size.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    kinds = (pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary)
+    texts = [field.name for field in fields if any(is_one(field.type) for is_one in kinds)]
+    with parquet.ParquetFile(path, page_checksum_verification=True, read_dictionary=texts) as file:
+        for field in fields:
+            column = file.read(columns=[field.name])
+            column.validate(full=True)
+            if any(len(values) != file.metadata.num_rows for values in column.itercolumns()):
+                raise Damage(f"column {field.name} has not {file.metadata.num_rows} rows")
 
 
 def table_of_frame(frame: Any) -> Table:

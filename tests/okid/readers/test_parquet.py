@@ -102,6 +102,18 @@ def test_one_time_that_is_missing_is_one(tmp_path):
         read_record(tmp_path / "a.parquet")
 
 
+def test_a_file_is_whole_or_refused_also_where_it_is_left_out(tmp_path):
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"tip": TIP, "note": [f"row {k}" for k in range(len(TIP))]}), path, use_dictionary=False)
+    assert read_record(path, dt=0.1).output_names == ("tip",)
+    place = pq.ParquetFile(path).metadata.row_group(0).column(1).data_page_offset
+    data = bytearray(path.read_bytes())
+    data[place : place + 8] = b"\xff" * 8
+    path.write_bytes(data)
+    with pytest.raises(UnreadableFileError, match="is damaged, cut off or no Parquet file"):
+        read_record(path, dt=0.1)
+
+
 def test_texts_are_not_even_unpacked(tmp_path):
     """A hundred times the same text of a megabyte takes kilobytes in the file."""
     note = pa.array(["x" * 1_000_000] * len(FORCE))
