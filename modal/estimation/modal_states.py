@@ -27,19 +27,18 @@ from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
+from okid.rows import runs_of
 
 PARTS = 10
 """Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
 IndexArray = npt.NDArray[np.intp]
 
-LONGEST_CHUNK = 8192
-"""Rows of signals that are held at a time."""
-SHORT_CHUNK = 1024
-"""Rows that are held where sums follow from each other: in cache."""
-FEWEST_DRIVES = 4
-"""Let sums follow from each other from so many inputs on."""
+CHUNK = 1024
+"""Hold so many rows of signals at a time: they stay in cache."""
 FEWEST_ROWS = 256
-"""Let sums follow from each other over at least so many rows: those over fewer are made sooner."""
+"""Let sums follow from each other over runs of at least so many rows in the mean: those over fewer are made sooner."""
+NONE = -2
+"""Hold no block out: none has this label."""
 APART = 0.05
 """Sum up what two poles give whose product is no further from one: rounding of the rest grows with its third power."""
 DIED_OUT = 1e-100
@@ -153,7 +152,8 @@ class SignalLayout:
     """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
 
     Regressors of the linear part: states, the first `n_direct` inputs, one level a record. Sensitivities: to the poles,
-    to the inputs' participations, to the initial states. Last the outputs.
+    to the inputs' participations, to the initial states. Last the outputs. `drives` are the inputs that move in each
+    record, as many everywhere, where not all do: the signals of an input that stands at zero are zero.
     """
 
     n_poles: int
@@ -161,6 +161,7 @@ class SignalLayout:
     n_outputs: int
     n_records: int
     n_direct: int
+    drives: tuple[tuple[int, ...], ...] = ()
 
     @property
     def n_regressors(self) -> int:
@@ -204,8 +205,16 @@ class SignalLayout:
 
     @property
     def alone(self) -> "SignalLayout":
-        """Of the signals that one record has: its own level, its own initial states."""
-        return replace(self, n_records=1)
+        """Of the signals that one record has: what drives it, its own level, its own initial states."""
+        if not self.drives:
+            return replace(self, n_records=1)
+        own = self.drives[0]
+        n_direct = sum(j < self.n_direct for j in own)
+        return replace(self, n_records=1, n_inputs=len(own), n_direct=n_direct, drives=())
+
+    def inputs_of(self, record: int) -> IndexArray:
+        """(alone.n_inputs,) inputs whose signals one record has."""
+        return np.array(self.drives[record] if self.drives else range(self.n_inputs), dtype=np.intp)
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
@@ -215,14 +224,33 @@ class SignalLayout:
 @lru_cache(maxsize=1024)
 def _places(layout: SignalLayout, record: int) -> IndexArray:
     """See `SignalLayout.places`: asked for at every step of a refinement, the same each time."""
-    n_poles, regressors = layout.n_poles, 2 * layout.n_poles + layout.n_direct
-    shared = n_poles * (1 + layout.n_inputs)
-    own = np.r_[:shared, shared + n_poles * record : shared + n_poles * (record + 1)]
-    real, imaginary = layout.real.start + own, layout.imaginary.start + own
+    n_poles, inputs = layout.n_poles, layout.inputs_of(record)
+    families = np.concatenate([[0], 1 + inputs, [1 + layout.n_inputs + record]])
+    own = (n_poles * families[:, np.newaxis] + np.arange(n_poles)).ravel()
+    direct, level = 2 * n_poles + inputs[inputs < layout.n_direct], 2 * n_poles + layout.n_direct + record
     outputs = layout.outputs.start + np.arange(layout.n_outputs)
-    places = np.concatenate([np.arange(regressors), [regressors + record], real, imaginary, outputs])
+    places = np.concatenate(
+        [np.arange(2 * n_poles), direct, [level], layout.real.start + own, layout.imaginary.start + own, outputs]
+    )
     places.flags.writeable = False
     return places
+
+
+def _layout(parameters: ModalParameters, records: Sequence[Record], n_direct: int) -> SignalLayout:
+    """Of all signals of the records."""
+    n_inputs = records[0].n_inputs
+    moving = [np.flatnonzero(record.inputs[:, :n_direct].any(axis=0)) for record in records]
+    most = max(own.size for own in moving)
+    others = range(n_direct, n_inputs)
+    padded = [[*own, *(j for j in range(n_direct) if j not in own)][:most] for own in map(np.ndarray.tolist, moving)]
+    return SignalLayout(
+        n_poles=parameters.poles.size,
+        n_inputs=n_inputs,
+        n_outputs=records[0].n_outputs,
+        n_records=len(records),
+        n_direct=n_direct,
+        drives=tuple((*sorted(own), *others) for own in padded) if most < n_direct else (),
+    )
 
 
 def signal_grams(
@@ -232,8 +260,9 @@ def signal_grams(
     blocks: Sequence[Block],
     *,
     n_direct: int,
-) -> tuple[SignalLayout, FloatArray]:
-    """Gram matrices of all signals over the counted rows of each block.
+    held_out: int = NONE,
+) -> tuple[SignalLayout, FloatArray, FloatArray]:
+    """Gram matrices: of all signals over the rows that train, of what is linear over those of each block.
 
     Args:
         parameters: of the model.
@@ -241,125 +270,140 @@ def signal_grams(
         rows: (n_samples,) a record, True where a row counts.
         blocks: in the order of their rows, each record whole.
         n_direct: the first so many inputs act on the outputs at once.
+        held_out: blocks with this label do not train.
 
     Returns:
-        Layout of all signals, and (n_blocks, alone.size, alone.size) Gram matrices of each block's own ones: the others
-        are zero in it, and thirty records have thirty times as many.
+        Layout of all signals, the (size, size) Gram matrix, and those of each block's own regressors and outputs,
+        (n_blocks, n, n): thirty records have thirty levels, of which a block has one.
     """
-    first = records[0]
-    layout = SignalLayout(
-        n_poles=parameters.poles.size,
-        n_inputs=first.n_inputs,
-        n_outputs=first.n_outputs,
-        n_records=len(records),
-        n_direct=n_direct,
-    )
-    size = layout.alone.size
-    grams = np.zeros((len(blocks), size, size))
+    layout = _layout(parameters, records, n_direct)
+    n_known = layout.alone.n_regressors + layout.n_outputs
+    parts, whole = np.zeros((len(blocks), n_known, n_known)), np.zeros((layout.size, layout.size))
     for r, record in enumerate(records):
-        own = [i for i, block in enumerate(blocks) if block.record == r]
-        part = grams[own[0] : own[-1] + 1]
-        _add_grams(part, parameters, record, rows[r], [blocks[i] for i in own], n_direct=n_direct)
-    return layout, grams
+        own = [(block, part) for block, part in zip(blocks, parts, strict=True) if block.record == r]
+        gram = _record_gram(_Driven.of(layout, parameters, r, record), rows[r], own, held_out)
+        if gram.shape == whole.shape:
+            whole = gram
+        else:
+            places = layout.places(r)
+            whole[np.ix_(places, places)] += gram
+    return layout, whole, parts
 
 
-def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], chosen: Sequence[int]) -> FloatArray:
-    """(size, size) Gram matrix of all signals over the rows of the chosen blocks.
-
-    Args:
-        layout: of all signals.
-        grams: of each block's own signals, from `signal_grams`.
-        blocks: of the Gram matrices.
-        chosen: indices of blocks.
-    """
-    if layout.n_records == 1:
-        gram: FloatArray = grams[list(chosen)].sum(axis=0)
-        return gram
-    gram = np.zeros((layout.size, layout.size))
-    for r in range(layout.n_records):
-        places = layout.places(r)
-        gram[np.ix_(places, places)] += grams[[i for i in chosen if blocks[i].record == r]].sum(axis=0)
-    return gram
-
-
-def _add_grams(
-    grams: FloatArray,
-    parameters: ModalParameters,
-    record: Record,
-    rows: BoolArray,
-    blocks: Sequence[Block],
-    *,
-    n_direct: int,
-) -> None:
-    """Add one record's products to the Gram matrices of its blocks."""
-    complete = bool(rows.all())
-    long = all(block.step == 1 and block.last - block.first >= FEWEST_ROWS for block in blocks)
-    if complete and long and record.n_inputs >= FEWEST_DRIVES:
-        near = _near(parameters.poles)
-        if 2 * near.sum() < near.size:
-            _add_by_recursion(grams, parameters, record, blocks, n_direct=n_direct, near=near)
-            return
-    for start, signals in signals_of(parameters, blocks[0].record, record, n_direct=n_direct):
-        stop = start + signals.shape[0]
-        for i, block in enumerate(blocks):
+def _record_gram(
+    driven: "_Driven", rows: BoolArray, blocks: Sequence[tuple[Block, FloatArray]], held_out: int
+) -> FloatArray:
+    """(size, size) products over the rows of a record that train; those of its blocks are added to theirs."""
+    counted = np.zeros(rows.size, dtype=np.bool_)
+    for block, _ in blocks:
+        if block.label != held_out:
+            counted[block.rows] = rows[block.rows]
+    layout, runs, complete = driven.layout, runs_of(counted), bool(rows.all())
+    gram, known = np.zeros((layout.size, layout.size)), np.r_[layout.regressors, layout.outputs]
+    near = _near(driven.poles)
+    follows = counted.sum() >= FEWEST_ROWS * len(runs) and 2 * near.sum() < near.size
+    sums = _Sums.of(driven, near, runs) if follows else None
+    for start, state, s, after in driven.responses():
+        signals = driven.stacked(start, state, s)
+        linear, stop = signals[known], start + signals.shape[1]
+        for block, total in blocks:
             first, last = max(start, block.first), min(stop, block.last)
             first += (block.first - first) % block.step
             if first < last:
-                part = signals[first - start : last - start : block.step]
-                if block.step > 1:  # BLAS takes no steps within a signal
-                    part = np.ascontiguousarray(part.T).T
-                chosen = part if complete else part[rows[first : last : block.step]]
-                grams[i] += chosen.T @ chosen
+                own = linear[:, first - start : last - start : block.step]
+                own = own if complete else own[:, rows[first : last : block.step]]
+                own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
+                total += own @ own.T  # noqa: PLW2901
+        trains = counted[start:stop]
+        if sums is not None:
+            sums.add(start, signals, trains, s, after)
+        elif trains.any():
+            chosen = signals if trains.all() else signals[:, trains]
+            gram += chosen @ chosen.T
+    if sums is not None:
+        return sums.gram(np.sum([total for block, total in blocks if block.label != held_out], axis=0))
+    return gram
 
 
 def signals_of(
-    parameters: ModalParameters, index: int, record: Record, *, n_direct: int
+    layout: SignalLayout, parameters: ModalParameters, index: int, record: Record
 ) -> Iterator[tuple[int, FloatArray]]:
-    """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
-    for first, state, s, _ in _responses(parameters, index, record, LONGEST_CHUNK):
-        yield first, _stacked(record, first, state, s, n_direct)
+    """First row and (n_rows, n_signals) signals that one record has, chunk by chunk."""
+    driven = _Driven.of(layout, parameters, index, record)
+    for first, state, s, _ in driven.responses():
+        yield first, driven.stacked(first, state, s).T
 
 
-def _stacked(record: Record, first: int, state: ComplexArray, s: ComplexArray, n_direct: int) -> FloatArray:
-    """(n_rows, n_signals) in the order of the layout."""
-    rows, one, flat = slice(first, first + state.shape[1]), np.ones((1, state.shape[1])), s.reshape(-1, state.shape[1])
-    inputs, outputs = record.inputs[rows, :n_direct].T, record.outputs[rows].T
-    return np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs]).T
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Driven:
+    """The model driven by one record.
 
-
-def _responses(
-    parameters: ModalParameters, index: int, record: Record, longest: int
-) -> Iterator[tuple[int, ComplexArray, ComplexArray, ComplexArray]]:
-    """Chunk by chunk the first row, the states, their sensitivities, and what these are after the last row.
-
-    The states are (n_poles, n_rows), sensitivities to poles, to participations, to initial states (2 + n_inputs,
-    n_poles, n_rows), and after the last row (2 + n_inputs, n_poles).
+    Attributes:
+        layout: of the signals of this record.
+        poles: (n_poles,).
+        participations: (n_poles, n_inputs) of its own inputs.
+        start: (n_poles,) initial states.
+        inputs: (n_samples, n_inputs).
+        outputs: (n_samples, n_outputs).
     """
-    poles, n_inputs = parameters.poles, record.n_inputs
-    n_poles, longest = poles.size, min(record.n_samples, longest)
-    recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
-    with np.errstate(divide="ignore"):
-        alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
-    memory = np.zeros((2 + n_inputs, n_poles), dtype=np.complex128)
-    memory[-1] = 1.0
-    scale = np.vstack([poles, np.ones((1 + n_inputs, n_poles))])
-    for first in range(0, record.n_samples, longest):
-        inputs = record.inputs[first : first + longest].T
-        n_rows = inputs.shape[1]
-        s = np.empty((2 + n_inputs, n_poles, n_rows), dtype=np.complex128)
-        for j in range(n_inputs):
-            s[1 + j], memory[1 + j] = recursion.run(inputs[[j]], memory[1 + j])
-        s[-1] = (powers[:n_rows] * memory[-1]).T
-        for response, n_alive in zip(s[-1], alive - first, strict=True):
-            if n_alive < n_rows:
-                response[max(0, int(n_alive)) :] = 0.0
-        state = parameters.states[index][:, np.newaxis] * s[-1]
-        for j in range(n_inputs):
-            state += parameters.inputs[:, [j]] * s[1 + j]
-        s[0], memory[0] = recursion.run(state, memory[0])
-        s[0] *= poles[:, np.newaxis]
-        memory[-1] *= powers[n_rows - 1] * poles
-        yield first, state, s, scale * memory
+
+    layout: SignalLayout
+    poles: ComplexArray
+    participations: ComplexArray
+    start: ComplexArray
+    inputs: FloatArray
+    outputs: FloatArray
+
+    @classmethod
+    def of(cls, layout: SignalLayout, parameters: ModalParameters, index: int, record: Record) -> "_Driven":
+        """By the inputs whose signals it has."""
+        own = layout.inputs_of(index)
+        return cls(
+            layout=layout.alone,
+            poles=parameters.poles,
+            participations=parameters.inputs[:, own],
+            start=parameters.states[index],
+            inputs=record.inputs[:, own],
+            outputs=record.outputs,
+        )
+
+    def stacked(self, first: int, state: ComplexArray, s: ComplexArray) -> FloatArray:
+        """(n_signals, n_rows) in the order of the layout."""
+        rows, flat = slice(first, first + state.shape[1]), s.reshape(-1, state.shape[1])
+        direct, one = self.inputs[rows, : self.layout.n_direct].T, np.ones((1, state.shape[1]))
+        return np.vstack([state.real, state.imag, direct, one, flat.real, flat.imag, self.outputs[rows].T])
+
+    def responses(self) -> Iterator[tuple[int, ComplexArray, ComplexArray, ComplexArray]]:
+        """Chunk by chunk the first row, the states, their sensitivities, and what these are after the last row.
+
+        The states are (n_poles, n_rows), sensitivities to poles, to participations, to initial states (2 + n_inputs,
+        n_poles, n_rows), and after the last row (2 + n_inputs, n_poles).
+        """
+        poles, n_poles, n_inputs = self.poles, self.poles.size, self.inputs.shape[1]
+        longest = min(len(self.inputs), CHUNK)
+        recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        with np.errstate(divide="ignore"):
+            alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
+        memory = np.zeros((2 + n_inputs, n_poles), dtype=np.complex128)
+        memory[-1] = 1.0
+        scale = np.vstack([poles, np.ones((1 + n_inputs, n_poles))])
+        for first in range(0, len(self.inputs), longest):
+            inputs = self.inputs[first : first + longest].T
+            n_rows = inputs.shape[1]
+            s = np.empty((2 + n_inputs, n_poles, n_rows), dtype=np.complex128)
+            for j in range(n_inputs):
+                s[1 + j], memory[1 + j] = recursion.run(inputs[[j]], memory[1 + j])
+            s[-1] = (powers[:n_rows] * memory[-1]).T
+            for response, n_alive in zip(s[-1], alive - first, strict=True):
+                if n_alive < n_rows:
+                    response[max(0, int(n_alive)) :] = 0.0
+            state = self.start[:, np.newaxis] * s[-1]
+            for j in range(n_inputs):
+                state += self.participations[:, [j]] * s[1 + j]
+            s[0], memory[0] = recursion.run(state, memory[0])
+            s[0] *= poles[:, np.newaxis]
+            memory[-1] *= powers[n_rows - 1] * poles
+            yield first, state, s, scale * memory
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -368,16 +412,9 @@ def _near(poles: ComplexArray) -> BoolArray:
     return np.asarray(distance < APART)
 
 
-def _add_by_recursion(
-    grams: FloatArray,
-    parameters: ModalParameters,
-    record: Record,
-    blocks: Sequence[Block],
-    *,
-    n_direct: int,
-    near: BoolArray,
-) -> None:
-    """As `_add_grams`, the products of sensitivities with each other from those with what drives them.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Sums:
+    """Products of sensitivities with each other from those with what drives them, over runs of rows of one record.
 
     Signals that run through poles a and b, driven by d and e, z(k+1) = a z(k) + d(k) and v(k+1) = b v(k) + e(k), have
 
@@ -385,59 +422,107 @@ def _add_by_recursion(
 
     over consecutive rows, because the sum over the rows one later differs by what is at the ends. Each sensitivity has
     as many drives as there are inputs, and n_poles times as many others. What is `near` is summed up as it is.
+
+    Attributes:
+        driven: the record's model.
+        near: (n_poles, n_poles) which two hardly die out in their product.
+        order: (n_poles,) of the poles by angle, so that near ones are neighbours.
+        reach: (n_poles,) one past the last in that order that is near to each.
+        runs: first row and one past the last.
+        partners: (n_sensitivities, n_inputs + 1 + n_outputs) sums with inputs, one and outputs, added up.
+        squares: (n_inputs, n_inputs) products of the inputs.
+        ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
+        direct: (n_poles, 2 (2 + n_inputs), n_poles, 2 (2 + n_inputs)) by the order, where near.
     """
-    m, n, q = record.n_inputs, parameters.poles.size, record.n_outputs
-    layout = SignalLayout(n_poles=n, n_inputs=m, n_outputs=q, n_records=1, n_direct=n_direct)
-    linear, known = np.r_[layout.regressors, layout.outputs], np.r_[2 * n : layout.n_regressors, layout.outputs]
-    owners = np.tile(np.arange(n), 2 * (2 + m))
-    summed = [(np.flatnonzero(owners == i), np.flatnonzero(near[i][owners])) for i in range(n) if near[i].any()]
-    whole = np.zeros((len(blocks), owners.size, owners.size))
-    sums = np.zeros((len(blocks), layout.n_sensitivities, m + 1 + q), dtype=np.complex128)
-    ends = np.zeros((len(blocks), 2, 2 + m, n), dtype=np.complex128)
-    drives = np.zeros((len(blocks), m, m))
-    for start, state, s, after in _responses(parameters, blocks[0].record, record, SHORT_CHUNK):
-        stop = start + state.shape[1]
-        inputs, one = record.inputs[start:stop].T, np.ones((1, stop - start))
-        partners = np.vstack([inputs, one, record.outputs[start:stop].T])
-        phi = np.vstack([state.real, state.imag, inputs[:n_direct], partners[m:]])
-        flat = s.reshape(-1, stop - start)
-        every = np.concatenate([flat.real, flat.imag])
-        for i, block in enumerate(blocks):
-            first, last = max(start, block.first), min(stop, block.last)
-            rows = slice(first - start, last - start)
-            if first < last:
-                with_partners = every[:, rows] @ partners[:, rows].T
-                sums[i] += with_partners[: len(flat)] + 1j * with_partners[len(flat) :]
-                drives[i] += inputs[:, rows] @ inputs[:, rows].T
-                grams[i][np.ix_(linear, linear)] += phi[:, rows] @ phi[:, rows].T
-                for own, others in summed:
-                    whole[i][np.ix_(own, others)] += every[own, rows] @ every[others, rows].T
-            if start <= block.first < stop:
-                ends[i, 0] = s[:, :, block.first - start]
-            if start < block.last <= stop:
-                ends[i, 1] = after if block.last == stop else s[:, :, block.last - start]
-    driven = np.vstack([parameters.inputs.T, parameters.states[[blocks[0].record]]])
-    both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
-    for gram, with_drives, at_ends, squares, direct in zip(grams, sums, ends, drives, whole, strict=True):
+
+    driven: _Driven
+    near: BoolArray
+    order: IndexArray
+    reach: IndexArray
+    runs: Sequence[tuple[int, int]]
+    partners: ComplexArray
+    squares: FloatArray
+    ends: ComplexArray
+    direct: FloatArray
+
+    @classmethod
+    def of(cls, driven: _Driven, near: BoolArray, runs: Sequence[tuple[int, int]]) -> "_Sums":
+        """Nothing added up yet."""
+        layout, m = driven.layout, driven.layout.n_inputs
+        order = np.argsort(np.angle(driven.poles))
+        return cls(
+            driven=driven,
+            near=near,
+            order=order,
+            reach=order.size - near[np.ix_(order, order)][:, ::-1].argmax(axis=1),
+            runs=runs,
+            partners=np.zeros((layout.n_sensitivities, m + 1 + layout.n_outputs), dtype=np.complex128),
+            squares=np.zeros((m, m)),
+            ends=np.zeros((2, len(runs), 2 + m, order.size), dtype=np.complex128),
+            direct=np.zeros((order.size, 2 * (2 + m), order.size, 2 * (2 + m))),
+        )
+
+    def add(self, start: int, signals: FloatArray, trains: BoolArray, s: ComplexArray, after: ComplexArray) -> None:
+        """A chunk from row `start` on, of which some rows train."""
+        stop = start + trains.size
+        for i, (first, last) in enumerate(self.runs):
+            if start <= first < stop:
+                self.ends[0, i] = s[:, :, first - start]
+            if start < last <= stop:
+                self.ends[1, i] = after if last == stop else s[:, :, last - start]
+        layout, inputs = self.driven.layout, self.driven.inputs[start:stop].T
+        if not trains.all():
+            signals, inputs = signals[:, trains], inputs[:, trains]
+        partners = np.vstack([inputs, np.ones((1, inputs.shape[1])), signals[layout.outputs]])
+        self.partners.real[:] += signals[layout.real] @ partners.T
+        self.partners.imag[:] += signals[layout.imaginary] @ partners.T
+        self.squares[:] += inputs @ inputs.T
+        n, families = self.order.size, self.direct.shape[1]
+        both = signals[layout.real.start : layout.imaginary.stop].reshape(families, n, -1)
+        of_poles = both[:, self.order].swapaxes(0, 1).reshape(n * families, -1)
+        flat = self.direct.reshape(n * families, n * families)
+        for i, reach in enumerate(self.reach.tolist()):
+            own, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
+            flat[own, others] += of_poles[own] @ of_poles[others].T
+
+    def gram(self, known: FloatArray) -> FloatArray:
+        """All products; those of regressors and outputs with each other are known."""
+        layout, n, m = self.driven.layout, self.order.size, self.squares.shape[0]
+        near = self._directly()
         products_of = partial(
             _products,
-            parameters.poles,
-            driven,
-            sums=with_drives[:, :m].reshape(2 + m, n, m),
-            ends=at_ends,
-            squares=squares,
-            near=near,
+            self.driven.poles,
+            np.vstack([self.driven.participations.T, self.driven.start]),
+            sums=self.partners[:, :m].reshape(2 + m, n, m),
+            ends=self.ends,
+            squares=self.squares,
+            near=self.near,
         )
-        rr, ri, ir, ii = (part for half in np.split(direct, 2) for part in np.split(half, 2, axis=1))
+        rr, ri, ir, ii = (part for half in np.split(near, 2) for part in np.split(half, 2, axis=1))
         turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
         plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
         upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
+        gram = np.zeros((layout.size, layout.size))
+        both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
         for part, with_real, with_imaginary in ((re, upper.real, -lower.imag), (im, upper.imag, lower.real)):
             gram[part, :n], gram[part, n : 2 * n] = with_real[:, :n], with_imaginary[:, :n]
             gram[part, re], gram[part, im] = with_real[:, n:], with_imaginary[:, n:]
-        with_known = with_drives[:, np.r_[:n_direct, m : m + 1 + q]]
-        gram[re, known], gram[im, known] = with_known.real, with_known.imag
+        kept = np.r_[2 * n : layout.n_regressors, layout.outputs]
+        with_known = self.partners[:, np.r_[: layout.n_direct, m : m + 1 + layout.n_outputs]]
+        gram[re, kept], gram[im, kept] = with_known.real, with_known.imag
+        linear = np.r_[layout.regressors, layout.outputs]
         gram[linear, both] = gram[both, linear].T
+        gram[np.ix_(linear, linear)] = known
+        return gram
+
+    def _directly(self) -> FloatArray:
+        """(2 n_sensitivities, 2 n_sensitivities) sums of near ones, in the order of the layout."""
+        n, families = self.order.size, self.direct.shape[1]
+        flat = self.direct.reshape(n * families, n * families)
+        flat = np.triu(flat) + np.triu(flat, 1).T
+        back = np.argsort(self.order)
+        places = (back * families + np.arange(families)[:, np.newaxis]).ravel()
+        return flat[np.ix_(places, places)]
 
 
 def _products(
@@ -457,7 +542,7 @@ def _products(
         poles: (n_poles,).
         driven: (n_inputs + 1, n_poles) how far each input, and a start at one, drive a state.
         sums: (2 + n_inputs, n_poles, n_inputs) products of sensitivities with inputs.
-        ends: (2, 2 + n_inputs, n_poles) sensitivities at the first row, and after the last.
+        ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of each run, and after its last.
         squares: (n_inputs, n_inputs) products of the inputs.
         direct: (n_sensitivities, n_sensitivities) products of sensitivities, where they are summed up.
         near: (n_poles, n_poles) where they are.
@@ -467,24 +552,29 @@ def _products(
     other, both_poles = turn(poles), np.multiply.outer(poles, turn(poles))
     left, direct = np.where(near, 1.0, 1.0 - both_poles), direct.reshape(2 + m, n, 2 + m, n)
     sums = np.pad(sums, ((0, 0), (0, 0), (0, 1)))  # nothing drives what rings down from its start
-    first, last = ends
-    # the others than those to the poles, among each other
+
+    def gone(left: int | slice, right: int | slice) -> ComplexArray:
+        first, last = ends
+        gained: ComplexArray = np.tensordot(first[:, left], turn(first[:, right]), axes=(0, 0))
+        return gained - np.tensordot(last[:, left], turn(last[:, right]), axes=(0, 0))
+
+    others = slice(1, None)  # than those to the poles, first among each other
     base = poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
     base = base + (turn(sums[1:]).transpose(2, 0, 1) * other)[:, np.newaxis]
     base += np.pad(squares, (0, 1))[:, np.newaxis, :, np.newaxis]
-    base += np.multiply.outer(first[1:], turn(first[1:])) - np.multiply.outer(last[1:], turn(last[1:]))
+    base += gone(others, others)
     base = np.where(near[:, np.newaxis], direct[1:, :, 1:], base / left[:, np.newaxis])
     with_states = np.einsum("aibk,bk->aik", base, turn(driven))
     states = np.einsum("ai,aik->ik", driven, with_states)
     # the sensitivities to the poles are driven by poles times states
     drives = turn(np.einsum("bk,bkl->lk", driven, sums[1:]) + sums[0].T)
     to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis])
-    to_poles += np.multiply.outer(first[1:], turn(first[0])) - np.multiply.outer(last[1:], turn(last[0]))
+    to_poles += gone(others, 0)
     to_poles = np.where(near, direct[1:, :, 0], to_poles / left)
     ahead = np.einsum("ai,aik->ik", driven, to_poles)
     behind = turn(ahead).T
     twice = both_poles * (ahead + behind + states)
-    twice += np.multiply.outer(first[0], turn(first[0])) - np.multiply.outer(last[0], turn(last[0]))
+    twice += gone(0, 0)
     found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
     found[0, :, 0], found[1:, :, 0] = behind, with_states
     found[0, :, 1], found[1:, :, 1] = np.where(near, direct[0, :, 0], twice / left), to_poles

@@ -10,7 +10,7 @@ from noisy import noisy_data, noisy_system
 from era.realisation import Realisation
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import ModalParameters
-from modal.estimation.output_error import NONE, step_at, step_equations
+from modal.estimation.output_error import step_at, step_equations
 from modal.estimation.prediction_error import (
     CanonicalVariates,
     Sections,
@@ -56,7 +56,7 @@ def test_the_gradient_is_that_of_the_error_along_every_coordinate(name):
     data = predictor_data(records, [record.complete_rows() for record in records])
     weights = np.array([[1.0, 0.3], [0.3, 2.0]])
     step = step_at(parameters_of(rng, *POLES[name]), data, weights=weights)
-    found = step_equations(step, data, held_out=NONE, weights=weights, coordinates=CHART)
+    found = step_equations(step, weights=weights, coordinates=CHART)
     size = 1e-6 / (1.0 + np.sqrt(np.diag(found.matrix) / step.error))
     for i, h in enumerate(size):
         at = np.where(np.arange(size.size) == i, h, 0.0)
