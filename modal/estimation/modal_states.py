@@ -281,13 +281,15 @@ def signal_grams(
     parts, whole = np.zeros((len(blocks), n_known, n_known)), np.zeros((layout.size, layout.size))
     for r, record in enumerate(records):
         own = [(block, part) for block, part in zip(blocks, parts, strict=True) if block.record == r]
-        gram = _record_gram(_Driven.of(layout, parameters, r, record), rows[r], own, held_out)
+        driven = _Driven.of(layout, parameters, r, record)
+        gram = _record_gram(driven, rows[r], own, held_out)
         if gram.shape == whole.shape:
             whole = gram
         else:
             places = layout.places(r)
             whole[np.ix_(places, places)] += gram
-    return layout, whole, parts
+    known = driven.places[np.r_[layout.alone.regressors, layout.alone.outputs]] - driven.known.start
+    return layout, whole, parts[:, known[:, np.newaxis], known]
 
 
 def _record_gram(
@@ -298,14 +300,14 @@ def _record_gram(
     for block, _ in blocks:
         if block.label != held_out:
             counted[block.rows] = rows[block.rows]
-    layout, runs, complete = driven.layout, runs_of(counted), bool(rows.all())
-    gram, known = np.zeros((layout.size, layout.size)), np.r_[layout.regressors, layout.outputs]
+    runs, complete = runs_of(counted), bool(rows.all())
+    whole = len(runs) <= len(blocks)  # else rows are missing or take turns, and are copied together
     near = _near(driven.poles)
     follows = counted.sum() >= FEWEST_ROWS * len(runs) and 2 * near.sum() < near.size
     sums = _Sums.of(driven, near, runs) if follows else None
-    for start, state, s, after in driven.responses():
-        signals = driven.stacked(start, state, s)
-        linear, stop = signals[known], start + signals.shape[1]
+    gram = np.zeros((driven.n_signals, driven.n_signals))
+    for start, signals, after in driven.signals():
+        linear, stop = signals[driven.known], start + signals.shape[1]
         for block, total in blocks:
             first, last = max(start, block.first), min(stop, block.last)
             first += (block.first - first) % block.step
@@ -314,15 +316,18 @@ def _record_gram(
                 own = own if complete else own[:, rows[first : last : block.step]]
                 own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
                 total += own @ own.T  # noqa: PLW2901
-        trains = counted[start:stop]
+        pieces = [(max(start, first), min(stop, last)) for first, last in runs if first < stop and last > start]
+        chosen = [signals[:, first - start : last - start] for first, last in pieces if whole]
+        for one in chosen if whole else [signals[:, counted[start:stop]]]:
+            if sums is None:
+                gram += one @ one.T
+            else:
+                sums.add(one)
         if sums is not None:
-            sums.add(start, signals, trains, s, after)
-        elif trains.any():
-            chosen = signals if trains.all() else signals[:, trains]
-            gram += chosen @ chosen.T
+            sums.end(start, signals, after)
     if sums is not None:
-        return sums.gram(np.sum([total for block, total in blocks if block.label != held_out], axis=0))
-    return gram
+        gram = sums.gram(np.sum([total for block, total in blocks if block.label != held_out], axis=0))
+    return gram[np.ix_(driven.places, driven.places)]
 
 
 def signals_of(
@@ -330,80 +335,109 @@ def signals_of(
 ) -> Iterator[tuple[int, FloatArray]]:
     """First row and (n_rows, n_signals) signals that one record has, chunk by chunk."""
     driven = _Driven.of(layout, parameters, index, record)
-    for first, state, s, _ in driven.responses():
-        yield first, driven.stacked(first, state, s).T
+    for first, signals, _ in driven.signals():
+        yield first, signals[driven.places].T
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Driven:
-    """The model driven by one record.
+    """The model driven by one record, its poles by rising angle.
+
+    Its signals stand in an order of their own: each pole's sensitivities together, real parts before imaginary ones,
+    so that those of neighbouring poles are; then what else they are multiplied by, and last the states.
 
     Attributes:
         layout: of the signals of this record.
+        order: (n_poles,) of its poles among those of the parameters.
         poles: (n_poles,).
         participations: (n_poles, n_inputs) of its own inputs.
         start: (n_poles,) initial states.
-        inputs: (n_samples, n_inputs).
-        outputs: (n_samples, n_outputs).
+        partners: (n_inputs + 1 + n_outputs, n_samples) inputs, those that act at once last, one, and outputs.
     """
 
     layout: SignalLayout
+    order: IndexArray
     poles: ComplexArray
     participations: ComplexArray
     start: ComplexArray
-    inputs: FloatArray
-    outputs: FloatArray
+    partners: FloatArray
 
     @classmethod
     def of(cls, layout: SignalLayout, parameters: ModalParameters, index: int, record: Record) -> "_Driven":
         """By the inputs whose signals it has."""
-        own = layout.inputs_of(index)
+        own, order = layout.inputs_of(index), np.argsort(np.angle(parameters.poles))
+        inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
         return cls(
             layout=layout.alone,
-            poles=parameters.poles,
-            participations=parameters.inputs[:, own],
-            start=parameters.states[index],
-            inputs=record.inputs[:, own],
-            outputs=record.outputs,
+            order=order,
+            poles=parameters.poles[order],
+            participations=parameters.inputs[np.ix_(order, own)],
+            start=parameters.states[index, order],
+            partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
         )
 
-    def stacked(self, first: int, state: ComplexArray, s: ComplexArray) -> FloatArray:
-        """(n_signals, n_rows) in the order of the layout."""
-        rows, flat = slice(first, first + state.shape[1]), s.reshape(-1, state.shape[1])
-        direct, one = self.inputs[rows, : self.layout.n_direct].T, np.ones((1, state.shape[1]))
-        return np.vstack([state.real, state.imag, direct, one, flat.real, flat.imag, self.outputs[rows].T])
+    @property
+    def n_families(self) -> int:
+        """Real signals of the sensitivities of a pole."""
+        return 2 * (2 + self.layout.n_inputs)
 
-    def responses(self) -> Iterator[tuple[int, ComplexArray, ComplexArray, ComplexArray]]:
-        """Chunk by chunk the first row, the states, their sensitivities, and what these are after the last row.
+    @property
+    def known(self) -> slice:
+        """Inputs that act at once, one, outputs and states."""
+        return slice(self.n_families * self.order.size + self.layout.n_inputs - self.layout.n_direct, None)
 
-        The states are (n_poles, n_rows), sensitivities to poles, to participations, to initial states (2 + n_inputs,
-        n_poles, n_rows), and after the last row (2 + n_inputs, n_poles).
+    @property
+    def n_signals(self) -> int:
+        """Real ones."""
+        return (self.n_families + 2) * self.order.size + len(self.partners)
+
+    @property
+    def places(self) -> IndexArray:
+        """(layout.size,) where the signals of the layout stand."""
+        layout, n, back = self.layout, self.order.size, np.argsort(self.order)
+        states = self.n_signals - 2 * n + np.concatenate([back, n + back])
+        sensitivities = (back * self.n_families + np.arange(self.n_families)[:, np.newaxis]).ravel()
+        known = self.known.start + np.arange(layout.n_direct + 1 + layout.n_outputs)
+        return np.concatenate([states, known[: layout.n_direct + 1], sensitivities, known[layout.n_direct + 1 :]])
+
+    def signals(self) -> Iterator[tuple[int, FloatArray, ComplexArray]]:
+        """Chunk by chunk the first row, (n_signals, n_rows) signals, and the sensitivities after the last row.
+
+        These are (n_poles, 2 + n_inputs): to the pole, to participations, to initial states. A chunk is overwritten by
+        the next one.
         """
-        poles, n_poles, n_inputs = self.poles, self.poles.size, self.inputs.shape[1]
-        longest = min(len(self.inputs), CHUNK)
+        poles, n, m, n_samples = self.poles, self.poles.size, self.layout.n_inputs, self.partners.shape[1]
+        longest = min(n_samples, CHUNK)
         recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
         with np.errstate(divide="ignore"):
             alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
-        memory = np.zeros((2 + n_inputs, n_poles), dtype=np.complex128)
+        inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)
+        memory = np.zeros((2 + m, n), dtype=np.complex128)
         memory[-1] = 1.0
-        scale = np.vstack([poles, np.ones((1 + n_inputs, n_poles))])
-        for first in range(0, len(self.inputs), longest):
-            inputs = self.inputs[first : first + longest].T
-            n_rows = inputs.shape[1]
-            s = np.empty((2 + n_inputs, n_poles, n_rows), dtype=np.complex128)
-            for j in range(n_inputs):
-                s[1 + j], memory[1 + j] = recursion.run(inputs[[j]], memory[1 + j])
-            s[-1] = (powers[:n_rows] * memory[-1]).T
-            for response, n_alive in zip(s[-1], alive - first, strict=True):
+        scale = np.vstack([poles, np.ones((1 + m, n))])
+        whole = np.empty((self.n_signals, longest))
+        for first in range(0, n_samples, longest):
+            n_rows = min(longest, n_samples - first)
+            signals = whole[:, :n_rows]
+            s = signals[: self.n_families * n].reshape(n, 2, 2 + m, n_rows)
+            free = (powers[:n_rows] * memory[-1]).T
+            for response, n_alive in zip(free, alive - first, strict=True):
                 if n_alive < n_rows:
                     response[max(0, int(n_alive)) :] = 0.0
-            state = self.start[:, np.newaxis] * s[-1]
-            for j in range(n_inputs):
-                state += self.participations[:, [j]] * s[1 + j]
-            s[0], memory[0] = recursion.run(state, memory[0])
-            s[0] *= poles[:, np.newaxis]
+            state = self.start[:, np.newaxis] * free
+            s[:, 0, -1], s[:, 1, -1] = free.real, free.imag
+            for j in range(m):
+                forced, memory[1 + j] = recursion.run(inputs[[j], first : first + n_rows], memory[1 + j])
+                s[:, 0, 1 + j], s[:, 1, 1 + j] = forced.real, forced.imag
+                forced *= self.participations[:, [j]]
+                state += forced
+            twice, memory[0] = recursion.run(state, memory[0])
+            twice *= poles[:, np.newaxis]
+            s[:, 0, 0], s[:, 1, 0] = twice.real, twice.imag
+            signals[-2 * n : -n], signals[-n:] = state.real, state.imag
+            signals[self.n_families * n : -2 * n] = self.partners[:, first : first + n_rows]
             memory[-1] *= powers[n_rows - 1] * poles
-            yield first, state, s, scale * memory
+            yield first, signals, (scale * memory).T
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -426,21 +460,19 @@ class _Sums:
     Attributes:
         driven: the record's model.
         near: (n_poles, n_poles) which two hardly die out in their product.
-        order: (n_poles,) of the poles by angle, so that near ones are neighbours.
-        reach: (n_poles,) one past the last in that order that is near to each.
+        reach: (n_poles,) one past the last that is near to each.
         runs: first row and one past the last.
-        partners: (n_sensitivities, n_inputs + 1 + n_outputs) sums with inputs, one and outputs, added up.
+        partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
         squares: (n_inputs, n_inputs) products of the inputs.
         ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
-        direct: (n_poles, 2 (2 + n_inputs), n_poles, 2 (2 + n_inputs)) by the order, where near.
+        direct: (n_sensitivities, n_sensitivities) of real signals, where near.
     """
 
     driven: _Driven
     near: BoolArray
-    order: IndexArray
     reach: IndexArray
     runs: Sequence[tuple[int, int]]
-    partners: ComplexArray
+    partners: FloatArray
     squares: FloatArray
     ends: ComplexArray
     direct: FloatArray
@@ -448,81 +480,75 @@ class _Sums:
     @classmethod
     def of(cls, driven: _Driven, near: BoolArray, runs: Sequence[tuple[int, int]]) -> "_Sums":
         """Nothing added up yet."""
-        layout, m = driven.layout, driven.layout.n_inputs
-        order = np.argsort(np.angle(driven.poles))
+        n, m = driven.poles.size, driven.layout.n_inputs
+        size = n * driven.n_families
         return cls(
             driven=driven,
             near=near,
-            order=order,
-            reach=order.size - near[np.ix_(order, order)][:, ::-1].argmax(axis=1),
+            reach=n - near[:, ::-1].argmax(axis=1),
             runs=runs,
-            partners=np.zeros((layout.n_sensitivities, m + 1 + layout.n_outputs), dtype=np.complex128),
+            partners=np.zeros((size, len(driven.partners))),
             squares=np.zeros((m, m)),
-            ends=np.zeros((2, len(runs), 2 + m, order.size), dtype=np.complex128),
-            direct=np.zeros((order.size, 2 * (2 + m), order.size, 2 * (2 + m))),
+            ends=np.zeros((2, len(runs), 2 + m, n), dtype=np.complex128),
+            direct=np.zeros((size, size)),
         )
 
-    def add(self, start: int, signals: FloatArray, trains: BoolArray, s: ComplexArray, after: ComplexArray) -> None:
-        """A chunk from row `start` on, of which some rows train."""
-        stop = start + trains.size
+    def add(self, signals: FloatArray) -> None:
+        """Rows that train."""
+        families, own = self.driven.n_families, slice(0, len(self.direct))
+        partners = signals[own.stop : own.stop + self.partners.shape[1]]
+        inputs = partners[: len(self.squares)]
+        self.partners[:] += signals[own] @ partners.T
+        self.squares[:] += inputs @ inputs.T
+        for i, reach in enumerate(self.reach.tolist()):
+            one, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
+            self.direct[one, others] += signals[one] @ signals[others].T
+
+    def end(self, start: int, signals: FloatArray, after: ComplexArray) -> None:
+        """What is at the ends of runs that lie in a chunk."""
+        stop, m, n = start + signals.shape[1], len(self.squares), self.driven.poles.size
+
+        def at(row: int) -> ComplexArray:
+            s = signals[: len(self.direct), row - start].reshape(n, 2, 2 + m)
+            found: ComplexArray = s[:, 0] + 1j * s[:, 1]
+            return found.T
+
         for i, (first, last) in enumerate(self.runs):
             if start <= first < stop:
-                self.ends[0, i] = s[:, :, first - start]
+                self.ends[0, i] = at(first)
             if start < last <= stop:
-                self.ends[1, i] = after if last == stop else s[:, :, last - start]
-        layout, inputs = self.driven.layout, self.driven.inputs[start:stop].T
-        if not trains.all():
-            signals, inputs = signals[:, trains], inputs[:, trains]
-        partners = np.vstack([inputs, np.ones((1, inputs.shape[1])), signals[layout.outputs]])
-        self.partners.real[:] += signals[layout.real] @ partners.T
-        self.partners.imag[:] += signals[layout.imaginary] @ partners.T
-        self.squares[:] += inputs @ inputs.T
-        n, families = self.order.size, self.direct.shape[1]
-        both = signals[layout.real.start : layout.imaginary.stop].reshape(families, n, -1)
-        of_poles = both[:, self.order].swapaxes(0, 1).reshape(n * families, -1)
-        flat = self.direct.reshape(n * families, n * families)
-        for i, reach in enumerate(self.reach.tolist()):
-            own, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
-            flat[own, others] += of_poles[own] @ of_poles[others].T
+                self.ends[1, i] = after.T if last == stop else at(last)
 
     def gram(self, known: FloatArray) -> FloatArray:
-        """All products; those of regressors and outputs with each other are known."""
-        layout, n, m = self.driven.layout, self.order.size, self.squares.shape[0]
-        near = self._directly()
+        """(n_signals, n_signals) all products; of what is known with each other those given."""
+        driven, n, m, size = self.driven, self.driven.poles.size, len(self.squares), len(self.direct)
+        into = np.roll(np.arange(m), driven.layout.n_direct)  # as in the layout, those that act at once first
+        partners = self.partners.reshape(n, 2, 2 + m, -1).transpose(1, 2, 0, 3)
+        direct = (np.triu(self.direct) + np.triu(self.direct, 1).T).reshape(n, 2, 2 + m, n, 2, 2 + m)
+        rr, ri, ir, ii = (
+            direct[:, i, :, :, j].transpose(1, 0, 3, 2).reshape((2 + m) * n, -1) for i in (0, 1) for j in (0, 1)
+        )
         products_of = partial(
             _products,
-            self.driven.poles,
-            np.vstack([self.driven.participations.T, self.driven.start]),
-            sums=self.partners[:, :m].reshape(2 + m, n, m),
+            driven.poles,
+            np.vstack([driven.participations.T, driven.start]),
+            sums=(partners[0] + 1j * partners[1])[:, :, into],
             ends=self.ends,
-            squares=self.squares,
+            squares=self.squares[np.ix_(into, into)],
             near=self.near,
         )
-        rr, ri, ir, ii = (part for half in np.split(near, 2) for part in np.split(half, 2, axis=1))
         turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
         plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
         upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
-        gram = np.zeros((layout.size, layout.size))
-        both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
-        for part, with_real, with_imaginary in ((re, upper.real, -lower.imag), (im, upper.imag, lower.real)):
-            gram[part, :n], gram[part, n : 2 * n] = with_real[:, :n], with_imaginary[:, :n]
-            gram[part, re], gram[part, im] = with_real[:, n:], with_imaginary[:, n:]
-        kept = np.r_[2 * n : layout.n_regressors, layout.outputs]
-        with_known = self.partners[:, np.r_[: layout.n_direct, m : m + 1 + layout.n_outputs]]
-        gram[re, kept], gram[im, kept] = with_known.real, with_known.imag
-        linear = np.r_[layout.regressors, layout.outputs]
-        gram[linear, both] = gram[both, linear].T
-        gram[np.ix_(linear, linear)] = known
+        # rows: real, imaginary; columns: of states and of sensitivities, real, imaginary
+        found = np.array([[upper.real, -lower.imag], [upper.imag, lower.real]])
+        own = found[..., n:].reshape(2, 2, 2 + m, n, 2 + m, n).transpose(3, 0, 2, 5, 1, 4).reshape(size, size)
+        states = found[..., :n].reshape(2, 2, 2 + m, n, n).transpose(3, 0, 2, 1, 4).reshape(size, 2 * n)
+        gram = np.zeros((driven.n_signals, driven.n_signals))
+        gram[:size, :size], gram[:size, size : -2 * n], gram[:size, -2 * n :] = own, self.partners, states
+        gram[size:, :size] = gram[:size, size:].T
+        gram[driven.known, driven.known] = known
         return gram
-
-    def _directly(self) -> FloatArray:
-        """(2 n_sensitivities, 2 n_sensitivities) sums of near ones, in the order of the layout."""
-        n, families = self.order.size, self.direct.shape[1]
-        flat = self.direct.reshape(n * families, n * families)
-        flat = np.triu(flat) + np.triu(flat, 1).T
-        back = np.argsort(self.order)
-        places = (back * families + np.arange(families)[:, np.newaxis]).ravel()
-        return flat[np.ix_(places, places)]
 
 
 def _products(
