@@ -411,10 +411,13 @@ class _Driven:
         recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
         with np.errstate(divide="ignore"):
             alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
-        inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)
+        inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]
         memory = np.zeros((2 + m, n), dtype=np.complex128)
         memory[-1] = 1.0
-        scale = np.vstack([poles, np.ones((1 + m, n))])
+        # the state, and poles times it, imaginary part first, which drives what is sensitive to them
+        drives = np.vstack([self.participations.T, self.start])
+        times = np.stack([drives.real, drives.imag, (poles * drives).imag, (poles * drives).real], axis=1).T
+        turned = np.stack([-drives.imag, drives.real, (poles * drives).real, -(poles * drives).imag], axis=1).T
         whole = np.empty((self.n_signals, longest))
         for first in range(0, n_samples, longest):
             n_rows = min(longest, n_samples - first)
@@ -424,20 +427,15 @@ class _Driven:
             for response, n_alive in zip(free, alive - first, strict=True):
                 if n_alive < n_rows:
                     response[max(0, int(n_alive)) :] = 0.0
-            state = self.start[:, np.newaxis] * free
             s[:, 0, -1], s[:, 1, -1] = free.real, free.imag
             for j in range(m):
-                forced, memory[1 + j] = recursion.run(inputs[[j], first : first + n_rows], memory[1 + j])
-                s[:, 0, 1 + j], s[:, 1, 1 + j] = forced.real, forced.imag
-                forced *= self.participations[:, [j]]
-                state += forced
-            twice, memory[0] = recursion.run(state, memory[0])
-            twice *= poles[:, np.newaxis]
-            s[:, 0, 0], s[:, 1, 0] = twice.real, twice.imag
-            signals[-2 * n : -n], signals[-n:] = state.real, state.imag
+                memory[1 + j] = recursion.fill(s[:, :, 1 + j], inputs[[j], :, first : first + n_rows], memory[1 + j])
+            state = np.matmul(times, s[:, 0, 1:]) + np.matmul(turned, s[:, 1, 1:])
+            memory[0] = recursion.fill(s[:, :, 0], state[:, 2:], memory[0])
+            signals[-2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
             signals[self.n_families * n : -2 * n] = self.partners[:, first : first + n_rows]
             memory[-1] *= powers[n_rows - 1] * poles
-            yield first, signals, (scale * memory).T
+            yield first, signals, memory.T.copy()
 
 
 def _near(poles: ComplexArray) -> BoolArray:

@@ -179,7 +179,7 @@ def test_outputs_with_a_sensor_s_noise_stay_the_very_same():
 
 
 def test_records_are_looked_over_once(monkeypatch):
-    """Ambient records were, three times: for their kind, before the fit, and for what their limits make of the modes."""
+    """Ambient ones were three times: for their kind, before the fit, and for what their limits make of the modes."""
     looked, look = [], faults._looked
     monkeypatch.setattr(faults, "_looked", lambda records: looked.append(records) or look(records))
     tip = lfilter([1.0], [1.0, -1.6, 0.9], np.random.default_rng(3).standard_normal(3000))
