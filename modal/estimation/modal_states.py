@@ -418,7 +418,7 @@ class _Driven:
         drives = np.vstack([self.participations.T, self.start])
         times = np.stack([drives.real, drives.imag, (poles * drives).imag, (poles * drives).real], axis=1).T
         turned = np.stack([-drives.imag, drives.real, (poles * drives).real, -(poles * drives).imag], axis=1).T
-        whole = np.empty((self.n_signals, longest))
+        whole, both = np.empty((self.n_signals, longest)), np.empty((2, n, 4, longest))
         for first in range(0, n_samples, longest):
             n_rows = min(longest, n_samples - first)
             signals = whole[:, :n_rows]
@@ -430,7 +430,10 @@ class _Driven:
             s[:, 0, -1], s[:, 1, -1] = free.real, free.imag
             for j in range(m):
                 memory[1 + j] = recursion.fill(s[:, :, 1 + j], inputs[[j], :, first : first + n_rows], memory[1 + j])
-            state = np.matmul(times, s[:, 0, 1:]) + np.matmul(turned, s[:, 1, 1:])
+            state, other = both[..., :n_rows]
+            np.matmul(times, s[:, 0, 1:], out=state)
+            np.matmul(turned, s[:, 1, 1:], out=other)
+            state += other
             memory[0] = recursion.fill(s[:, :, 0], state[:, 2:], memory[0])
             signals[-2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
             signals[self.n_families * n : -2 * n] = self.partners[:, first : first + n_rows]
