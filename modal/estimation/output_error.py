@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 import scipy
 
+from modal.estimation.free_run import moving_inputs
 from modal.estimation.modal_states import NONE, Block, ModalParameters, SignalLayout, signal_grams
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -57,12 +58,7 @@ class OutputError:
     n_direct: int | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "records", tuple(_moving_inputs(record) for record in self.records))
-
-
-def _moving_inputs(record: Record) -> Record:
-    still = (record.inputs == record.inputs[:1]).all(axis=0) & (record.inputs[:1] != 0.0).any(axis=0)
-    return replace(record, inputs=np.where(still, 0.0, record.inputs)) if still.any() else record
+        object.__setattr__(self, "records", tuple(moving_inputs(record) for record in self.records))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
