@@ -6,16 +6,11 @@ Each pole has one complex state in each record, driven by all inputs and by what
 
 Sensitivities of a state run through the same pole: to lambda_i the state once more filtered, to b_ij the filtered input
 u_j, to x0_i the power lambda_i^k. All sums over rows that a Gauss-Newton step and its linear part need are products of
-these signals, so a record is passed once and only its Gram matrix is kept, one for each block of rows.
-
-One BLAS thread while we work.
-
-Our matrices have a few hundred rows. For them a second thread gains nothing, and on a busy machine the threads wait for
-each other: an identification took 42 s of processor time instead of 5 s on two cores with a load of eight.
+these signals, so a record is passed once and only its Gram matrices are kept: of all of them over the rows that train,
+of those that are linear over each block of rows.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -241,7 +236,6 @@ def _layout(parameters: ModalParameters, records: Sequence[Record], n_direct: in
     n_inputs = records[0].n_inputs
     moving = [np.flatnonzero(record.inputs[:, :n_direct].any(axis=0)) for record in records]
     most = max(own.size for own in moving)
-    others = range(n_direct, n_inputs)
     padded = [[*own, *(j for j in range(n_direct) if j not in own)][:most] for own in map(np.ndarray.tolist, moving)]
     return SignalLayout(
         n_poles=parameters.poles.size,
@@ -249,7 +243,7 @@ def _layout(parameters: ModalParameters, records: Sequence[Record], n_direct: in
         n_outputs=records[0].n_outputs,
         n_records=len(records),
         n_direct=n_direct,
-        drives=tuple((*sorted(own), *others) for own in padded) if most < n_direct else (),
+        drives=tuple((*sorted(own), *range(n_direct, n_inputs)) for own in padded) if most < n_direct else (),
     )
 
 
@@ -277,8 +271,8 @@ def signal_grams(
         (n_blocks, n, n): thirty records have thirty levels, of which a block has one.
     """
     layout = _layout(parameters, records, n_direct)
-    n_known = layout.alone.n_regressors + layout.n_outputs
-    parts, whole = np.zeros((len(blocks), n_known, n_known)), np.zeros((layout.size, layout.size))
+    parts = np.zeros((len(blocks), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
+    whole = np.zeros((layout.size, layout.size))
     for r, record in enumerate(records):
         own = [(block, part) for block, part in zip(blocks, parts, strict=True) if block.record == r]
         driven = _Driven.of(layout, parameters, r, record)
@@ -288,8 +282,8 @@ def signal_grams(
         else:
             places = layout.places(r)
             whole[np.ix_(places, places)] += gram
-    known = driven.places[np.r_[layout.alone.regressors, layout.alone.outputs]] - driven.known.start
-    return layout, whole, parts[:, known[:, np.newaxis], known]
+    at = driven.places[np.r_[layout.alone.regressors, layout.alone.outputs]] - driven.known.start
+    return layout, whole, parts[:, at[:, np.newaxis], at]
 
 
 def _record_gram(
@@ -498,21 +492,19 @@ class _Sums:
         """Rows that train."""
         families, own = self.driven.n_families, slice(0, len(self.direct))
         partners = signals[own.stop : own.stop + self.partners.shape[1]]
-        inputs = partners[: len(self.squares)]
         self.partners[:] += signals[own] @ partners.T
-        self.squares[:] += inputs @ inputs.T
+        self.squares[:] += partners[: len(self.squares)] @ partners[: len(self.squares)].T
         for i, reach in enumerate(self.reach.tolist()):
             one, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
             self.direct[one, others] += signals[one] @ signals[others].T
 
     def end(self, start: int, signals: FloatArray, after: ComplexArray) -> None:
         """What is at the ends of runs that lie in a chunk."""
-        stop, m, n = start + signals.shape[1], len(self.squares), self.driven.poles.size
+        stop, n = start + signals.shape[1], self.driven.poles.size
 
         def at(row: int) -> ComplexArray:
-            s = signals[: len(self.direct), row - start].reshape(n, 2, 2 + m)
-            found: ComplexArray = s[:, 0] + 1j * s[:, 1]
-            return found.T
+            s = signals[: len(self.direct), row - start].reshape(n, 2, -1)
+            return np.asarray((s[:, 0] + 1j * s[:, 1]).T)
 
         for i, (first, last) in enumerate(self.runs):
             if start <= first < stop:
@@ -580,10 +572,9 @@ def _products(
     left, direct = np.where(near, 1.0, 1.0 - both_poles), direct.reshape(2 + m, n, 2 + m, n)
     sums = np.pad(sums, ((0, 0), (0, 0), (0, 1)))  # nothing drives what rings down from its start
 
-    def gone(left: int | slice, right: int | slice) -> ComplexArray:
-        first, last = ends
-        gained: ComplexArray = np.tensordot(first[:, left], turn(first[:, right]), axes=(0, 0))
-        return gained - np.tensordot(last[:, left], turn(last[:, right]), axes=(0, 0))
+    def gone(one: int | slice, two: int | slice) -> ComplexArray:
+        came, went = (np.tensordot(end[:, one], turn(end[:, two]), axes=(0, 0)) for end in ends)
+        return np.asarray(came - went)
 
     others = slice(1, None)  # than those to the poles, first among each other
     base = poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
@@ -595,29 +586,13 @@ def _products(
     states = np.einsum("ai,aik->ik", driven, with_states)
     # the sensitivities to the poles are driven by poles times states
     drives = turn(np.einsum("bk,bkl->lk", driven, sums[1:]) + sums[0].T)
-    to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis])
-    to_poles += gone(others, 0)
+    to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis]) + gone(others, 0)
     to_poles = np.where(near, direct[1:, :, 0], to_poles / left)
     ahead = np.einsum("ai,aik->ik", driven, to_poles)
     behind = turn(ahead).T
-    twice = both_poles * (ahead + behind + states)
-    twice += gone(0, 0)
+    twice = both_poles * (ahead + behind + states) + gone(0, 0)
     found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
     found[0, :, 0], found[1:, :, 0] = behind, with_states
     found[0, :, 1], found[1:, :, 1] = np.where(near, direct[0, :, 0], twice / left), to_poles
     found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
     return found.reshape((2 + m) * n, -1)
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """A context in which numpy and scipy use one thread; what was set before is restored at its end.
-
-    Example:
-        >>> with one_blas_thread():
-        ...     pass
-    """
-    import scipy.linalg  # noqa: F401  # scipy brings a BLAS of its own, which must be loaded before it can be limited
-    from threadpoolctl import threadpool_limits
-
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limits

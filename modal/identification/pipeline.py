@@ -14,7 +14,6 @@ from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
-from modal.estimation.modal_states import one_blas_thread
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -49,7 +48,7 @@ from modal.verdict.excitation import between_lines, driven_gain
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from okid.arrays import FloatArray, whole_number
+from okid.arrays import FloatArray, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.frequency_response import FrequencyResponse

@@ -21,8 +21,8 @@ from textbook_output_error import (
     regressors,
 )
 
-from modal.estimation.modal_states import ModalParameters, blocks_of
-from modal.estimation.output_error import NONE, OutputError, PolesAndParticipations, refine, step_at, step_equations
+from modal.estimation.modal_states import NONE, ModalParameters, blocks_of
+from modal.estimation.output_error import OutputError, PolesAndParticipations, refine, step_at, step_equations
 from okid.record import Record
 
 
