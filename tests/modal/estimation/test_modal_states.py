@@ -1,5 +1,6 @@
 """Signals, Gram matrices and blocks against loops over samples; chunk edges, gaps, several records, real poles."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,12 +18,15 @@ def parameters_of(model):
     return ModalParameters(poles=model.poles, is_pair=model.is_pair, inputs=model.b, states=model.starts)
 
 
-def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0):
+def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0, roving=False):
     rng = np.random.default_rng(seed)
     model = random_loop_model(
         rng, n_pairs=n_pairs, n_real=n_real, n_inputs=n_inputs, n_outputs=n_outputs, n_records=len(lengths)
     )
     records = [Record(rng.standard_normal((n, n_inputs)), rng.standard_normal((n, n_outputs)), 0.1) for n in lengths]
+    for r, record in enumerate(records if roving else ()):  # one moves in each, of some two
+        still = [j for j in range(n_inputs) if j not in (r % n_inputs, r // n_inputs)]
+        records[r] = replace(record, inputs=np.where(np.isin(np.arange(n_inputs), still), 0.0, record.inputs))
     rows = [rng.random(n) >= missing for n in lengths]
     return model, records, rows
 
@@ -46,6 +50,8 @@ CASES = {
     "three inputs": {"lengths": (70, 40), "n_inputs": 3, "n_outputs": 3},
     "a record of one sample": {"lengths": (40, 1, 2), "n_inputs": 1, "n_outputs": 1},
     "no inputs": {"lengths": (60, 50), "n_inputs": 0},
+    "a hammer that roves": {"lengths": (70, 40, 60, 50), "n_inputs": 3, "missing": 0.1, "roving": True},
+    "one that roves, by sums that follow": {"lengths": (230, 150, 90), "n_pairs": 4, "n_inputs": 3, "roving": True},
     "sums that follow from each other": {"lengths": (230, 150), "n_pairs": 3, "n_real": 2, "n_inputs": 5},
 }
 
@@ -188,6 +194,10 @@ def test_blocks_hold_every_row_once_with_its_fold(cut):
 
 def test_every_signal_has_one_place_and_records_share_what_they_share():
     layout = SignalLayout(n_poles=3, n_inputs=2, n_outputs=2, n_records=4, n_direct=2)
+    roving = replace(layout, drives=((0,), (1,), (1,), (0,)))
+    own = roving.places(0)
+    assert np.unique(own).size == own.size == roving.alone.size
+    assert set().union(*(set(roving.places(r)) for r in range(4))) == set(range(roving.size))
     slices = (layout.regressors, layout.real, layout.imaginary, layout.outputs)
     assert [i for one in slices for i in range(one.start, one.stop)] == list(range(layout.size))
     places = [layout.places(r) for r in range(4)]
