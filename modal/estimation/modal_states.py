@@ -32,6 +32,8 @@ CHUNK = 1024
 """Hold so many rows of signals at a time: they stay in cache."""
 FEWEST_ROWS = 256
 """Let sums follow from each other over runs of at least so many rows in the mean: those over fewer are made sooner."""
+FEWEST_SIGNALS = 120
+"""Let sums follow from each other where so many sensitivities are to be multiplied: few are multiplied sooner."""
 NONE = -2
 """Hold no block out: none has this label."""
 APART = 0.05
@@ -296,9 +298,8 @@ def _record_gram(
             counted[block.rows] = rows[block.rows]
     runs, complete = runs_of(counted), bool(rows.all())
     whole = len(runs) <= len(blocks)  # else rows are missing or take turns, and are copied together
-    near = _near(driven.poles)
-    follows = counted.sum() >= FEWEST_ROWS * len(runs) and 2 * near.sum() < near.size
-    sums = _Sums.of(driven, near, runs) if follows else None
+    many = driven.known.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
+    sums = _Sums.of(driven, near, runs) if many and 2 * (near := _near(driven.poles)).sum() < near.size else None
     gram = np.zeros((driven.n_signals, driven.n_signals))
     for start, signals, after in driven.signals():
         linear, stop = signals[driven.known], start + signals.shape[1]

@@ -61,6 +61,7 @@ CASES = {
 def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, chunk):
     monkeypatch.setattr(modal_states, "CHUNK", chunk)
     monkeypatch.setattr(modal_states, "FEWEST_ROWS", 1)
+    monkeypatch.setattr(modal_states, "FEWEST_SIGNALS", 1)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
     layout, _, parts = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
