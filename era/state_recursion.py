@@ -112,14 +112,15 @@ class PoleRecursion:
 
     Attributes:
         poles: (n_poles,).
-        kernel: (n_poles, block + 1, block) states of a block by its drive and by the state at its start.
-        reach: (n_poles, block, 1) state after a block by its drive.
+        kernel: (n_poles, 2, 2 block + 2, block) real and imaginary part of the states of a block, by imaginary and real
+            part of its drive and by those of the state at its start.
+        reach: (n_poles, 2 block, 2) state after a block by its drive, likewise.
         starts: of the blocks; None where there are too few of them.
     """
 
     poles: ComplexArray
-    kernel: ComplexArray
-    reach: ComplexArray
+    kernel: FloatArray
+    reach: FloatArray
     starts: "PoleRecursion | None"
 
     @classmethod
@@ -135,10 +136,14 @@ class PoleRecursion:
         powers = poles[:, np.newaxis] ** np.arange(POLE_BLOCK + 1)
         lags = np.arange(POLE_BLOCK) - 1 - np.arange(POLE_BLOCK)[:, np.newaxis]  # [sample of the drive, of the state]
         driven = np.where(lags >= 0, powers[:, np.maximum(lags, 0)], 0.0)
+        free = powers[:, np.newaxis, :POLE_BLOCK]
+        by_all = np.concatenate([1j * driven, driven, free, 1j * free], axis=1)
+        after = powers[:, POLE_BLOCK - 1 :: -1]
+        by_drive = np.concatenate([1j * after, after], axis=1)
         return cls(
             poles=poles,
-            kernel=np.concatenate([driven, powers[:, np.newaxis, :POLE_BLOCK]], axis=1),
-            reach=powers[:, POLE_BLOCK - 1 :: -1, np.newaxis],
+            kernel=np.stack([by_all.real, by_all.imag], axis=1),
+            reach=np.stack([by_drive.real, by_drive.imag], axis=2),
             starts=cls.of(powers[:, POLE_BLOCK], n_samples // POLE_BLOCK) if n_samples > 2 * POLE_BLOCK else None,
         )
 
@@ -149,20 +154,36 @@ class PoleRecursion:
             drive: (n_poles, n_samples) of each pole, or (1, n_samples) of all.
             state: (n_poles,) at the first sample.
         """
-        n_poles, n_samples = self.poles.size, drive.shape[1]
-        states = np.empty((n_poles, n_samples), dtype=np.complex128)
+        parts = (drive.imag, drive.real) if np.iscomplexobj(drive) else (drive,)
+        states = np.empty((self.poles.size, 2, drive.shape[1]))
+        after = self.fill(states, np.stack(parts, axis=1), state)
+        return states[:, 0] + 1j * states[:, 1], after
+
+    def fill(self, states: FloatArray, drive: FloatArray, state: ComplexArray) -> ComplexArray:
+        """Fill in the states, and give (n_poles,) that after the last sample.
+
+        Args:
+            states: (n_poles, 2, n_samples) room for real and imaginary parts.
+            drive: (n_poles or 1, 2, n_samples) imaginary and real parts, or (n_poles or 1, 1, n_samples) real ones.
+            state: (n_poles,) at the first sample.
+        """
+        n_poles, (_, n_parts, n_samples) = self.poles.size, drive.shape
         n_blocks = 0 if self.starts is None else n_samples // POLE_BLOCK
-        whole = n_blocks * POLE_BLOCK
+        whole, width = n_blocks * POLE_BLOCK, n_parts * POLE_BLOCK
         if self.starts is not None and n_blocks:
-            stacked = np.empty((n_poles, n_blocks, POLE_BLOCK + 1), dtype=np.complex128)
-            stacked[:, :, :POLE_BLOCK] = drive[:, :whole].reshape(-1, n_blocks, POLE_BLOCK)
-            added = np.matmul(stacked[:, :, :POLE_BLOCK], self.reach)[:, :, 0]
-            stacked[:, :, POLE_BLOCK], state = self.starts.run(added, state)
-            states[:, :whole] = np.matmul(stacked, self.kernel).reshape(n_poles, whole)
+            stacked = np.empty((n_poles, n_blocks, width + 2))
+            of_blocks = stacked[:, :, :width].reshape(n_poles, n_blocks, n_parts, POLE_BLOCK)
+            of_blocks[:] = drive[:, :, :whole].reshape(-1, n_parts, n_blocks, POLE_BLOCK).swapaxes(1, 2)
+            added = np.matmul(stacked[:, :, :width], self.reach[:, -width:])
+            starts, state = self.starts.run(added.view(np.complex128)[:, :, 0], state)
+            stacked[:, :, width:] = starts.view(np.float64).reshape(n_poles, n_blocks, 2)
+            into = states[:, :, :whole].reshape(n_poles, 2, n_blocks, POLE_BLOCK)
+            np.matmul(stacked[:, np.newaxis], self.kernel[:, :, -width - 2 :], out=into)
+        drives = drive[:, 0, whole:] if n_parts == 1 else drive[:, 1, whole:] + 1j * drive[:, 0, whole:]
         for k in range(whole, n_samples):
-            states[:, k] = state
-            state = self.poles * state + drive[:, k]
-        return states, state
+            states[:, 0, k], states[:, 1, k] = state.real, state.imag
+            state = self.poles * state + drives[:, k - whole]
+        return state
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

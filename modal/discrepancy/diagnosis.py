@@ -39,13 +39,12 @@ from modal.discrepancy.validation.other_hold import by_the_better_hold, cut_into
 from modal.discrepancy.validation.summary import calibrated_parameters, diagnosis_of, with_cautions, with_findings
 from modal.effects.catalogue import CATALOGUE, by_form
 from modal.effects.effect import Effect
-from modal.estimation.modal_states import one_blas_thread
 from modal.localisation.levels import LevelModes
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.scheme import cpu_seconds
 from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, one_blas_thread
 from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record

@@ -359,8 +359,7 @@ def block_errors(
         held_out: (n_samples,) rows that count.
         blocks: (first, one past last) row of each; none of their rows trains.
     """
-    recursion = ModalRecursion.of_model(model)
-    left = record.outputs - recursion.from_rest(record.inputs)
+    recursion, left = _left_from_rest(model, record)
     scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
     state, level = _start_and_level(model, recursion, left, training)
     n_alive = recursion.n_alive(record.n_samples)
@@ -401,8 +400,27 @@ def _start_and_level(
 
 def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
     """(n_poles,) modal state at the first sample that `free_run` would start from."""
-    recursion = ModalRecursion.of_model(model)
-    return _start_and_level(model, recursion, record.outputs - recursion.from_rest(record.inputs), training)[0]
+    return _start_and_level(model, *_left_from_rest(model, record), training)[0]
+
+
+def _left_from_rest(model: ModalForm, record: Record) -> tuple["ModalRecursion", FloatArray]:
+    """What the run from rest leaves of the outputs, and the products for it, of the inputs that are not zero."""
+    moving = record.inputs.any(axis=0)
+    weighted = model.weights * model.shapes
+    recursion = ModalRecursion.of(model.poles, model.participations[:, moving], weighted, model.feedthrough[:, moving])
+    inputs = record.inputs if moving.all() else record.inputs[:, moving]
+    return recursion, record.outputs - recursion.from_rest(inputs)
+
+
+def moving_inputs(record: Record) -> Record:
+    """With zeros for inputs that stand still: a constant one makes a level and a start, which are a record's own.
+
+    Example:
+        >>> moving_inputs(Record([[1.0, 2.0], [0.0, 2.0]], [0.0, 1.0], 0.1)).inputs.tolist()
+        [[1.0, 0.0], [0.0, 0.0]]
+    """
+    still = (record.inputs == record.inputs[:1]).all(axis=0) & (record.inputs[:1] != 0.0).any(axis=0)
+    return replace(record, inputs=np.where(still, 0.0, record.inputs)) if still.any() else record
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:

@@ -20,8 +20,8 @@ from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
 from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
-from modal.estimation.modal_states import ModalParameters
-from modal.estimation.output_error import NONE, OutputError, RefinementStep, step_at
+from modal.estimation.modal_states import NONE, ModalParameters
+from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.errors import IdentificationError

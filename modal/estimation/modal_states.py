@@ -6,16 +6,11 @@ Each pole has one complex state in each record, driven by all inputs and by what
 
 Sensitivities of a state run through the same pole: to lambda_i the state once more filtered, to b_ij the filtered input
 u_j, to x0_i the power lambda_i^k. All sums over rows that a Gauss-Newton step and its linear part need are products of
-these signals, so a record is passed once and only its Gram matrix is kept, one for each block of rows.
-
-One BLAS thread while we work.
-
-Our matrices have a few hundred rows. For them a second thread gains nothing, and on a busy machine the threads wait for
-each other: an identification took 42 s of processor time instead of 5 s on two cores with a load of eight.
+these signals, so a record is passed once and only its Gram matrices are kept: of all of them over the rows that train,
+of those that are linear over each block of rows.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -27,19 +22,20 @@ from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
+from okid.rows import runs_of
 
 PARTS = 10
 """Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
 IndexArray = npt.NDArray[np.intp]
 
-LONGEST_CHUNK = 8192
-"""Rows of signals that are held at a time."""
-SHORT_CHUNK = 1024
-"""Rows that are held where sums follow from each other: in cache."""
-FEWEST_DRIVES = 4
-"""Let sums follow from each other from so many inputs on."""
+CHUNK = 1024
+"""Hold so many rows of signals at a time: they stay in cache."""
 FEWEST_ROWS = 256
-"""Let sums follow from each other over at least so many rows: those over fewer are made sooner."""
+"""Let sums follow from each other over runs of at least so many rows in the mean: those over fewer are made sooner."""
+FEWEST_SIGNALS = 120
+"""Let sums follow from each other where so many sensitivities are to be multiplied: few are multiplied sooner."""
+NONE = -2
+"""Hold no block out: none has this label."""
 APART = 0.05
 """Sum up what two poles give whose product is no further from one: rounding of the rest grows with its third power."""
 DIED_OUT = 1e-100
@@ -153,7 +149,8 @@ class SignalLayout:
     """Where each signal stands in the Gram matrix; complex signals as real part, imaginary part.
 
     Regressors of the linear part: states, the first `n_direct` inputs, one level a record. Sensitivities: to the poles,
-    to the inputs' participations, to the initial states. Last the outputs.
+    to the inputs' participations, to the initial states. Last the outputs. `drives` are the inputs that move in each
+    record, as many everywhere, where not all do: the signals of an input that stands at zero are zero.
     """
 
     n_poles: int
@@ -161,6 +158,7 @@ class SignalLayout:
     n_outputs: int
     n_records: int
     n_direct: int
+    drives: tuple[tuple[int, ...], ...] = ()
 
     @property
     def n_regressors(self) -> int:
@@ -204,8 +202,16 @@ class SignalLayout:
 
     @property
     def alone(self) -> "SignalLayout":
-        """Of the signals that one record has: its own level, its own initial states."""
-        return replace(self, n_records=1)
+        """Of the signals that one record has: what drives it, its own level, its own initial states."""
+        if not self.drives:
+            return replace(self, n_records=1)
+        own = self.drives[0]
+        n_direct = sum(j < self.n_direct for j in own)
+        return replace(self, n_records=1, n_inputs=len(own), n_direct=n_direct, drives=())
+
+    def inputs_of(self, record: int) -> IndexArray:
+        """(alone.n_inputs,) inputs whose signals one record has."""
+        return np.array(self.drives[record] if self.drives else range(self.n_inputs), dtype=np.intp)
 
     def places(self, record: int) -> IndexArray:
         """(alone.size,) places among all signals of those that one record has."""
@@ -215,14 +221,32 @@ class SignalLayout:
 @lru_cache(maxsize=1024)
 def _places(layout: SignalLayout, record: int) -> IndexArray:
     """See `SignalLayout.places`: asked for at every step of a refinement, the same each time."""
-    n_poles, regressors = layout.n_poles, 2 * layout.n_poles + layout.n_direct
-    shared = n_poles * (1 + layout.n_inputs)
-    own = np.r_[:shared, shared + n_poles * record : shared + n_poles * (record + 1)]
-    real, imaginary = layout.real.start + own, layout.imaginary.start + own
+    n_poles, inputs = layout.n_poles, layout.inputs_of(record)
+    families = np.concatenate([[0], 1 + inputs, [1 + layout.n_inputs + record]])
+    own = (n_poles * families[:, np.newaxis] + np.arange(n_poles)).ravel()
+    direct, level = 2 * n_poles + inputs[inputs < layout.n_direct], 2 * n_poles + layout.n_direct + record
     outputs = layout.outputs.start + np.arange(layout.n_outputs)
-    places = np.concatenate([np.arange(regressors), [regressors + record], real, imaginary, outputs])
+    places = np.concatenate(
+        [np.arange(2 * n_poles), direct, [level], layout.real.start + own, layout.imaginary.start + own, outputs]
+    )
     places.flags.writeable = False
     return places
+
+
+def _layout(parameters: ModalParameters, records: Sequence[Record], n_direct: int) -> SignalLayout:
+    """Of all signals of the records."""
+    n_inputs = records[0].n_inputs
+    moving = [np.flatnonzero(record.inputs[:, :n_direct].any(axis=0)) for record in records]
+    most = max(own.size for own in moving)
+    padded = [[*own, *(j for j in range(n_direct) if j not in own)][:most] for own in map(np.ndarray.tolist, moving)]
+    return SignalLayout(
+        n_poles=parameters.poles.size,
+        n_inputs=n_inputs,
+        n_outputs=records[0].n_outputs,
+        n_records=len(records),
+        n_direct=n_direct,
+        drives=tuple((*sorted(own), *range(n_direct, n_inputs)) for own in padded) if most < n_direct else (),
+    )
 
 
 def signal_grams(
@@ -232,8 +256,9 @@ def signal_grams(
     blocks: Sequence[Block],
     *,
     n_direct: int,
-) -> tuple[SignalLayout, FloatArray]:
-    """Gram matrices of all signals over the counted rows of each block.
+    held_out: int = NONE,
+) -> tuple[SignalLayout, FloatArray, FloatArray]:
+    """Gram matrices: of all signals over the rows that train, of what is linear over those of each block.
 
     Args:
         parameters: of the model.
@@ -241,125 +266,174 @@ def signal_grams(
         rows: (n_samples,) a record, True where a row counts.
         blocks: in the order of their rows, each record whole.
         n_direct: the first so many inputs act on the outputs at once.
+        held_out: blocks with this label do not train.
 
     Returns:
-        Layout of all signals, and (n_blocks, alone.size, alone.size) Gram matrices of each block's own ones: the others
-        are zero in it, and thirty records have thirty times as many.
+        Layout of all signals, the (size, size) Gram matrix, and those of each block's own regressors and outputs,
+        (n_blocks, n, n): thirty records have thirty levels, of which a block has one.
     """
-    first = records[0]
-    layout = SignalLayout(
-        n_poles=parameters.poles.size,
-        n_inputs=first.n_inputs,
-        n_outputs=first.n_outputs,
-        n_records=len(records),
-        n_direct=n_direct,
-    )
-    size = layout.alone.size
-    grams = np.zeros((len(blocks), size, size))
+    layout = _layout(parameters, records, n_direct)
+    parts = np.zeros((len(blocks), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
+    whole = np.zeros((layout.size, layout.size))
     for r, record in enumerate(records):
-        own = [i for i, block in enumerate(blocks) if block.record == r]
-        part = grams[own[0] : own[-1] + 1]
-        _add_grams(part, parameters, record, rows[r], [blocks[i] for i in own], n_direct=n_direct)
-    return layout, grams
+        own = [(block, part) for block, part in zip(blocks, parts, strict=True) if block.record == r]
+        driven = _Driven.of(layout, parameters, r, record)
+        gram = _record_gram(driven, rows[r], own, held_out)
+        if gram.shape == whole.shape:
+            whole = gram
+        else:
+            places = layout.places(r)
+            whole[np.ix_(places, places)] += gram
+    at = driven.places[np.r_[layout.alone.regressors, layout.alone.outputs]] - driven.known.start
+    return layout, whole, parts[:, at[:, np.newaxis], at]
 
 
-def whole_gram(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], chosen: Sequence[int]) -> FloatArray:
-    """(size, size) Gram matrix of all signals over the rows of the chosen blocks.
-
-    Args:
-        layout: of all signals.
-        grams: of each block's own signals, from `signal_grams`.
-        blocks: of the Gram matrices.
-        chosen: indices of blocks.
-    """
-    if layout.n_records == 1:
-        gram: FloatArray = grams[list(chosen)].sum(axis=0)
-        return gram
-    gram = np.zeros((layout.size, layout.size))
-    for r in range(layout.n_records):
-        places = layout.places(r)
-        gram[np.ix_(places, places)] += grams[[i for i in chosen if blocks[i].record == r]].sum(axis=0)
-    return gram
-
-
-def _add_grams(
-    grams: FloatArray,
-    parameters: ModalParameters,
-    record: Record,
-    rows: BoolArray,
-    blocks: Sequence[Block],
-    *,
-    n_direct: int,
-) -> None:
-    """Add one record's products to the Gram matrices of its blocks."""
-    complete = bool(rows.all())
-    long = all(block.step == 1 and block.last - block.first >= FEWEST_ROWS for block in blocks)
-    if complete and long and record.n_inputs >= FEWEST_DRIVES:
-        near = _near(parameters.poles)
-        if 2 * near.sum() < near.size:
-            _add_by_recursion(grams, parameters, record, blocks, n_direct=n_direct, near=near)
-            return
-    for start, signals in signals_of(parameters, blocks[0].record, record, n_direct=n_direct):
-        stop = start + signals.shape[0]
-        for i, block in enumerate(blocks):
+def _record_gram(
+    driven: "_Driven", rows: BoolArray, blocks: Sequence[tuple[Block, FloatArray]], held_out: int
+) -> FloatArray:
+    """(size, size) products over the rows of a record that train; those of its blocks are added to theirs."""
+    counted = np.zeros(rows.size, dtype=np.bool_)
+    for block, _ in blocks:
+        if block.label != held_out:
+            counted[block.rows] = rows[block.rows]
+    runs, complete = runs_of(counted), bool(rows.all())
+    whole = len(runs) <= len(blocks)  # else rows are missing or take turns, and are copied together
+    many = driven.known.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
+    sums = _Sums.of(driven, near, runs) if many and 2 * (near := _near(driven.poles)).sum() < near.size else None
+    gram = np.zeros((driven.n_signals, driven.n_signals))
+    for start, signals, after in driven.signals():
+        linear, stop = signals[driven.known], start + signals.shape[1]
+        for block, total in blocks:
             first, last = max(start, block.first), min(stop, block.last)
             first += (block.first - first) % block.step
             if first < last:
-                part = signals[first - start : last - start : block.step]
-                if block.step > 1:  # BLAS takes no steps within a signal
-                    part = np.ascontiguousarray(part.T).T
-                chosen = part if complete else part[rows[first : last : block.step]]
-                grams[i] += chosen.T @ chosen
+                own = linear[:, first - start : last - start : block.step]
+                own = own if complete else own[:, rows[first : last : block.step]]
+                own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
+                total += own @ own.T  # noqa: PLW2901
+        pieces = [(max(start, first), min(stop, last)) for first, last in runs if first < stop and last > start]
+        chosen = [signals[:, first - start : last - start] for first, last in pieces if whole]
+        for one in chosen if whole else [signals[:, counted[start:stop]]]:
+            if sums is None:
+                gram += one @ one.T
+            else:
+                sums.add(one)
+        if sums is not None:
+            sums.end(start, signals, after)
+    if sums is not None:
+        gram = sums.gram(np.sum([total for block, total in blocks if block.label != held_out], axis=0))
+    return gram[np.ix_(driven.places, driven.places)]
 
 
 def signals_of(
-    parameters: ModalParameters, index: int, record: Record, *, n_direct: int
+    layout: SignalLayout, parameters: ModalParameters, index: int, record: Record
 ) -> Iterator[tuple[int, FloatArray]]:
-    """First row and (n_rows, n_signals) signals of one record, chunk by chunk."""
-    for first, state, s, _ in _responses(parameters, index, record, LONGEST_CHUNK):
-        yield first, _stacked(record, first, state, s, n_direct)
+    """First row and (n_rows, n_signals) signals that one record has, chunk by chunk."""
+    driven = _Driven.of(layout, parameters, index, record)
+    for first, signals, _ in driven.signals():
+        yield first, signals[driven.places].T
 
 
-def _stacked(record: Record, first: int, state: ComplexArray, s: ComplexArray, n_direct: int) -> FloatArray:
-    """(n_rows, n_signals) in the order of the layout."""
-    rows, one, flat = slice(first, first + state.shape[1]), np.ones((1, state.shape[1])), s.reshape(-1, state.shape[1])
-    inputs, outputs = record.inputs[rows, :n_direct].T, record.outputs[rows].T
-    return np.vstack([state.real, state.imag, inputs, one, flat.real, flat.imag, outputs]).T
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Driven:
+    """The model driven by one record, its poles by rising angle.
 
+    Its signals stand in an order of their own: each pole's sensitivities together, real parts before imaginary ones,
+    so that those of neighbouring poles are; then what else they are multiplied by, and last the states.
 
-def _responses(
-    parameters: ModalParameters, index: int, record: Record, longest: int
-) -> Iterator[tuple[int, ComplexArray, ComplexArray, ComplexArray]]:
-    """Chunk by chunk the first row, the states, their sensitivities, and what these are after the last row.
-
-    The states are (n_poles, n_rows), sensitivities to poles, to participations, to initial states (2 + n_inputs,
-    n_poles, n_rows), and after the last row (2 + n_inputs, n_poles).
+    Attributes:
+        layout: of the signals of this record.
+        order: (n_poles,) of its poles among those of the parameters.
+        poles: (n_poles,).
+        participations: (n_poles, n_inputs) of its own inputs.
+        start: (n_poles,) initial states.
+        partners: (n_inputs + 1 + n_outputs, n_samples) inputs, those that act at once last, one, and outputs.
     """
-    poles, n_inputs = parameters.poles, record.n_inputs
-    n_poles, longest = poles.size, min(record.n_samples, longest)
-    recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
-    with np.errstate(divide="ignore"):
-        alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
-    memory = np.zeros((2 + n_inputs, n_poles), dtype=np.complex128)
-    memory[-1] = 1.0
-    scale = np.vstack([poles, np.ones((1 + n_inputs, n_poles))])
-    for first in range(0, record.n_samples, longest):
-        inputs = record.inputs[first : first + longest].T
-        n_rows = inputs.shape[1]
-        s = np.empty((2 + n_inputs, n_poles, n_rows), dtype=np.complex128)
-        for j in range(n_inputs):
-            s[1 + j], memory[1 + j] = recursion.run(inputs[[j]], memory[1 + j])
-        s[-1] = (powers[:n_rows] * memory[-1]).T
-        for response, n_alive in zip(s[-1], alive - first, strict=True):
-            if n_alive < n_rows:
-                response[max(0, int(n_alive)) :] = 0.0
-        state = parameters.states[index][:, np.newaxis] * s[-1]
-        for j in range(n_inputs):
-            state += parameters.inputs[:, [j]] * s[1 + j]
-        s[0], memory[0] = recursion.run(state, memory[0])
-        s[0] *= poles[:, np.newaxis]
-        memory[-1] *= powers[n_rows - 1] * poles
-        yield first, state, s, scale * memory
+
+    layout: SignalLayout
+    order: IndexArray
+    poles: ComplexArray
+    participations: ComplexArray
+    start: ComplexArray
+    partners: FloatArray
+
+    @classmethod
+    def of(cls, layout: SignalLayout, parameters: ModalParameters, index: int, record: Record) -> "_Driven":
+        """By the inputs whose signals it has."""
+        own, order = layout.inputs_of(index), np.argsort(np.angle(parameters.poles))
+        inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
+        return cls(
+            layout=layout.alone,
+            order=order,
+            poles=parameters.poles[order],
+            participations=parameters.inputs[np.ix_(order, own)],
+            start=parameters.states[index, order],
+            partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
+        )
+
+    @property
+    def n_families(self) -> int:
+        """Real signals of the sensitivities of a pole."""
+        return 2 * (2 + self.layout.n_inputs)
+
+    @property
+    def known(self) -> slice:
+        """Inputs that act at once, one, outputs and states."""
+        return slice(self.n_families * self.order.size + self.layout.n_inputs - self.layout.n_direct, None)
+
+    @property
+    def n_signals(self) -> int:
+        """Real ones."""
+        return (self.n_families + 2) * self.order.size + len(self.partners)
+
+    @property
+    def places(self) -> IndexArray:
+        """(layout.size,) where the signals of the layout stand."""
+        layout, n, back = self.layout, self.order.size, np.argsort(self.order)
+        states = self.n_signals - 2 * n + np.concatenate([back, n + back])
+        sensitivities = (back * self.n_families + np.arange(self.n_families)[:, np.newaxis]).ravel()
+        known = self.known.start + np.arange(layout.n_direct + 1 + layout.n_outputs)
+        return np.concatenate([states, known[: layout.n_direct + 1], sensitivities, known[layout.n_direct + 1 :]])
+
+    def signals(self) -> Iterator[tuple[int, FloatArray, ComplexArray]]:
+        """Chunk by chunk the first row, (n_signals, n_rows) signals, and the sensitivities after the last row.
+
+        These are (n_poles, 2 + n_inputs): to the pole, to participations, to initial states. A chunk is overwritten by
+        the next one.
+        """
+        poles, n, m, n_samples = self.poles, self.poles.size, self.layout.n_inputs, self.partners.shape[1]
+        longest = min(n_samples, CHUNK)
+        recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        with np.errstate(divide="ignore"):
+            alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
+        inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]
+        memory = np.zeros((2 + m, n), dtype=np.complex128)
+        memory[-1] = 1.0
+        # the state, and poles times it, imaginary part first, which drives what is sensitive to them
+        drives = np.vstack([self.participations.T, self.start])
+        times = np.stack([drives.real, drives.imag, (poles * drives).imag, (poles * drives).real], axis=1).T
+        turned = np.stack([-drives.imag, drives.real, (poles * drives).real, -(poles * drives).imag], axis=1).T
+        whole, both = np.empty((self.n_signals, longest)), np.empty((2, n, 4, longest))
+        for first in range(0, n_samples, longest):
+            n_rows = min(longest, n_samples - first)
+            signals = whole[:, :n_rows]
+            s = signals[: self.n_families * n].reshape(n, 2, 2 + m, n_rows)
+            free = (powers[:n_rows] * memory[-1]).T
+            for response, n_alive in zip(free, alive - first, strict=True):
+                if n_alive < n_rows:
+                    response[max(0, int(n_alive)) :] = 0.0
+            s[:, 0, -1], s[:, 1, -1] = free.real, free.imag
+            for j in range(m):
+                memory[1 + j] = recursion.fill(s[:, :, 1 + j], inputs[[j], :, first : first + n_rows], memory[1 + j])
+            state, other = both[..., :n_rows]
+            np.matmul(times, s[:, 0, 1:], out=state)
+            np.matmul(turned, s[:, 1, 1:], out=other)
+            state += other
+            memory[0] = recursion.fill(s[:, :, 0], state[:, 2:], memory[0])
+            signals[-2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
+            signals[self.n_families * n : -2 * n] = self.partners[:, first : first + n_rows]
+            memory[-1] *= powers[n_rows - 1] * poles
+            yield first, signals, memory.T.copy()
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -368,16 +442,9 @@ def _near(poles: ComplexArray) -> BoolArray:
     return np.asarray(distance < APART)
 
 
-def _add_by_recursion(
-    grams: FloatArray,
-    parameters: ModalParameters,
-    record: Record,
-    blocks: Sequence[Block],
-    *,
-    n_direct: int,
-    near: BoolArray,
-) -> None:
-    """As `_add_grams`, the products of sensitivities with each other from those with what drives them.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Sums:
+    """Products of sensitivities with each other from those with what drives them, over runs of rows of one record.
 
     Signals that run through poles a and b, driven by d and e, z(k+1) = a z(k) + d(k) and v(k+1) = b v(k) + e(k), have
 
@@ -385,59 +452,97 @@ def _add_by_recursion(
 
     over consecutive rows, because the sum over the rows one later differs by what is at the ends. Each sensitivity has
     as many drives as there are inputs, and n_poles times as many others. What is `near` is summed up as it is.
+
+    Attributes:
+        driven: the record's model.
+        near: (n_poles, n_poles) which two hardly die out in their product.
+        reach: (n_poles,) one past the last that is near to each.
+        runs: first row and one past the last.
+        partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
+        squares: (n_inputs, n_inputs) products of the inputs.
+        ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
+        direct: (n_sensitivities, n_sensitivities) of real signals, where near.
     """
-    m, n, q = record.n_inputs, parameters.poles.size, record.n_outputs
-    layout = SignalLayout(n_poles=n, n_inputs=m, n_outputs=q, n_records=1, n_direct=n_direct)
-    linear, known = np.r_[layout.regressors, layout.outputs], np.r_[2 * n : layout.n_regressors, layout.outputs]
-    owners = np.tile(np.arange(n), 2 * (2 + m))
-    summed = [(np.flatnonzero(owners == i), np.flatnonzero(near[i][owners])) for i in range(n) if near[i].any()]
-    whole = np.zeros((len(blocks), owners.size, owners.size))
-    sums = np.zeros((len(blocks), layout.n_sensitivities, m + 1 + q), dtype=np.complex128)
-    ends = np.zeros((len(blocks), 2, 2 + m, n), dtype=np.complex128)
-    drives = np.zeros((len(blocks), m, m))
-    for start, state, s, after in _responses(parameters, blocks[0].record, record, SHORT_CHUNK):
-        stop = start + state.shape[1]
-        inputs, one = record.inputs[start:stop].T, np.ones((1, stop - start))
-        partners = np.vstack([inputs, one, record.outputs[start:stop].T])
-        phi = np.vstack([state.real, state.imag, inputs[:n_direct], partners[m:]])
-        flat = s.reshape(-1, stop - start)
-        every = np.concatenate([flat.real, flat.imag])
-        for i, block in enumerate(blocks):
-            first, last = max(start, block.first), min(stop, block.last)
-            rows = slice(first - start, last - start)
-            if first < last:
-                with_partners = every[:, rows] @ partners[:, rows].T
-                sums[i] += with_partners[: len(flat)] + 1j * with_partners[len(flat) :]
-                drives[i] += inputs[:, rows] @ inputs[:, rows].T
-                grams[i][np.ix_(linear, linear)] += phi[:, rows] @ phi[:, rows].T
-                for own, others in summed:
-                    whole[i][np.ix_(own, others)] += every[own, rows] @ every[others, rows].T
-            if start <= block.first < stop:
-                ends[i, 0] = s[:, :, block.first - start]
-            if start < block.last <= stop:
-                ends[i, 1] = after if block.last == stop else s[:, :, block.last - start]
-    driven = np.vstack([parameters.inputs.T, parameters.states[[blocks[0].record]]])
-    both, re, im = slice(layout.real.start, layout.imaginary.stop), layout.real, layout.imaginary
-    for gram, with_drives, at_ends, squares, direct in zip(grams, sums, ends, drives, whole, strict=True):
+
+    driven: _Driven
+    near: BoolArray
+    reach: IndexArray
+    runs: Sequence[tuple[int, int]]
+    partners: FloatArray
+    squares: FloatArray
+    ends: ComplexArray
+    direct: FloatArray
+
+    @classmethod
+    def of(cls, driven: _Driven, near: BoolArray, runs: Sequence[tuple[int, int]]) -> "_Sums":
+        """Nothing added up yet."""
+        n, m = driven.poles.size, driven.layout.n_inputs
+        size = n * driven.n_families
+        return cls(
+            driven=driven,
+            near=near,
+            reach=n - near[:, ::-1].argmax(axis=1),
+            runs=runs,
+            partners=np.zeros((size, len(driven.partners))),
+            squares=np.zeros((m, m)),
+            ends=np.zeros((2, len(runs), 2 + m, n), dtype=np.complex128),
+            direct=np.zeros((size, size)),
+        )
+
+    def add(self, signals: FloatArray) -> None:
+        """Rows that train."""
+        families, own = self.driven.n_families, slice(0, len(self.direct))
+        partners = signals[own.stop : own.stop + self.partners.shape[1]]
+        self.partners[:] += signals[own] @ partners.T
+        self.squares[:] += partners[: len(self.squares)] @ partners[: len(self.squares)].T
+        for i, reach in enumerate(self.reach.tolist()):
+            one, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
+            self.direct[one, others] += signals[one] @ signals[others].T
+
+    def end(self, start: int, signals: FloatArray, after: ComplexArray) -> None:
+        """What is at the ends of runs that lie in a chunk."""
+        stop, n = start + signals.shape[1], self.driven.poles.size
+
+        def at(row: int) -> ComplexArray:
+            s = signals[: len(self.direct), row - start].reshape(n, 2, -1)
+            return np.asarray((s[:, 0] + 1j * s[:, 1]).T)
+
+        for i, (first, last) in enumerate(self.runs):
+            if start <= first < stop:
+                self.ends[0, i] = at(first)
+            if start < last <= stop:
+                self.ends[1, i] = after.T if last == stop else at(last)
+
+    def gram(self, known: FloatArray) -> FloatArray:
+        """(n_signals, n_signals) all products; of what is known with each other those given."""
+        driven, n, m, size = self.driven, self.driven.poles.size, len(self.squares), len(self.direct)
+        into = np.roll(np.arange(m), driven.layout.n_direct)  # as in the layout, those that act at once first
+        partners = self.partners.reshape(n, 2, 2 + m, -1).transpose(1, 2, 0, 3)
+        direct = (np.triu(self.direct) + np.triu(self.direct, 1).T).reshape(n, 2, 2 + m, n, 2, 2 + m)
+        rr, ri, ir, ii = (
+            direct[:, i, :, :, j].transpose(1, 0, 3, 2).reshape((2 + m) * n, -1) for i in (0, 1) for j in (0, 1)
+        )
         products_of = partial(
             _products,
-            parameters.poles,
-            driven,
-            sums=with_drives[:, :m].reshape(2 + m, n, m),
-            ends=at_ends,
-            squares=squares,
-            near=near,
+            driven.poles,
+            np.vstack([driven.participations.T, driven.start]),
+            sums=(partners[0] + 1j * partners[1])[:, :, into],
+            ends=self.ends,
+            squares=self.squares[np.ix_(into, into)],
+            near=self.near,
         )
-        rr, ri, ir, ii = (part for half in np.split(direct, 2) for part in np.split(half, 2, axis=1))
         turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
         plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
         upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
-        for part, with_real, with_imaginary in ((re, upper.real, -lower.imag), (im, upper.imag, lower.real)):
-            gram[part, :n], gram[part, n : 2 * n] = with_real[:, :n], with_imaginary[:, :n]
-            gram[part, re], gram[part, im] = with_real[:, n:], with_imaginary[:, n:]
-        with_known = with_drives[:, np.r_[:n_direct, m : m + 1 + q]]
-        gram[re, known], gram[im, known] = with_known.real, with_known.imag
-        gram[linear, both] = gram[both, linear].T
+        # rows: real, imaginary; columns: of states and of sensitivities, real, imaginary
+        found = np.array([[upper.real, -lower.imag], [upper.imag, lower.real]])
+        own = found[..., n:].reshape(2, 2, 2 + m, n, 2 + m, n).transpose(3, 0, 2, 5, 1, 4).reshape(size, size)
+        states = found[..., :n].reshape(2, 2, 2 + m, n, n).transpose(3, 0, 2, 1, 4).reshape(size, 2 * n)
+        gram = np.zeros((driven.n_signals, driven.n_signals))
+        gram[:size, :size], gram[:size, size : -2 * n], gram[:size, -2 * n :] = own, self.partners, states
+        gram[size:, :size] = gram[:size, size:].T
+        gram[driven.known, driven.known] = known
+        return gram
 
 
 def _products(
@@ -457,7 +562,7 @@ def _products(
         poles: (n_poles,).
         driven: (n_inputs + 1, n_poles) how far each input, and a start at one, drive a state.
         sums: (2 + n_inputs, n_poles, n_inputs) products of sensitivities with inputs.
-        ends: (2, 2 + n_inputs, n_poles) sensitivities at the first row, and after the last.
+        ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of each run, and after its last.
         squares: (n_inputs, n_inputs) products of the inputs.
         direct: (n_sensitivities, n_sensitivities) products of sensitivities, where they are summed up.
         near: (n_poles, n_poles) where they are.
@@ -467,40 +572,28 @@ def _products(
     other, both_poles = turn(poles), np.multiply.outer(poles, turn(poles))
     left, direct = np.where(near, 1.0, 1.0 - both_poles), direct.reshape(2 + m, n, 2 + m, n)
     sums = np.pad(sums, ((0, 0), (0, 0), (0, 1)))  # nothing drives what rings down from its start
-    first, last = ends
-    # the others than those to the poles, among each other
+
+    def gone(one: int | slice, two: int | slice) -> ComplexArray:
+        came, went = (np.tensordot(end[:, one], turn(end[:, two]), axes=(0, 0)) for end in ends)
+        return np.asarray(came - went)
+
+    others = slice(1, None)  # than those to the poles, first among each other
     base = poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
     base = base + (turn(sums[1:]).transpose(2, 0, 1) * other)[:, np.newaxis]
     base += np.pad(squares, (0, 1))[:, np.newaxis, :, np.newaxis]
-    base += np.multiply.outer(first[1:], turn(first[1:])) - np.multiply.outer(last[1:], turn(last[1:]))
+    base += gone(others, others)
     base = np.where(near[:, np.newaxis], direct[1:, :, 1:], base / left[:, np.newaxis])
     with_states = np.einsum("aibk,bk->aik", base, turn(driven))
     states = np.einsum("ai,aik->ik", driven, with_states)
     # the sensitivities to the poles are driven by poles times states
     drives = turn(np.einsum("bk,bkl->lk", driven, sums[1:]) + sums[0].T)
-    to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis])
-    to_poles += np.multiply.outer(first[1:], turn(first[0])) - np.multiply.outer(last[1:], turn(last[0]))
+    to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis]) + gone(others, 0)
     to_poles = np.where(near, direct[1:, :, 0], to_poles / left)
     ahead = np.einsum("ai,aik->ik", driven, to_poles)
     behind = turn(ahead).T
-    twice = both_poles * (ahead + behind + states)
-    twice += np.multiply.outer(first[0], turn(first[0])) - np.multiply.outer(last[0], turn(last[0]))
+    twice = both_poles * (ahead + behind + states) + gone(0, 0)
     found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
     found[0, :, 0], found[1:, :, 0] = behind, with_states
     found[0, :, 1], found[1:, :, 1] = np.where(near, direct[0, :, 0], twice / left), to_poles
     found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
     return found.reshape((2 + m) * n, -1)
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """A context in which numpy and scipy use one thread; what was set before is restored at its end.
-
-    Example:
-        >>> with one_blas_thread():
-        ...     pass
-    """
-    import scipy.linalg  # noqa: F401  # scipy brings a BLAS of its own, which must be loaded before it can be limited
-    from threadpoolctl import threadpool_limits
-
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limits

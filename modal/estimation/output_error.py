@@ -19,12 +19,11 @@ from typing import Protocol
 import numpy as np
 import scipy
 
-from modal.estimation.modal_states import Block, ModalParameters, SignalLayout, signal_grams, whole_gram
+from modal.estimation.free_run import moving_inputs
+from modal.estimation.modal_states import NONE, Block, ModalParameters, SignalLayout, signal_grams
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-NONE = -2
-"""Label of no block: nothing is held out."""
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 SMALLEST_GAIN = 1e-9
@@ -48,12 +47,18 @@ class OutputError:
         rows: (n_samples,) a record, True where all channels were measured.
         blocks: all rows, with the fold that holds each block out.
         n_direct: the first so many inputs act on the outputs at once; None for all of them.
+
+    An input that stands still throughout a record makes a level and a start, which each record has of its own, so it
+    is set to zero there.
     """
 
     records: tuple[Record, ...]
     rows: tuple[BoolArray, ...]
     blocks: tuple[Block, ...]
     n_direct: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "records", tuple(moving_inputs(record) for record in self.records))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -100,7 +105,8 @@ class RefinementStep:
         linear: linear ones, from the training rows.
         layout: of all signals.
         blocks: of the Gram matrices.
-        grams: (n_blocks, alone.size, alone.size) of each block's own signals.
+        gram: (size, size) of all signals over the training rows.
+        parts: (n_blocks, n, n) of each block's own regressors and outputs.
         error: weighted sum of squares over the training rows.
     """
 
@@ -108,27 +114,21 @@ class RefinementStep:
     linear: LinearPart
     layout: SignalLayout
     blocks: tuple[Block, ...]
-    grams: FloatArray
+    gram: FloatArray
+    parts: FloatArray
     error: float
 
     def block_errors(self, chosen: Sequence[int]) -> FloatArray:
         """(n_chosen, n_outputs) squared error of the model on these blocks."""
-        out, phi = self.layout.alone.outputs, self.layout.alone.regressors
+        phi = self.layout.alone.regressors
+        out = slice(phi.stop, None)
         errors = np.empty((len(chosen), self.layout.n_outputs))
         for k, i in enumerate(chosen):
-            gram = self.grams[i]
+            gram = self.parts[i]
             theta = self.linear.coefficients[self.layout.places(self.blocks[i].record)[phi]]
             cross = gram[phi, out]
             errors[k] = np.diag(gram[out, out]) - (theta * (2.0 * cross - gram[phi, phi] @ theta)).sum(axis=0)
         return np.maximum(errors, 0.0)
-
-    def block_products(self, block: int) -> FloatArray:
-        """(size, n_outputs) products of all signals with the model's error on the rows of one block."""
-        out, phi = self.layout.alone.outputs, self.layout.alone.regressors
-        places, gram = self.layout.places(self.blocks[block].record), self.grams[block]
-        products = np.zeros((self.layout.size, self.layout.n_outputs))
-        products[places] = gram[:, out] - gram[:, phi] @ self.linear.coefficients[places[phi]]
-        return products
 
 
 def refine(
@@ -165,7 +165,7 @@ def refine(
     done = [current]
     damping, growth = FIRST_DAMPING, 2.0
     while len(done) <= n_steps and damping < LARGEST_DAMPING:
-        normal = step_equations(current, data, held_out=held_out, weights=weights, coordinates=coordinates)
+        normal = step_equations(current, weights=weights, coordinates=coordinates)
         diagonal = np.maximum(np.diag(normal.matrix), 0.0)
         while damping < LARGEST_DAMPING:
             progress((len(done) - 1) / n_steps)
@@ -199,21 +199,19 @@ def step_at(
     """Run the model through the records and solve for its linear part."""
     weights = np.eye(data.records[0].n_outputs) if weights is None else weights
     n_direct = data.records[0].n_inputs if data.n_direct is None else data.n_direct
-    layout, grams = signal_grams(parameters, data.records, data.rows, data.blocks, n_direct=n_direct)
-    linear = linear_part(layout, gram_of_training(layout, grams, data.blocks, held_out))
+    layout, gram, parts = signal_grams(
+        parameters, data.records, data.rows, data.blocks, n_direct=n_direct, held_out=held_out
+    )
+    linear = linear_part(layout, gram)
     return RefinementStep(
         parameters=parameters,
         linear=linear,
         layout=layout,
         blocks=data.blocks,
-        grams=grams,
+        gram=gram,
+        parts=parts,
         error=float((weights * linear.error_products).sum()),
     )
-
-
-def gram_of_training(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], held_out: int) -> FloatArray:
-    """(size, size) sum over the blocks that are not held out."""
-    return whole_gram(layout, grams, blocks, [i for i, block in enumerate(blocks) if block.label != held_out])
 
 
 def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
@@ -241,18 +239,10 @@ def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
     )
 
 
-def step_equations(
-    step: RefinementStep,
-    data: OutputError,
-    *,
-    held_out: int,
-    weights: FloatArray,
-    coordinates: "Coordinates | None" = None,
-) -> Normal:
+def step_equations(step: RefinementStep, *, weights: FloatArray, coordinates: "Coordinates | None" = None) -> Normal:
     """J'WJ and J'We in the free parameters, the linear part projected out."""
     coordinates = PolesAndParticipations() if coordinates is None else coordinates
-    layout, linear = step.layout, step.linear
-    gram = gram_of_training(layout, step.grams, data.blocks, held_out)
+    layout, linear, gram = step.layout, step.linear, step.gram
     n, phi, out = layout.n_sensitivities, layout.regressors, layout.outputs
     both = slice(layout.real.start, layout.imaginary.stop)
     projected = linear.inverse_factor @ gram[phi, both]

@@ -28,7 +28,7 @@ from era.realisation import Realisation
 from modal.estimation.free_run import driven_by_outputs, one_step_predictor
 from modal.estimation.modal_parameters import real_modal_form, starting_parameters
 from modal.estimation.modal_states import ModalParameters, blocks_of
-from modal.estimation.output_error import Coordinates, OutputError, RefinementStep, refine
+from modal.estimation.output_error import Coordinates, OutputError, RefinementStep, refine, step_equations
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.errors import InsufficientDataError
 from okid.gram import LagGram, lag_gram
@@ -143,6 +143,22 @@ def likeliest(
         log_likelihood=size,
         n_numbers=_n_numbers(step, coordinates),
     )
+
+
+def promised_criterion(step: RefinementStep, data: OutputError, coordinates: Coordinates) -> float:
+    """The least criterion that a start promises: by twice the fall of -2 ln L of an undamped step.
+
+    References:
+        Rao, Mathematical Proceedings of the Cambridge Philosophical Society 44(1), 1948, 50-57,
+        doi 10.1017/S0305004100023987 (score test).
+    """
+    n_rows = n_rows_of(data)
+    weights, size = _weights(step, n_rows)
+    normal = step_equations(step, weights=weights, coordinates=coordinates)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.matrix), np.finfo(np.float64).tiny))
+    matrix = normal.matrix * np.outer(scale, scale) + ROUNDING * np.eye(scale.size)
+    fall = float((scale * normal.gradient) @ np.linalg.solve(matrix, scale * normal.gradient))
+    return size - 2.0 * fall + _n_numbers(step, coordinates) * float(np.log(n_rows))
 
 
 def _n_numbers(step: RefinementStep, coordinates: Coordinates) -> int:

@@ -24,8 +24,8 @@ import numpy as np
 from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
-from modal.estimation.modal_states import LONGEST_CHUNK, signal_grams, signals_of
-from modal.estimation.output_error import NONE, LinearPart, PolesAndParticipations, gram_of_training, step_equations
+from modal.estimation.modal_states import CHUNK, signal_grams, signals_of
+from modal.estimation.output_error import LinearPart, PolesAndParticipations, step_equations
 from modal.identification.feedback import inputs_made_by
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
@@ -137,12 +137,11 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
 
 def _white(model: RefinedModel, variance: FloatArray | None = None) -> _Loadings:
     """Of white noise with this variance on each output; what the model leaves unless given."""
-    step, data, weights = model.step, model.data, model.weights
-    n_rows = model.n_rows
-    normal = step_equations(step, data, held_out=NONE, weights=weights)
+    step, weights, n_rows = model.step, model.weights, model.n_rows
+    normal = step_equations(step, weights=weights)
     fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
     variance = step.linear.squared_errors / max(1.0, n_rows - fitted) if variance is None else variance
-    meat = step_equations(step, data, held_out=NONE, weights=weights @ np.diag(variance) @ weights).matrix
+    meat = step_equations(step, weights=weights @ np.diag(variance) @ weights).matrix
     # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
     size = _sizes(meat)
     values, vectors = np.linalg.eigh(meat / np.outer(size, size))
@@ -160,8 +159,18 @@ def _white(model: RefinedModel, variance: FloatArray | None = None) -> _Loadings
 
 
 def _of_blocks(model: RefinedModel) -> _Loadings:
-    n_blocks = model.step.grams.shape[0]
-    products = np.array([model.step.block_products(block) for block in range(n_blocks)])
+    """Each block of rows by what all signals have in common with its errors."""
+    step, data, layout, n_blocks = model.step, model.data, model.step.layout, len(model.data.blocks)
+    products, phi = np.zeros((n_blocks, layout.size, layout.n_outputs)), layout.alone.regressors
+    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+        places = layout.places(number)
+        own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
+        for first, signals in signals_of(layout, step.parameters, number, record):
+            error = signals[:, layout.alone.outputs] - signals[:, phi] @ step.linear.coefficients[places[phi]]
+            error[~counted[first : first + len(error)]] = 0.0
+            for i, block in own:
+                there = slice(max(0, block.first - first), max(0, block.last - first))
+                products[i, places] += signals[there].T @ error[there]
     return _pulled(model, np.sqrt(n_blocks / max(1, n_blocks - 1)) * products, max(1.0, model.n_parts - 1.0))
 
 
@@ -175,8 +184,8 @@ def _of_feedback(model: RefinedModel) -> _Loadings:
         for record, own, error in zip(data.records, made, errors, strict=True)
     ]
     parameters = replace(step.parameters, states=np.zeros_like(step.parameters.states))
-    layout, grams = signal_grams(parameters, records, data.rows, data.blocks, n_direct=step.layout.n_direct)
-    products = gram_of_training(layout, grams, data.blocks, NONE)[:, layout.outputs]
+    layout, gram, _ = signal_grams(parameters, records, data.rows, data.blocks, n_direct=step.layout.n_direct)
+    products = gram[:, layout.outputs].copy()
     own = layout.n_poles * layout.n_records
     for part, of_no_input in ((layout.regressors, layout.n_records), (layout.real, own), (layout.imaginary, own)):
         products[part.stop - of_no_input : part.stop] = 0.0  # no error makes a level or an initial state
@@ -229,11 +238,11 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
     whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
     parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
     for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
-        recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, LONGEST_CHUNK))
+        recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, CHUNK))
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
-        for first, every in signals_of(parameters, number, record, n_direct=layout.n_direct):
+        for first, every in signals_of(layout, parameters, number, record):
             signals = every * counted[first : first + len(every), np.newaxis]
             for k in range(N_DRAWS):
                 noise = np.sqrt(powers)[:, np.newaxis] * rng.standard_normal((m, len(signals)))
@@ -253,7 +262,7 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
 def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float) -> _Loadings:
     """Changes of the model for each of some (size, n_outputs) products of all signals with errors."""
     step, layout = model.step, model.step.layout
-    normal = step_equations(step, model.data, held_out=NONE, weights=model.weights)
+    normal = step_equations(step, weights=model.weights)
     slopes = _slopes(model)
     theta = _scores(model, slopes, products @ model.weights) @ _inverse(normal.matrix)
     inverse = step.linear.inverse_factor.T @ step.linear.inverse_factor
@@ -300,8 +309,7 @@ def _outputs_of(model: RefinedModel, real: FloatArray, imag: FloatArray) -> Floa
 def _slopes(model: RefinedModel) -> FloatArray:
     """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
     layout = model.step.layout
-    gram = gram_of_training(layout, model.step.grams, model.data.blocks, NONE)
-    phi = layout.regressors
+    gram, phi = model.step.gram, layout.regressors
     products = _outputs_of(
         model, gram[layout.real, phi][:, :, np.newaxis], gram[layout.imaginary, phi][:, :, np.newaxis]
     )

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.gain import inverse as inverse_covariance
-from modal.estimation.output_error import NONE, gram_of_training, step_equations
+from modal.estimation.output_error import step_equations
 from modal.estimation.prediction_error import LikeliestFit, n_rows_of
 from modal.identification.covariance import LEAST_CURVATURE
 from modal.identification.noise_model import NoiseModel
@@ -154,13 +154,13 @@ def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
     slopes = fit.coordinates.slopes(step.parameters)
     # R with the degrees of freedom taken off, so that W R = 1 scaled
     R = fit.covariance
-    normal = step_equations(step, fit.data, held_out=NONE, weights=inverse_covariance(R), coordinates=fit.coordinates)
+    normal = step_equations(step, weights=inverse_covariance(R), coordinates=fit.coordinates)
     size = np.sqrt(np.maximum(np.diag(normal.matrix), 0.0))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(normal.matrix / np.outer(size, size))
     kept = values > LEAST_CURVATURE
     theta = (slopes @ (vectors[:, kept] / np.sqrt(values[kept]) / size[:, np.newaxis])).T
-    gram = gram_of_training(layout, step.grams, fit.data.blocks, NONE)
+    gram = step.gram
     phi, c = layout.regressors, step.linear.shapes.T[layout.owners]
     inverse = step.linear.inverse_factor.T @ step.linear.inverse_factor
     n = layout.n_sensitivities

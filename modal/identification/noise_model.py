@@ -33,6 +33,7 @@ from modal.estimation.prediction_error import (
     n_rows_of,
     predictor_data,
     predictor_start,
+    promised_criterion,
     share_of,
 )
 from modal.identification.order_search import MODEL_ORDERS
@@ -117,13 +118,15 @@ def noise_model(
     found = reference.step if reference is not None else None if start.n_inputs else predictor_start(first, data)
     if found is None or leaves_rounding(found, n_rows_of(data)):
         return None, "the model explains the outputs to rounding, or cannot run"
+    least = -np.inf if reference is None or feedback else _least_criterion(reference, first, data)
+    hopeless = reference is not None and reference.criterion <= least
     variates = None if start.n_inputs else CanonicalVariates.of(scaled)
     candidates = _candidates(first, reference, variates, order_given=order_given)
-    fit, ratio, past = _likeliest(candidates, data, progress)
-    if fit is None:
+    fit, ratio, past = (None, np.nan, 0) if hopeless else _likeliest(candidates, data, progress)
+    if fit is None and not hopeless:
         return None, "no model of the noise that was tried leaves white errors"
-    gained = np.inf if reference is None else reference.criterion - fit.criterion
-    if gained <= 0.0 and not feedback:
+    gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
+    if fit is None or (gained <= 0.0 and not feedback):
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order) if start.n_inputs else whole
@@ -144,6 +147,15 @@ def noise_model(
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
     reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
+
+
+def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputError) -> float:
+    """What the model as a predictor may reach, from its score, where output error leaves white errors; else no bound.
+
+    With twenty outputs a fit of it costs more than all else, and what white errors promise is far below its price.
+    """
+    step = predictor_start(model, data) if _whiteness(reference.step, reference.data).p_value > WHITE_AT else None
+    return -np.inf if step is None else promised_criterion(step, data, Sections())
 
 
 def _explains(model: Realisation, records: Sequence[Record], least: float) -> bool:

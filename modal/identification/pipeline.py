@@ -14,7 +14,6 @@ from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
-from modal.estimation.modal_states import one_blas_thread
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -38,7 +37,7 @@ from modal.modes.mode import ModalModel
 from modal.preparation.amplitude import distortion_power
 from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
-from modal.preparation.faults import free_of_clipping, mended
+from modal.preparation.faults import Mended, free_of_clipping, mended
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -49,7 +48,7 @@ from modal.verdict.excitation import between_lines, driven_gain
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from okid.arrays import FloatArray, whole_number
+from okid.arrays import FloatArray, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.frequency_response import FrequencyResponse
@@ -184,9 +183,9 @@ def identify(
         return identify_setups(
             several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
         )
-    several, kind_found = _within_memory(several, given_kind(kind))
+    several, kind_found, mend = _within_memory(several, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
-        several = released(several, kind_found.starts)
+        several, mend = released(several, kind_found.starts), None
         integrators, input_delay = 0, 0
         drift = "none" if drift == "auto" else drift
     with one_blas_thread():
@@ -200,6 +199,7 @@ def identify(
             input_delay=input_delay,
             drift=drift,
             kind=kind_found.kind,
+            mend=mend,
         )
         found = choose_orders(
             preparation.records,
@@ -245,8 +245,8 @@ def identify(
 
 
 def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str]) -> FloatArray:
-    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they came."""
-    several = [record.select(outputs=output_names) for record in mended(records).records]
+    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they were mended."""
+    several = [record.select(outputs=output_names) for record in records]
     half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
     return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths)
 
@@ -309,7 +309,7 @@ def _identified(
         if kind.kind == "driven"
         else None,
         rings_down=kind.kind == "decay",
-        clipped=_clipped(records, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
+        clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
@@ -423,8 +423,8 @@ def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck
         return None
 
 
-def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[Record, ...], KindFound]:
-    """The records and their kind; stretches of them where they are too long and move throughout.
+def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[Record, ...], KindFound, Mended | None]:
+    """The records, their kind, and how they are mended, if that was asked; stretches of long ones that always move.
 
     What is struck or rings down holds what there is to learn in a few rows, which stretches might miss.
 
@@ -435,20 +435,24 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
     a_copy = n_channels * n_samples * ITEM
     need = COPIES * a_copy
     _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
-    looked = mended(records).records if not records[0].n_inputs and need <= MOST_MEMORY else records
-    kind = find_kind(looked, given)  # one spike at its end would make a decay ambient
+    mend = mended(records) if not records[0].n_inputs and need <= MOST_MEMORY else None
+    kind = find_kind(records if mend is None else mend.records, given)  # one spike would make a decay ambient
     if kind.kind not in ("driven", "ambient"):
         _refuse_beyond(need, n_samples, n_channels)
-        return (tuple(records), kind) if given == "transient" else free_of_clipping(records, kind)
+        if given == "transient":
+            return tuple(records), kind, mend
+        mend = mended(records) if mend is None else mend
+        kept, kind = free_of_clipping(records, kind, mend.records)
+        return kept, kind, mend if kept == tuple(records) else None
     several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
     if several == tuple(records):
-        return several, kind
+        return several, kind, mend
     text = (
         f"Of {n_samples} samples {sum(one.n_samples for one in several)} are used, {len(several)} stretches spread "
         f"evenly over the records, because all would need {need / 2**30:.1f} GiB. Deviations are those of the "
         "stretches; every second sample behind an anti-alias filter, or fewer channels, would let more of it in."
     )
-    return several, replace(kind, warnings=(*kind.warnings, text))
+    return several, replace(kind, warnings=(*kind.warnings, text)), None
 
 
 def _refuse_beyond(need: float, n_samples: int, n_channels: int) -> None:

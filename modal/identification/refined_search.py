@@ -402,7 +402,7 @@ def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, 
     size = step.layout.alone.n_sensitivities
     told = []
     for index, record in enumerate(data.records):
-        parts = signals_of(step.parameters, index, record, n_direct=step.layout.n_direct)
+        parts = signals_of(step.layout, step.parameters, index, record)
         real, imaginary = slice(regressors, regressors + n), slice(regressors + size, regressors + size + n)
         told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
     total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)

@@ -15,7 +15,6 @@ import scipy
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.force_dips import moved_by_dips
-from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
@@ -31,7 +30,7 @@ from modal.modes.mode import Choice, Fit, ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.numbers import LEAST_FIT, counted, hertz
-from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, whole_number
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, one_blas_thread, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.frequency_response import (
     FrequencyResponse,

@@ -34,7 +34,6 @@ from era.balanced import decompose, realise_from
 from era.realisation import Realisation
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.free_run import free_runs, modal_form
-from modal.estimation.modal_states import one_blas_thread
 from modal.estimation.output_error import SMALLEST_GAIN
 from modal.identification.covariance import output_error_uncertainty
 from modal.identification.refined_search import MOST_STEPS, STANDS_STILL, RefinedModel, refined_model
@@ -45,7 +44,7 @@ from modal.modes.shape_comparison import IndexArray, assurance, pair_greatest_fi
 from modal.preparation.filling import fill_where_needed
 from modal.preparation.quick_model import observer_markov
 from modal.preparation.steps import split_at_input_gaps
-from okid.arrays import FloatArray
+from okid.arrays import FloatArray, one_blas_thread
 from okid.display import Displayed
 from okid.errors import IdentificationError
 from okid.markov import MarkovParameters

@@ -141,14 +141,15 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
     return noisy, (Choice(what="noise floor", value=f"{FINEST:g} of each output", reason=reason),)
 
 
-def free_of_clipping(records: Sequence[Record], kind: KindFound) -> tuple[tuple[Record, ...], KindFound]:
+def free_of_clipping(
+    records: Sequence[Record], kind: KindFound, clean: Sequence[Record]
+) -> tuple[tuple[Record, ...], KindFound]:
     """What is struck or rings down without its clipped peaks, which make harmonics that are found again in every half.
 
     Records that were not clipped are enough where every input moves in them; else each record is the decay that is left
     once no output is clipped and no input acts. Nothing changes where nothing is clipped, or where nothing is left.
-    A spike hides neither limits nor rest.
+    A spike hides neither limits nor rest: `clean` are the records as they are mended.
     """
-    clean = mended(records).records
     names, ends = _last_clipped(clean)
     if not any(ends):
         return tuple(records), kind

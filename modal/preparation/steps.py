@@ -18,7 +18,7 @@ from modal.preparation.drift import (
     summed_inputs,
     without_drift,
 )
-from modal.preparation.faults import mended, no_finer_than_sensors
+from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind
@@ -45,6 +45,7 @@ class Preparation:
     """Records ready for the observer fit, and what the model needs back to be driven by the inputs as they were.
 
     Attributes:
+        mended: the records that came, without what is no measurement.
         records: what is fitted: inputs late, summed and free of drift where that was chosen.
         as_measured: the same rows with the inputs as they came, less mean and drift: what `complete` is driven by.
         input_delay: (n_inputs,) samples by which each input acts late.
@@ -55,6 +56,7 @@ class Preparation:
         n_rest: rows of rest in front of each of the records, which were not measured.
     """
 
+    mended: tuple[Record, ...]
     records: tuple[Record, ...]
     as_measured: tuple[Record, ...]
     input_delay: tuple[int, ...]
@@ -81,6 +83,7 @@ def prepare(
     input_delay: int | Sequence[int] | Literal["auto"] = "auto",
     drift: int | Literal["auto", "none", "linear"] = "auto",
     kind: RecordKind = "driven",
+    mend: Mended | None = None,
 ) -> Preparation:
     """Everything that is done to records before a model is fitted to them, chosen by the data and explained.
 
@@ -92,6 +95,7 @@ def prepare(
         input_delay: samples of the records given by which inputs act late, one number or one an input.
         drift: "none", "linear", or a number of slow functions (1 a line, 2 a parabola, more: half-waves).
         kind: of the records; what was struck gets its level from rest, and rows of rest in front.
+        mend: what `mended` makes of them, where that is known.
 
     Raises:
         InsufficientDataError: an output that never moves in some record, an input that moves in none, or records too
@@ -110,7 +114,7 @@ def prepare(
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
     _check_words(missing, input_delay)
-    mend = mended(records, driven=kind == "driven" and first.n_inputs > 0)
+    mend = mended(records, driven=kind == "driven" and first.n_inputs > 0) if mend is None else mend
     parts, gaps = _parts(mend.records)
     rested = with_rest(parts) if kind in ("transient", "decay") else None
     centred = tuple(one.detrended() for one in parts) if rested is None else rested.records
@@ -150,6 +154,7 @@ def prepare(
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     longest = max(delay.samples, default=0)
     return Preparation(
+        mended=mend.records,
         records=late_inputs(freed, delay.samples),
         as_measured=tuple(record.samples(longest) for record in own),
         input_delay=delay.samples,

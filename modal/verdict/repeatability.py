@@ -16,8 +16,8 @@ from modal.estimation.cross_validation import Folds, hankel_limits, markov_lags,
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters
-from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of
-from modal.estimation.output_error import NONE, OutputError, RefinementStep, refine
+from modal.estimation.modal_states import NONE, Block, blocks_by_turns, blocks_of
+from modal.estimation.output_error import OutputError, RefinementStep, refine
 from modal.estimation.prediction_error import STILL, CanonicalVariates, n_rows_of
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel

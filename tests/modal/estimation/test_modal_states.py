@@ -1,5 +1,6 @@
 """Signals, Gram matrices and blocks against loops over samples; chunk edges, gaps, several records, real poles."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from textbook_output_error import differences, loop_sensitivities, loop_signals, loop_states, random_loop_model
 
 from modal.estimation import modal_states
-from modal.estimation.modal_states import ModalParameters, SignalLayout, blocks_of, signal_grams, whole_gram
+from modal.estimation.modal_states import NONE, ModalParameters, SignalLayout, blocks_of, signal_grams
 from okid.record import Record
 
 
@@ -17,12 +18,15 @@ def parameters_of(model):
     return ModalParameters(poles=model.poles, is_pair=model.is_pair, inputs=model.b, states=model.starts)
 
 
-def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0):
+def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0, roving=False):
     rng = np.random.default_rng(seed)
     model = random_loop_model(
         rng, n_pairs=n_pairs, n_real=n_real, n_inputs=n_inputs, n_outputs=n_outputs, n_records=len(lengths)
     )
     records = [Record(rng.standard_normal((n, n_inputs)), rng.standard_normal((n, n_outputs)), 0.1) for n in lengths]
+    for r, record in enumerate(records if roving else ()):  # one moves in each, of some two
+        still = [j for j in range(n_inputs) if j not in (r % n_inputs, r // n_inputs)]
+        records[r] = replace(record, inputs=np.where(np.isin(np.arange(n_inputs), still), 0.0, record.inputs))
     rows = [rng.random(n) >= missing for n in lengths]
     return model, records, rows
 
@@ -46,6 +50,8 @@ CASES = {
     "three inputs": {"lengths": (70, 40), "n_inputs": 3, "n_outputs": 3},
     "a record of one sample": {"lengths": (40, 1, 2), "n_inputs": 1, "n_outputs": 1},
     "no inputs": {"lengths": (60, 50), "n_inputs": 0},
+    "a hammer that roves": {"lengths": (70, 40, 60, 50), "n_inputs": 3, "missing": 0.1, "roving": True},
+    "one that roves, by sums that follow": {"lengths": (230, 150, 90), "n_pairs": 4, "n_inputs": 3, "roving": True},
     "sums that follow from each other": {"lengths": (230, 150), "n_pairs": 3, "n_real": 2, "n_inputs": 5},
 }
 
@@ -53,24 +59,30 @@ CASES = {
 @pytest.mark.parametrize("chunk", [7, 8192])
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, chunk):
-    monkeypatch.setattr(modal_states, "LONGEST_CHUNK", chunk)
-    monkeypatch.setattr(modal_states, "SHORT_CHUNK", chunk)
+    monkeypatch.setattr(modal_states, "CHUNK", chunk)
     monkeypatch.setattr(modal_states, "FEWEST_ROWS", 1)
+    monkeypatch.setattr(modal_states, "FEWEST_SIGNALS", 1)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
-    layout, grams = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
-    assert grams.shape == (len(blocks), layout.alone.size, layout.alone.size)
+    layout, _, parts = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
+    alone = layout.alone
+    known = np.r_[alone.regressors, alone.outputs]
+    assert parts.shape == (len(blocks), known.size, known.size)
     signals = [loop_signals(model, r, record.inputs, record.outputs) for r, record in enumerate(records)]
-    for i, block in enumerate(blocks):
-        expected = np.zeros((layout.size, layout.size))
-        for k in range(block.first, block.last):
-            if rows[block.record][k]:
-                expected += np.outer(signals[block.record][k], signals[block.record][k])
-        found = whole_gram(layout, grams, blocks, [i])
+    totals = {label: np.zeros((layout.size, layout.size)) for label in (-1, 0, 1)}
+    for block, found in zip(blocks, parts, strict=True):
+        own = signals[block.record][block.rows][rows[block.record][block.rows]]
+        expected = own.T @ own
+        totals[block.label] += expected
+        places = layout.places(block.record)[known]
+        at_most = max(1.0, np.abs(expected).max())
+        np.testing.assert_allclose(found, expected[np.ix_(places, places)], rtol=0, atol=1e-10 * at_most)
+    for held_out in (NONE, 0, 1):
+        _, found, _ = signal_grams(
+            parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs, held_out=held_out
+        )
+        expected = sum(total for label, total in totals.items() if label != held_out)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
-    total = sum(one[there].T @ one[there] for one, there in zip(signals, rows, strict=True))
-    found = whole_gram(layout, grams, blocks, range(len(blocks)))
-    np.testing.assert_allclose(found, total, rtol=0, atol=1e-10 * np.abs(total).max())
 
 
 @pytest.mark.parametrize("decay", [2e-2, 1e-4, 1e-7])
@@ -87,10 +99,12 @@ def test_sums_that_follow_from_each_other_keep_their_digits_whatever_drives_ligh
         states=rng.standard_normal((1, angles.size, 2)) @ [1, 1j],
     )
     blocks = blocks_of([record], [[[(1000, 2000)]]])
-    _, grams = signal_grams(model, [record], [np.ones(n_samples, dtype=bool)], blocks, n_direct=5)
-    ((_, signals),) = modal_states.signals_of(model, 0, record, n_direct=5)
-    for block, gram in zip(blocks, grams, strict=True):
-        own = signals[block.rows]
+    for held_out in (NONE, 0, -1):
+        layout, gram, _ = signal_grams(
+            model, [record], [np.ones(n_samples, dtype=bool)], blocks, n_direct=5, held_out=held_out
+        )
+        signals = np.vstack([one for _, one in modal_states.signals_of(layout, model, 0, record)])
+        own = np.vstack([signals[block.rows] for block in blocks if block.label != held_out])
         size = np.linalg.norm(own, axis=0)
         np.testing.assert_allclose(gram / np.outer(size, size), (own / size).T @ (own / size), rtol=0, atol=1e-9)
 
@@ -126,10 +140,10 @@ def test_a_free_response_that_has_died_out_is_zero_not_subnormal():
     )
     record = Record(np.zeros((400, 1)), np.zeros((400, 1)), 0.1)
     rows = [np.arange(400) >= 50]
-    layout, grams = signal_grams(parameters, [record], rows, blocks_of([record], []), n_direct=record.n_inputs)
-    start = layout.real.start + 2 * 2
-    assert grams[0, start, start] == 0.0
-    np.testing.assert_allclose(grams[0, start + 1, start + 1], 0.9**100 / (1 - 0.81), rtol=1e-12)
+    layout, gram, _ = signal_grams(parameters, [record], rows, blocks_of([record], []), n_direct=record.n_inputs)
+    start = layout.places(0)[layout.alone.real.stop - 2]
+    assert gram[start, start] == 0.0
+    np.testing.assert_allclose(gram[start + 1, start + 1], 0.9**100 / (1 - 0.81), rtol=1e-12)
 
 
 def test_a_hundred_thousand_samples_lose_no_digits():
@@ -143,12 +157,12 @@ def test_a_hundred_thousand_samples_lose_no_digits():
     )
     n = 100_000
     record = Record(np.zeros((n, 1)), np.zeros((n, 1)), 0.1)
-    _, grams = signal_grams(
+    _, gram, _ = signal_grams(
         parameters, [record], [np.ones(n, dtype=bool)], blocks_of([record], []), n_direct=record.n_inputs
     )
     plain, conjugate = (1 - pole ** (2 * n)) / (1 - pole**2), (1 - abs(pole) ** (2 * n)) / (1 - abs(pole) ** 2)
     expected = 0.5 * np.array([[conjugate + plain.real, plain.imag], [plain.imag, conjugate - plain.real]])
-    np.testing.assert_allclose(grams[0, :2, :2], expected, rtol=0, atol=1e-10 * conjugate)
+    np.testing.assert_allclose(gram[:2, :2], expected, rtol=0, atol=1e-10 * conjugate)
 
 
 @st.composite
@@ -181,6 +195,10 @@ def test_blocks_hold_every_row_once_with_its_fold(cut):
 
 def test_every_signal_has_one_place_and_records_share_what_they_share():
     layout = SignalLayout(n_poles=3, n_inputs=2, n_outputs=2, n_records=4, n_direct=2)
+    roving = replace(layout, drives=((0,), (1,), (1,), (0,)))
+    own = roving.places(0)
+    assert np.unique(own).size == own.size == roving.alone.size
+    assert set().union(*(set(roving.places(r)) for r in range(4))) == set(range(roving.size))
     slices = (layout.regressors, layout.real, layout.imaginary, layout.outputs)
     assert [i for one in slices for i in range(one.start, one.stop)] == list(range(layout.size))
     places = [layout.places(r) for r in range(4)]

@@ -10,7 +10,7 @@ from noisy import noisy_data, noisy_system
 from era.realisation import Realisation
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import ModalParameters
-from modal.estimation.output_error import NONE, step_at, step_equations
+from modal.estimation.output_error import step_at, step_equations
 from modal.estimation.prediction_error import (
     CanonicalVariates,
     Sections,
@@ -18,6 +18,7 @@ from modal.estimation.prediction_error import (
     likeliest,
     predictor_data,
     predictor_start,
+    promised_criterion,
 )
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel
@@ -56,7 +57,7 @@ def test_the_gradient_is_that_of_the_error_along_every_coordinate(name):
     data = predictor_data(records, [record.complete_rows() for record in records])
     weights = np.array([[1.0, 0.3], [0.3, 2.0]])
     step = step_at(parameters_of(rng, *POLES[name]), data, weights=weights)
-    found = step_equations(step, data, held_out=NONE, weights=weights, coordinates=CHART)
+    found = step_equations(step, weights=weights, coordinates=CHART)
     size = 1e-6 / (1.0 + np.sqrt(np.diag(found.matrix) / step.error))
     for i, h in enumerate(size):
         at = np.where(np.arange(size.size) == i, h, 0.0)
@@ -100,6 +101,19 @@ def fitted(seed, n_samples):
     data = predictor_data(records, [record.complete_rows() for record in records])
     start = predictor_start(Realisation(s.A, s.B, s.C, s.D, s.dt, K=truth.K), data)
     return truth, records, likeliest(start, data, CHART)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_keeps_within_the_criterion_that_its_start_promises(seed):
+    """The bound is twice the fall of an undamped step: where nothing is left to fall, it is the criterion itself."""
+    rng, (truth, _, fit) = np.random.default_rng(seed), fitted(seed, 600)
+    assert promised_criterion(fit.step, fit.data, CHART) == pytest.approx(fit.criterion, abs=1.0)
+    s = truth.system
+    gain = truth.K + 0.02 * rng.standard_normal(truth.K.shape)
+    start = predictor_start(Realisation(s.A, s.B, s.C, s.D, s.dt, K=gain), fit.data)
+    promised = promised_criterion(start, fit.data, CHART)
+    at_start = likeliest(start, fit.data, CHART, rounds=0).criterion
+    assert at_start - 10 * (at_start - fit.criterion) < promised < fit.criterion < at_start
 
 
 def test_the_deviations_are_those_of_an_explicit_jacobian_of_all_matrices():

@@ -21,8 +21,8 @@ from textbook_output_error import (
     regressors,
 )
 
-from modal.estimation.modal_states import ModalParameters, blocks_of
-from modal.estimation.output_error import NONE, OutputError, PolesAndParticipations, refine, step_at, step_equations
+from modal.estimation.modal_states import NONE, ModalParameters, blocks_of
+from modal.estimation.output_error import OutputError, PolesAndParticipations, refine, step_at, step_equations
 from okid.record import Record
 
 
@@ -115,7 +115,7 @@ def test_gradient_is_that_of_the_projected_error(kind):
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
     step = step_at(parameters_of(model), data, held_out=0, weights=np.diag(weights))
-    found = step_equations(step, data, held_out=0, weights=np.diag(weights))
+    found = step_equations(step, weights=np.diag(weights))
     arrays = arrays_of(data, 0)
     slopes = differences(lambda one: weights @ projected_errors(one, *arrays), model, free_places(model), step=3e-4)
     assert found.gradient.shape == slopes.shape
@@ -128,7 +128,7 @@ def test_normal_matrix_is_that_of_the_projected_jacobian(kind):
     model = disturbed(rng, model, 0.02)
     weights = np.array([1.0, 3.0, 0.2])[: model.c.shape[0]]
     step = step_at(parameters_of(model), data, held_out=0, weights=np.diag(weights))
-    found = step_equations(step, data, held_out=0, weights=np.diag(weights))
+    found = step_equations(step, weights=np.diag(weights))
     inputs, _, rows = arrays_of(data, 0)
     model = replace(model, c=step.linear.shapes)
     phi = np.vstack([block[there] for block, there in zip(regressors(model, inputs), rows, strict=True)])
@@ -168,7 +168,7 @@ def jacobian(model, r, inputs, output):
 def test_a_move_changes_each_parameter_by_what_it_says():
     rng, model, data = a_problem(4, "two inputs, two records, real pole", noise=0.1)
     step = step_at(parameters_of(model), data)
-    chart, n_free = PolesAndParticipations(), step_equations(step, data, held_out=NONE, weights=np.eye(2)).gradient.size
+    chart, n_free = PolesAndParticipations(), step_equations(step, weights=np.eye(2)).gradient.size
     for i, place in enumerate(free_places(model)):
         expected = changed(model, place, 0.01)
         found = chart.moved(step.parameters, np.where(np.arange(n_free) == i, 0.01, 0.0))

@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg  # noqa: F401  # loads scipy's own BLAS, which must be limited too
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from modal.estimation.modal_states import one_blas_thread
+from okid.arrays import one_blas_thread
 
 
 def blas_threads():

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hard_records import FAMILIES
 from made_records import KINDS, clean_record
+from scipy.signal import lfilter
 
 from modal.identification.pipeline import identify
+from modal.preparation import faults
 from modal.preparation.faults import free_of_clipping, mended, no_finer_than_sensors
 from modal.preparation.kind import find_kind
 from modal.quality.check import check_quality
@@ -121,7 +123,7 @@ def test_a_clipped_blow_is_left_out_where_another_was_not_clipped():
     rng = np.random.default_rng(3)
     whole, _ = ringing(rng, size=0.3)
     cut, _ = ringing(rng, limit=0.6)
-    kept, kind = free_of_clipping((whole, cut), find_kind((whole, cut)))
+    kept, kind = free_of_clipping((whole, cut), find_kind((whole, cut)), mended((whole, cut)).records)
     assert len(kept) == 1
     assert kept[0] is whole
     assert kind.kind == "transient"
@@ -135,7 +137,8 @@ def test_what_rings_on_after_clipping_is_a_decay(force, spike):
     outputs = record.outputs.copy()
     outputs[[2000, 2400]] += [[spike], [-spike]]
     record = replace(record, outputs=outputs)
-    (kept,), kind = free_of_clipping((record,), find_kind(mended((record,)).records))
+    clean = mended((record,)).records
+    (kept,), kind = free_of_clipping((record,), find_kind(clean), clean)
     assert (kept.n_inputs, kind.kind, kind.starts) == (0, "decay", (last - (0 if force else 51),))
     result = identify(record)
     found = [mode.frequency for mode in result.modes.system]
@@ -144,7 +147,7 @@ def test_what_rings_on_after_clipping_is_a_decay(force, spike):
 
 def test_what_was_not_clipped_stays_the_very_same():
     record, _ = ringing(np.random.default_rng(5))
-    kept, kind = free_of_clipping((record,), find_kind((record,)))
+    kept, kind = free_of_clipping((record,), find_kind((record,)), mended((record,)).records)
     assert kept[0] is record
     assert kind.kind == "transient"
 
@@ -173,3 +176,12 @@ def test_outputs_with_a_sensor_s_noise_stay_the_very_same():
     records, choices = no_finer_than_sensors((replace(record, inputs=record.inputs[:, :0]),))
     assert records[0].outputs is record.outputs
     assert not choices
+
+
+def test_records_are_looked_over_once(monkeypatch):
+    """Ambient ones were three times: for their kind, before the fit, and for what their limits make of the modes."""
+    looked, look = [], faults._looked
+    monkeypatch.setattr(faults, "_looked", lambda records: looked.append(records) or look(records))
+    tip = lfilter([1.0], [1.0, -1.6, 0.9], np.random.default_rng(3).standard_normal(3000))
+    identify(Record([], tip, 0.01), observer_order=8, order=2, ridge=0.0)
+    assert len(looked) == 1
