@@ -45,7 +45,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, driven_gain
+from modal.verdict.excitation import between_lines, driven_gain, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -310,6 +310,7 @@ def _identified(
         else None,
         rings_down=kind.kind == "decay",
         clipped=_clipped(records, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
+        height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)

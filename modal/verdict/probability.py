@@ -65,6 +65,9 @@ MOST_MISSED = 0.5
 """Doubt all modes of a model that leaves more of what the inputs explain than it explains."""
 LARGEST_UNDRIVEN_DAMPING = 0.05
 """Damping ratio above which, without an input, a pole cannot be told from the colour of what drives the system."""
+LEAST_HEIGHT = 2.0
+"""Doubt a pole without an input that has no more than this many times the power beside it; a resonance has six times.
+Of 205 true modes ("system", 62 records, seeds 0 and 3000) none had less but one, of 28 false ones 21."""
 CLEAR_GAIN = 0.03
 """Gain from which a mode is excited beyond doubt: of 93 such poles that the rule without it doubted, 91 were true."""
 FILTER_EDGE = 0.85
@@ -115,11 +118,21 @@ def excitation_doubt(n_states: int, excitation: Excitation | None, gain: float =
     return (f"{words}: what they leave open is not in the data",)
 
 
-def colour_doubt(mode: Mode) -> tuple[str, ...]:
-    """Without an input, a heavily damped pole may describe the spectrum of what drives the system."""
-    if mode.participation.size or mode.damping_ratio <= LARGEST_UNDRIVEN_DAMPING:
+def colour_doubt(mode: Mode, height: float = np.nan) -> tuple[str, ...]:
+    """Without an input, a pole that makes no peak may describe what drives the system, or a filter.
+
+    Args:
+        mode: a heavily damped one is doubted whatever its peak.
+        height: times the power beside it (`modal.verdict.excitation.standing_out`); nan where unknown.
+    """
+    if mode.participation.size:
         return ()
-    return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
+    if mode.damping_ratio > LARGEST_UNDRIVEN_DAMPING:
+        return (f"damping {100 * mode.damping_ratio:.0f} % and no input: may be the colour of what drives the system",)
+    if not height < LEAST_HEIGHT:
+        return ()
+    words = f"no peak stands at {mode.frequency:.4g} Hz (at most {height:.2g} times the power beside it; a resonance"
+    return (f"{words} has six): may be the edge of a filter or the colour of what drives the system",)
 
 
 def delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
