@@ -244,11 +244,11 @@ def identify(
         return result
 
 
-def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str]) -> FloatArray:
+def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:
     """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they came."""
     several = [record.select(outputs=output_names) for record in mended(records).records]
     half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
-    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths)
+    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths, steady=steady)
 
 
 def _identified(
@@ -285,6 +285,7 @@ def _identified(
     left = runs.left
     lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
+    unsteady = unsteady_drive(prepared, left) if kind.kind == "ambient" else ()
     modes = judge(
         unjudged,
         reruns,
@@ -309,7 +310,9 @@ def _identified(
         if kind.kind == "driven"
         else None,
         rings_down=kind.kind == "decay",
-        clipped=_clipped(records, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
+        clipped=_clipped(records, unjudged, prepared[0].output_names, steady=not unsteady)
+        if kind.kind == "ambient"
+        else None,
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
@@ -350,7 +353,7 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
-            *(unsteady_drive(prepared, left) if kind.kind == "ambient" else ()),
+            *unsteady,
             *(changing_modes(modes, prepared, left, output_scale=reruns.output_scale) if kind.kind == "driven" else ()),
             *warnings_in_words(
                 prepared,
@@ -438,9 +441,13 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
     _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
     looked = mended(records).records if not records[0].n_inputs and need <= MOST_MEMORY else records
     kind = find_kind(looked, given)  # one spike at its end would make a decay ambient
-    if kind.kind not in ("driven", "ambient"):
+    if kind.kind == "ambient" and given == "auto" and need <= MOST_MEMORY:
+        records, kind = free_of_clipping(records, kind, clean=looked)
+    elif kind.kind in ("transient", "decay"):
         _refuse_beyond(need, n_samples, n_channels)
-        return (tuple(records), kind) if given == "transient" else free_of_clipping(records, kind)
+        records, kind = (records, kind) if given == "transient" else free_of_clipping(records, kind)
+    if kind.kind not in ("driven", "ambient"):
+        return tuple(records), kind
     several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
     if several == tuple(records):
         return several, kind

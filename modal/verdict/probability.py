@@ -151,7 +151,13 @@ def edge_doubt(mode: Mode, edge: float) -> tuple[str, ...]:
 
 
 def clipping_doubt(mode: Mode, made: float) -> tuple[str, ...]:
-    """The share `made` of what moves at the mode's frequency is made by limits or coarse levels of the outputs."""
+    """The share `made` of what moves at the mode's frequency is made by limits or coarse levels of the outputs.
+
+    Where it is not known (nan) because what drives them is not steady, they may make all of it.
+    """
+    if np.isnan(made):
+        words = "what drives the outputs is not steady, so nothing tells what their limits or coarse levels make"
+        return (f"{words} at {mode.frequency:.4g} Hz",)
     if not made > MOST_MADE:
         return ()
     return (f"clipping or rounding alone makes {100 * min(made, 1.0):.0f} % of what moves at {mode.frequency:.4g} Hz",)
