@@ -33,7 +33,7 @@ from okid.rows import runs_of
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
 DEVIATIONS = 3.0
-"""Standard deviations by which the damping may be smaller than it seems."""
+"""Standard deviations by which the logarithm of the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
 LINES_A_STATE = 3
@@ -326,9 +326,10 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
         >>> undriven_doubt(mode, 0.02, 20.0)
         ('an undamped line, which decays by only 18 % over 20 s: periodic disturbance?',)
     """
-    # the least decay that its standard deviation allows; a line's damping is not zero, but cannot be told from zero
+    # the least decay that its standard deviation allows; a line's damping is not zero, but cannot be told from zero.
+    # The smaller a damping ratio the smaller its deviation: its logarithm is what is about normal
     spread = 0.0 if np.isnan(mode.damping_ratio_std) else mode.damping_ratio_std / abs(mode.damping_ratio or 1.0)
-    decay = -mode.pole.real * duration * max(0.0, 1.0 - DEVIATIONS * spread)
+    decay = -mode.pole.real * duration * float(np.exp(-DEVIATIONS * spread))
     undamped = mode.kind == "oscillatory" and decay < LEAST_DECAY
     if gain < 0:
         line = "an undamped line that the input does not drive" if undamped else "the input does not drive it"
