@@ -283,7 +283,9 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     for i, mode in enumerate(model.modes):
         if mode.kind != "oscillatory":
             continue
-        half = max(mode.damping_ratio * mode.frequency, RESOLVED / longest)
+        # a damping ratio that seems too small puts the sides on the peak
+        damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
+        half = max(damping * mode.frequency, RESOLVED / longest)
         own, *sides = (
             [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
              for lines, values in spectra]
