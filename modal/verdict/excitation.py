@@ -25,6 +25,7 @@ from modal.estimation.free_run import filled
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
+from modal.verdict.probability import RESOLVED
 from modal.wording.numbers import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -235,8 +236,6 @@ def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:
     return kept[np.diff(kept, prepend=-np.inf) > apart]
 
 
-RESOLVED = 2
-"""Tell no peak from its sides within so many frequencies: the main lobe of the window (Hann)."""
 BESIDE = (1.5, 4.0)
 """Compare a peak with what lies so many half-widths off: there a resonance alone has a sixth of its power."""
 ALIKE = 1.5

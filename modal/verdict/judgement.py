@@ -45,6 +45,7 @@ from modal.verdict.probability import (
     edge_doubt,
     excitation_doubt,
     f_ratio,
+    peak_doubt,
     poor_fit_doubt,
     probability,
     unanswered_doubt,
@@ -279,7 +280,8 @@ def judge(
             *poor_fit_doubt(fit, missed),
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
-            *colour_doubt(mode, np.nan if height is None else float(height[i])),
+            *colour_doubt(mode),
+            *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
             *delay_doubt(mode, model.dt),
         )
         if verdict == "system" and doubts:

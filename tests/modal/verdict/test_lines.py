@@ -12,6 +12,7 @@ from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.excitation import between_lines, line_doubt, standing_out
+from modal.verdict.probability import peak_doubt
 from okid.record import Record
 
 
@@ -161,6 +162,20 @@ def test_a_weak_mode_on_the_flank_of_a_strong_one_is_heard_in_its_direction():
         [Record([], outputs[:, :1], 0.01)],
     )
     assert single < 1.0
+
+
+def test_a_line_is_narrower_than_any_pole_of_some_damping():
+    """A sinusoid under noise that a model follows by a pole of 0.1 % damping: of no such width is its peak."""
+    rng = np.random.default_rng(4)
+    time = 0.01 * np.arange(10_000)
+    outputs = 0.8 * np.sin(2 * np.pi * 30.0 * time) + rng.standard_normal(time.size)
+    outputs += shaken(rng, 12.0, 0.01, time.size)
+    line, mode = poles = (pole_at(30.0, 0.001, [1.0]), pole_at(12.0, 0.01, [1.0]))
+    heights = standing_out(ModalModel(modes=poles, dt=0.01, indicator_caution=0.1), [Record([], outputs, 0.01)])
+    (words,) = peak_doubt(line, float(heights[0]), 100.0)
+    assert "much narrower, an undamped line" in words
+    assert peak_doubt(mode, float(heights[1]), 100.0) == ()
+    assert peak_doubt(line, float(heights[0]), 10.0) == ()  # a tenth of the record tells no such width
 
 
 @pytest.mark.parametrize("seed", [1, 3])
