@@ -459,7 +459,8 @@ def judged_deviations(
             known, by_blocks = (_together(np.hypot, one, white) for one in (drawn, drawn_by_blocks))
         times = _together(_at_least_once, _deviations(_of_blocks(model), model, modes, n_lags), by_blocks)
         inflation = np.fmax(times.frequency_std, times.damping_ratio_std)
-        known = _together(np.multiply, times, known)
+        with np.errstate(invalid="ignore"):  # of exact data: none times more than can be told
+            known = _together(np.multiply, times, known)
     if fed_back:
         pull = feedback_bias(model, modes, n_lags=n_lags)
         moved = _times(pull, known)

@@ -44,7 +44,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, driven_gain
+from modal.verdict.excitation import between_lines, driven_gain, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -244,11 +244,11 @@ def identify(
         return result
 
 
-def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str]) -> FloatArray:
+def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:
     """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they were mended."""
     several = [record.select(outputs=output_names) for record in records]
     half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
-    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths)
+    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths, steady=steady)
 
 
 def _identified(
@@ -285,6 +285,7 @@ def _identified(
     left = runs.left
     lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
+    unsteady = unsteady_drive(prepared, left) if kind.kind == "ambient" else ()
     modes = judge(
         unjudged,
         reruns,
@@ -309,7 +310,10 @@ def _identified(
         if kind.kind == "driven"
         else None,
         rings_down=kind.kind == "decay",
-        clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names) if kind.kind == "ambient" else None,
+        clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names, steady=not unsteady)
+        if kind.kind == "ambient"
+        else None,
+        height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
@@ -349,7 +353,7 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
-            *(unsteady_drive(prepared, left) if kind.kind == "ambient" else ()),
+            *unsteady,
             *(changing_modes(modes, prepared, left, output_scale=reruns.output_scale) if kind.kind == "driven" else ()),
             *warnings_in_words(
                 prepared,
@@ -437,13 +441,15 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
     _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
     mend = mended(records) if not records[0].n_inputs and need <= MOST_MEMORY else None
     kind = find_kind(records if mend is None else mend.records, given)  # one spike would make a decay ambient
-    if kind.kind not in ("driven", "ambient"):
+    brief = kind.kind in ("transient", "decay")
+    if brief:
         _refuse_beyond(need, n_samples, n_channels)
-        if given == "transient":
-            return tuple(records), kind, mend
+    if given != "transient" and (brief or (kind.kind == "ambient" and given == "auto" and mend is not None)):
         mend = mended(records) if mend is None else mend
         kept, kind = free_of_clipping(records, kind, mend.records)
-        return kept, kind, mend if kept == tuple(records) else None
+        records, mend = kept, mend if kept == tuple(records) else None
+    if kind.kind not in ("driven", "ambient"):
+        return tuple(records), kind, mend
     several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
     if several == tuple(records):
         return several, kind, mend

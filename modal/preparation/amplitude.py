@@ -144,7 +144,7 @@ def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
 
 
 def distortion_power(
-    records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]
+    records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float], *, steady: bool = True
 ) -> FloatArray:
     """(n_frequencies, n_outputs) share of the power in each band that limits or coarse levels make, 0 without them.
 
@@ -160,6 +160,8 @@ def distortion_power(
         records: as measured, without inputs.
         frequencies: [Hz].
         half_widths: [Hz] of the band about each.
+        steady: whether what drives the records is; else the motion is not Gaussian, and the share of a limited or
+            coarse channel is nan: not known.
 
     References:
         Price, IRE Transactions on Information Theory 4, 1958, 69-72, doi 10.1109/TIT.1958.1057444.
@@ -178,6 +180,9 @@ def distortion_power(
     for channel in outputs:
         law = _limited(channel) or _stepped(channel)
         if law is None:
+            continue
+        if not steady:
+            found[:, channel.index] = np.nan
             continue
         lines, power = _power(channel)
         correlation = np.fft.irfft(power)

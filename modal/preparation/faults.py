@@ -146,6 +146,9 @@ def free_of_clipping(
 ) -> tuple[tuple[Record, ...], KindFound]:
     """What is struck or rings down without its clipped peaks, which make harmonics that are found again in every half.
 
+    So is what seemed ambient, an event and what it makes ring whose input was not measured, where all records ring down
+    once no output is clipped.
+
     Records that were not clipped are enough where every input moves in them; else each record is the decay that is left
     once no output is clipped and no input acts. Nothing changes where nothing is clipped, or where nothing is left.
     A spike hides neither limits nor rest: `clean` are the records as they are mended.
@@ -166,13 +169,13 @@ def free_of_clipping(
         for one, seen, first in zip(records, clean, starts, strict=True)
         if rings_down(seen.outputs[first:])
     ]
-    if not left:
+    if not left or (kind.kind == "ambient" and len(left) < len(records)):
         return tuple(records), kind
     text = (
         f"{head}only the free motion after the last clipped sample is used, as a decay, so nothing is known of modal "
         "masses; measure again with a larger range."
     )
-    decay = Choice(what="record kind", value="decay", reason=f"{kind.choice.reason}; outputs are clipped until then")
+    decay = Choice(what="record kind", value="decay", reason=f"{kind.choice.reason}; outputs are clipped before")
     found = KindFound(
         kind="decay", choice=decay, warnings=(*kind.warnings, text), starts=tuple(first for _, first in left)
     )

@@ -9,6 +9,9 @@ poles that stand on them, or anywhere between, explain the record as well as the
 answer between the lines: to what else the force holds, and to the tones' beginnings and ends. The sums and multiples of
 tones, which amplifier, shaker and joints make, are lines as well, however weak: each tells of one frequency, in the
 force or in the answer alone.
+
+Without inputs a pole may be the colour of what drives the system, or the edge of a filter. What tells a mode is its
+resonance: power that stands above what lies on either side.
 """
 
 from collections.abc import Sequence
@@ -18,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from era.state_recursion import PoleRecursion
+from modal.estimation.free_run import filled
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
+from modal.verdict.probability import RESOLVED
 from modal.wording.numbers import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -29,7 +34,7 @@ from okid.rows import runs_of
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
 DEVIATIONS = 3.0
-"""Standard deviations by which the damping may be smaller than it seems."""
+"""Standard deviations by which the logarithm of the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
 LINES_A_STATE = 3
@@ -231,6 +236,83 @@ def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:
     return kept[np.diff(kept, prepend=-np.inf) > apart]
 
 
+BESIDE = (1.5, 4.0)
+"""Compare a peak with what lies so many half-widths off: there a resonance alone has a sixth of its power."""
+ALIKE = 1.5
+"""Count so many neighbouring frequencies as one independent value: the noise bandwidth of the window (Hann)."""
+LOADING = 1e-3
+"""Null no neighbour below this share of the power beside a peak: chance would be nulled as well."""
+
+
+def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
+    """How many times the power beside a mode its half-power bandwidth holds, a standard deviation of chance more.
+
+    The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
+    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given.
+
+    Args:
+        model: modes of the model.
+        records: that it was identified from, without inputs.
+
+    Returns:
+        (n_modes,) nan where a mode does not turn, or its sides lie outside the band.
+
+    References:
+        Capon, Proceedings of the IEEE 57(8), 1969, 1408-1418, doi 10.1109/PROC.1969.7278.
+
+    Example:
+        >>> rng, y = np.random.default_rng(0), np.zeros(20_000)
+        >>> for k in range(2, y.size):
+        ...     y[k] = 1.6 * y[k - 1] - 0.95 * y[k - 2] + rng.standard_normal()
+        >>> poles = [np.log(0.95**0.5 * np.exp(0.609j)) / 0.01, np.log(0.97 * np.exp(1.5j)) / 0.01]
+        >>> modes = tuple(Mode(pole=s, kind="oscillatory", frequency=abs(s) / 2 / np.pi, damping_ratio=-s.real / abs(s),
+        ...                    shape=np.ones(1), participation=np.empty(0)) for s in poles)
+        >>> model = ModalModel(modes=modes, dt=0.01, indicator_caution=0.1)
+        >>> standing_out(model, [Record([], y, 0.01)]).round(1).tolist()
+        [5.2, 0.9]
+    """
+    longest = max(record.duration for record in records)
+    spectra = []
+    for record in filled(records):
+        motion = np.hanning(record.n_samples + 2)[1:-1, np.newaxis] * (record.outputs - record.outputs.mean(axis=0))
+        spectra.append(
+            (np.fft.rfftfreq(record.n_samples, record.dt), np.fft.rfft(motion, axis=0) / record.duration**0.5)
+        )
+    found = np.full(len(model), np.nan)
+    for i, mode in enumerate(model.modes):
+        if mode.kind != "oscillatory":
+            continue
+        # a damping ratio that seems too small puts the sides on the peak
+        damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
+        half = max(damping * mode.frequency, RESOLVED / longest)
+        own, *sides = (
+            [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
+             for lines, values in spectra]
+            for low, high in half * np.array([(-1.0, 1.0), (-BESIDE[1], -BESIDE[0]), BESIDE])
+        )  # fmt: skip
+        n_values = sum(map(len, own)) / ALIKE
+        powers = [power for power in map(_mean_power, sides) if power is not None]
+        peak = _mean_power(own)
+        if peak is None or not powers:
+            continue
+        beside = np.mean(powers, axis=0)
+        size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
+        alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
+        weights = np.linalg.solve(alike, mode.shape / size) / size
+        heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
+        found[i] = heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values))
+    return found
+
+
+def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:
+    """(n_outputs, n_outputs) mean of y y* over the rows of all parts; None without a row."""
+    rows = np.concatenate(parts)
+    if not len(rows):
+        return None
+    power: ComplexArray = rows.T @ rows.conj() / len(rows)
+    return power
+
+
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
     """Why a mode may be no answer to the input, in words; empty where there is no doubt.
 
@@ -245,9 +327,10 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
         >>> undriven_doubt(mode, 0.02, 20.0)
         ('an undamped line, which decays by only 18 % over 20 s: periodic disturbance?',)
     """
-    # the least decay that its standard deviation allows; a line's damping is not zero, but cannot be told from zero
+    # the least decay that its standard deviation allows; a line's damping is not zero, but cannot be told from zero.
+    # The smaller a damping ratio the smaller its deviation: its logarithm is what is about normal
     spread = 0.0 if np.isnan(mode.damping_ratio_std) else mode.damping_ratio_std / abs(mode.damping_ratio or 1.0)
-    decay = -mode.pole.real * duration * max(0.0, 1.0 - DEVIATIONS * spread)
+    decay = -mode.pole.real * duration * float(np.exp(-DEVIATIONS * spread))
     undamped = mode.kind == "oscillatory" and decay < LEAST_DECAY
     if gain < 0:
         line = "an undamped line that the input does not drive" if undamped else "the input does not drive it"

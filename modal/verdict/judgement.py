@@ -45,6 +45,7 @@ from modal.verdict.probability import (
     edge_doubt,
     excitation_doubt,
     f_ratio,
+    peak_doubt,
     poor_fit_doubt,
     probability,
     unanswered_doubt,
@@ -195,6 +196,7 @@ def judge(
     edge: float = np.inf,
     chance: FloatArray | None = None,
     clipped: FloatArray | None = None,
+    height: FloatArray | None = None,
     rings_down: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
@@ -226,6 +228,8 @@ def judge(
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
+        height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.excitation`); None
+            where unknown.
         rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:
@@ -277,6 +281,7 @@ def judge(
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
             *colour_doubt(mode),
+            *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
             *delay_doubt(mode, model.dt),
         )
         if verdict == "system" and doubts:

@@ -145,6 +145,31 @@ def test_what_rings_on_after_clipping_is_a_decay(force, spike):
     np.testing.assert_allclose(found, np.array([0.3, 0.9]) / (2 * np.pi * 0.01), rtol=1e-3)
 
 
+def test_blows_that_nobody_measured_are_no_ambient_motion_where_they_are_clipped():
+    """Three blows with rest between them: what limits make of the free motion was found again in every half."""
+    rng = np.random.default_rng(4)
+    each = [ringing(rng, size=size)[0].outputs for size in (1.0, 0.8, 1.1)]
+    record = Record([], np.clip(np.concatenate(each), -0.5, 0.5), 0.01)
+    assert find_kind([record]).kind == "ambient"
+    result = identify(record)
+    assert result.record_kind == "decay"
+    found = [mode.frequency for mode in result.modes.system]
+    np.testing.assert_allclose(found, np.array([0.3, 0.9]) / (2 * np.pi * 0.01), rtol=1e-3)
+    assert sum("only the free motion" in warning for warning in result.warnings) == 1
+
+
+def test_nothing_tells_what_limits_make_of_motion_that_is_not_steady():
+    _, record = record_of("ambient", 5)
+    gusts = np.ones(record.n_samples)
+    gusts[5000:9000] = 20.0
+    size = 1.5 * (gusts[:, np.newaxis] * record.outputs).std(axis=0)
+    clipped = replace(record, outputs=np.clip(gusts[:, np.newaxis] * record.outputs, -size, size))
+    result = identify(clipped)
+    assert result.record_kind == "ambient"
+    assert not result.modes.system
+    assert any("not steady, so nothing tells what their limits" in mode.reason for mode in result.modes)
+
+
 def test_what_was_not_clipped_stays_the_very_same():
     record, _ = ringing(np.random.default_rng(5))
     kept, kind = free_of_clipping((record,), find_kind((record,)), mended((record,)).records)

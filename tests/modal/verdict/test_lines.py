@@ -1,7 +1,8 @@
-"""What inputs that are a few tones can support, and noise that is no error; records from `tests/reference`."""
+"""What inputs that are a few tones can support, noise that is no error, and what no input leaves open."""
 
 import numpy as np
 import pytest
+import scipy.signal
 from hard_records import FAMILIES
 from structures import random_excitation
 
@@ -9,7 +10,9 @@ from era.realisation import Realisation
 from era.simulation import simulate
 from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
-from modal.verdict.excitation import between_lines, line_doubt
+from modal.modes.mode import ModalModel, Mode
+from modal.verdict.excitation import between_lines, line_doubt, standing_out
+from modal.verdict.probability import peak_doubt
 from okid.record import Record
 
 
@@ -117,3 +120,75 @@ def test_a_gap_leaves_the_lines_where_they_are(case):
     found = between_lines(modes, [Record(tone, np.zeros((4000, 2)), 0.01)], [left], output_scale=np.ones(2))
     assert found is not None
     assert not found.gain[0] > 0.3
+
+
+def shaken(rng, frequency, damping, n_samples):
+    """Velocity of one mode under white noise, 100 samples a second, of deviation one."""
+    pole = np.exp(2 * np.pi * 0.01 * frequency * (-damping + 1j))
+    force = rng.standard_normal(n_samples + 1000)
+    own = scipy.signal.lfilter([1.0, -1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force)[1000:]
+    return own / own.std()
+
+
+def pole_at(frequency, damping, shape):
+    pole = 2 * np.pi * frequency * complex(-damping, np.sqrt(1 - damping**2))
+    return Mode(
+        pole=pole, kind="oscillatory", frequency=frequency, damping_ratio=damping,
+        shape=np.asarray(shape, dtype=complex), participation=np.empty(0),
+    )  # fmt: skip
+
+
+def test_a_resonance_stands_out_as_its_curve_says_and_noise_does_not():
+    """1 / (1 + x^2) has a mean of 0.785 within its half-power bandwidth and of 0.137 from 1.5 to 4 half-widths off."""
+    rng = np.random.default_rng(2)
+    alone = shaken(rng, 20.0, 0.01, 400_000)[:, np.newaxis]
+    model = ModalModel(modes=(pole_at(20.0, 0.01, [1.0]),), dt=0.01, indicator_caution=0.1)
+    curve = np.pi / 4 / ((np.arctan(4.0) - np.arctan(1.5)) / 2.5)
+    assert standing_out(model, [Record([], alone, 0.01)]) == pytest.approx([curve], rel=0.15)
+    noise = rng.standard_normal((400_000, 1))
+    assert standing_out(model, [Record([], noise, 0.01)]) == pytest.approx([1.0], rel=0.15)
+
+
+def test_a_weak_mode_on_the_flank_of_a_strong_one_is_heard_in_its_direction():
+    rng = np.random.default_rng(3)
+    strong, weak = shaken(rng, 20.0, 0.01, 100_000), 0.1 * shaken(rng, 20.6, 0.01, 100_000)
+    outputs = np.outer(strong, [1.0, 0.5]) + np.outer(weak, [0.5, -1.0])
+    outputs += 0.01 * rng.standard_normal(outputs.shape)
+    model = ModalModel(modes=(pole_at(20.6, 0.01, [0.5, -1.0]),), dt=0.01, indicator_caution=0.1)
+    (height,) = standing_out(model, [Record([], outputs, 0.01)])
+    assert height > 4.0
+    (single,) = standing_out(
+        ModalModel(modes=(pole_at(20.6, 0.01, [1.0]),), dt=0.01, indicator_caution=0.1),
+        [Record([], outputs[:, :1], 0.01)],
+    )
+    assert single < 1.0
+
+
+def test_a_line_is_narrower_than_any_pole_of_some_damping():
+    """A sinusoid under noise that a model follows by a pole of 0.1 % damping: of no such width is its peak."""
+    rng = np.random.default_rng(4)
+    time = 0.01 * np.arange(10_000)
+    outputs = 0.8 * np.sin(2 * np.pi * 30.0 * time) + rng.standard_normal(time.size)
+    outputs += shaken(rng, 12.0, 0.01, time.size)
+    line, mode = poles = (pole_at(30.0, 0.001, [1.0]), pole_at(12.0, 0.01, [1.0]))
+    heights = standing_out(ModalModel(modes=poles, dt=0.01, indicator_caution=0.1), [Record([], outputs, 0.01)])
+    (words,) = peak_doubt(line, float(heights[0]), 100.0)
+    assert "much narrower, an undamped line" in words
+    assert peak_doubt(mode, float(heights[1]), 100.0) == ()
+    assert peak_doubt(line, float(heights[0]), 10.0) == ()  # a tenth of the record tells no such width
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_edge_of_a_filter_is_no_mode(seed):
+    """Ambient motion behind an elliptic filter: its edge was found again in every half, "system" at p 0.98."""
+    rng = np.random.default_rng(seed)
+    motion = np.zeros((6000, 2))
+    for frequency in (8.0, 22.0):
+        pole = np.exp(2 * np.pi * 0.01 * frequency * (-0.01 + 1j))
+        own = scipy.signal.lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], rng.standard_normal(7000))[1000:]
+        motion += np.outer(own / own.std(), rng.standard_normal(2))
+    motion += 0.03 * rng.standard_normal(motion.shape)
+    steep = scipy.signal.ellip(8, 0.1, 80.0, 0.66, output="sos")
+    result = identify(Record([], scipy.signal.sosfilt(steep, motion, axis=0), 0.01))
+    np.testing.assert_allclose([mode.frequency for mode in result.modes.system], [8.0, 22.0], rtol=0.01)
+    assert any(mode.reason.startswith("no peak stands") for mode in result.modes)
