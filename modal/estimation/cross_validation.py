@@ -22,6 +22,7 @@ from era.hankel import block_sizes
 from era.realisation import Realisation
 from modal.estimation.free_run import (
     ModalForm,
+    begins_at_rest,
     block_errors,
     driven_by_outputs,
     filled,
@@ -229,10 +230,14 @@ def _blocks(rows: BoolArray, n_records: int, by: Folds) -> list[tuple[int, int]]
 
 
 def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
-    """The record with every channel at zero mean and unit standard deviation."""
+    """The record with every channel at zero mean and unit standard deviation; inputs about their rest, if it begins so.
+
+    Then a model at rest has a state of zero.
+    """
+    rest = record.inputs[0] if begins_at_rest(record, 2) else scaling.input_mean
     return replace(
         record,
-        inputs=(record.inputs - scaling.input_mean) / scaling.input_scale,
+        inputs=(record.inputs - rest) / scaling.input_scale,
         outputs=(record.outputs - scaling.output_mean) / scaling.output_scale,
     )
 

@@ -275,6 +275,11 @@ class ModalForm:
     participations: ComplexArray
     feedthrough: FloatArray
 
+    @property
+    def order(self) -> int:
+        """Number of real states."""
+        return int(self.weights.sum())
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FreeRun:
@@ -339,8 +344,9 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
     recursion = ModalRecursion.of_model(model)
-    outputs = recursion.from_rest(record.inputs)
-    state, level = _start_and_level(model, recursion, record.outputs - outputs, training)
+    rests = begins_at_rest(record, model.order)
+    outputs = recursion.from_rest(record.inputs - record.inputs[0] if rests else record.inputs)
+    state, level = _start_and_level(model, recursion, record.outputs - outputs, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
@@ -360,9 +366,10 @@ def block_errors(
         blocks: (first, one past last) row of each; none of their rows trains.
     """
     recursion = ModalRecursion.of_model(model)
-    left = record.outputs - recursion.from_rest(record.inputs)
+    rests = begins_at_rest(record, model.order)
+    left = record.outputs - recursion.from_rest(record.inputs - record.inputs[0] if rests else record.inputs)
     scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
-    state, level = _start_and_level(model, recursion, left, training)
+    state, level = _start_and_level(model, recursion, left, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
     free = recursion.free_response(state, n_alive)
     errors = np.empty((len(blocks), record.n_outputs))
@@ -377,7 +384,7 @@ def block_errors(
 
 
 def _start_and_level(
-    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray
+    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray, *, rests: bool
 ) -> tuple[ComplexArray, FloatArray]:
     """Initial state and level of each output from what the run from rest leaves, which is overwritten."""
     n_samples, n_outputs = left.shape
@@ -389,6 +396,8 @@ def _start_and_level(
             left[first:last] = 0.0
     else:
         left[~training] = 0.0
+    if rests:
+        return np.zeros(model.poles.size, dtype=np.complex128), left.sum(axis=0) / np.maximum(training.sum(axis=0), 1)
     return fit_initial_state(
         model.poles,
         model.weights * model.shapes,
@@ -401,8 +410,31 @@ def _start_and_level(
 
 def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
     """(n_poles,) modal state at the first sample that `free_run` would start from."""
+    if begins_at_rest(record, model.order) and not record.inputs[0].any():
+        return np.zeros(model.poles.size, dtype=np.complex128)
     recursion = ModalRecursion.of_model(model)
-    return _start_and_level(model, recursion, record.outputs - recursion.from_rest(record.inputs), training)[0]
+    left = record.outputs - recursion.from_rest(record.inputs)
+    return _start_and_level(model, recursion, left, training, rests=False)[0]
+
+
+def begins_at_rest(record: Record, n_states: int) -> bool:
+    """Whether no channel moves over the first rows, at least as many as a model has states.
+
+    An observable state that leaves so many outputs alone is zero (about the steady state of constant inputs): it is
+    known, and one to fit would let a model begin in the past what a blow does.
+
+    Args:
+        record: of measured or scaled channels.
+        n_states: of the model.
+
+    Example:
+        >>> struck = Record(np.r_[0.0, 0.0, 1.0, 0.0], np.r_[5.0, 5.0, 5.0, 6.0], 0.1)
+        >>> begins_at_rest(struck, 2), begins_at_rest(struck, 3)
+        (True, False)
+    """
+    if n_states > record.n_samples:
+        return False
+    return all(bool((rows[:n_states] == rows[0]).all()) for rows in (record.inputs, record.outputs))
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:

@@ -111,6 +111,11 @@ class RefinementStep:
     grams: FloatArray
     error: float
 
+    @property
+    def order(self) -> int:
+        """Number of real states: two for a pair."""
+        return int(np.where(self.parameters.is_pair, 2, 1).sum())
+
     def block_errors(self, chosen: Sequence[int]) -> FloatArray:
         """(n_chosen, n_outputs) squared error of the model on these blocks."""
         out, phi = self.layout.alone.outputs, self.layout.alone.regressors
@@ -337,6 +342,7 @@ class PolesAndParticipations:
         """Which of all entries are parameters, none twice, none of no effect, and the scale of each entry."""
         n_poles, n_inputs = parameters.inputs.shape
         moves = np.ones((1 + n_inputs + parameters.states.shape[0], n_poles), dtype=np.bool_)
+        moves[1 + n_inputs :][~parameters.states.any(axis=1)] = False
         moves[1 + np.abs(parameters.inputs).argmax(axis=1), np.arange(n_poles)] = False
         free = np.flatnonzero(np.concatenate([moves.ravel(), (moves & parameters.is_pair).ravel()]))
         # the first parameter of a pole is the logarithm of its decay, not the decay itself

@@ -280,6 +280,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
+        grows=2 * found.chosen.weak_modes == model.order,
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
     left = runs.left

@@ -15,7 +15,7 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import Folds, hankel_limits, markov_lags, scaled_model, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import in_units, starting_parameters
+from modal.estimation.modal_parameters import in_units, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of
 from modal.estimation.output_error import NONE, OutputError, RefinementStep, refine
 from modal.estimation.prediction_error import STILL, CanonicalVariates, n_rows_of
@@ -54,6 +54,7 @@ def repeat(
     folds: Folds = "blocks",
     refined: Realisation | None = None,
     past: int = 0,
+    grows: bool = False,
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -71,6 +72,7 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
+        grows: the model grew mode by mode: its reruns start from half of their states and grow by the others.
     """
     scaling = channel_scaling(records)
     if past:
@@ -102,12 +104,16 @@ def repeat(
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
-    model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, model_order)
+    largest = min(decomposition.rank, decomposition.max_order)
+    first = _half(model_order) if grows else model_order
+    model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, first)
     if model is not None:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        runs.append(Rerun(label=label, change="observer", modes=extract_modes(_refined((model,), again))))
-    for n in _other_orders(model_order, min(decomposition.rank, decomposition.max_order)):
-        modes = extract_modes(_refined((realise_from(decomposition, n),), again))
+        modes = extract_modes(_refined((model,), again, grown_to=model_order if grows else 0))
+        runs.append(Rerun(label=label, change="observer", modes=modes))
+    for n in _other_orders(model_order, 2 * largest if grows else largest):
+        start = realise_from(decomposition, min(_half(n), largest) if grows else n)
+        modes = extract_modes(_refined((start,), again, grown_to=n if grows else 0))
         runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
     return Reruns(
         runs=tuple(runs),
@@ -158,8 +164,15 @@ def _refinement(
     return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
 
 
-def _refined(models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE) -> Realisation:
-    """The best of the models after a few steps on the rows that are not held out.
+def _half(n_states: int) -> int:
+    """About half of so many states, in pairs."""
+    return 2 * -(-n_states // 4)
+
+
+def _refined(
+    models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE, grown_to: int = 0
+) -> Realisation:
+    """The best of the models after a few steps on the rows that are not held out, and grown to so many states.
 
     The first as it is without steps or a stable start.
     """
@@ -169,6 +182,8 @@ def _refined(models: Sequence[Realisation], again: _Refinement, *, held_out: int
         start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
         if start is not None:
             last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
+            while last.order < grown_to and (larger := with_weak_mode(last, again.data, held_out=held_out)) is not None:
+                last = refine(larger, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
     return models[0] if best is None else in_units(*best, again.scaling)
 
