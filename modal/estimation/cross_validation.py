@@ -367,6 +367,11 @@ class Trial(Displayed):
     refinement_steps: int = 0
     weak_modes: int = 0
 
+    @property
+    def grew(self) -> bool:
+        """Whether the model grew mode by mode from nothing."""
+        return 0 < self.model_order == 2 * self.weak_modes
+
 
 def make_trials(
     ground: Ground,
