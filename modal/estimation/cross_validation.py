@@ -230,11 +230,11 @@ def _blocks(rows: BoolArray, n_records: int, by: Folds) -> list[tuple[int, int]]
 
 
 def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
-    """The record with every channel at zero mean and unit standard deviation; inputs about their rest, if it begins so.
+    """The record with every channel at zero mean and unit standard deviation.
 
-    Then a model at rest has a state of zero.
+    Where it begins at rest its inputs stay zero there, and so does the state of a model.
     """
-    rest = record.inputs[0] if begins_at_rest(record, 2) else scaling.input_mean
+    rest = 0.0 if begins_at_rest(record, 2) else scaling.input_mean
     return replace(
         record,
         inputs=(record.inputs - rest) / scaling.input_scale,

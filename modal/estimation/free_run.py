@@ -345,7 +345,7 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
     """
     recursion = ModalRecursion.of_model(model)
     rests = begins_at_rest(record, model.order)
-    outputs = recursion.from_rest(record.inputs - record.inputs[0] if rests else record.inputs)
+    outputs = recursion.from_rest(record.inputs)
     state, level = _start_and_level(model, recursion, record.outputs - outputs, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
     outputs[:n_alive] += recursion.free_response(state, n_alive)
@@ -367,7 +367,7 @@ def block_errors(
     """
     recursion = ModalRecursion.of_model(model)
     rests = begins_at_rest(record, model.order)
-    left = record.outputs - recursion.from_rest(record.inputs - record.inputs[0] if rests else record.inputs)
+    left = record.outputs - recursion.from_rest(record.inputs)
     scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
     state, level = _start_and_level(model, recursion, left, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
@@ -410,7 +410,7 @@ def _start_and_level(
 
 def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
     """(n_poles,) modal state at the first sample that `free_run` would start from."""
-    if begins_at_rest(record, model.order) and not record.inputs[0].any():
+    if begins_at_rest(record, model.order):
         return np.zeros(model.poles.size, dtype=np.complex128)
     recursion = ModalRecursion.of_model(model)
     left = record.outputs - recursion.from_rest(record.inputs)
@@ -418,10 +418,10 @@ def initial_state(model: ModalForm, record: Record, training: BoolArray) -> Comp
 
 
 def begins_at_rest(record: Record, n_states: int) -> bool:
-    """Whether no channel moves over the first rows, at least as many as a model has states.
+    """Whether nothing acts and no output moves over the first rows, at least as many as a model has states.
 
-    An observable state that leaves so many outputs alone is zero (about the steady state of constant inputs): it is
-    known, and one to fit would let a model begin in the past what a blow does.
+    An observable state that leaves so many outputs alone is zero: it is known, and one to fit would let a model begin
+    in the past what a blow does.
 
     Args:
         record: of measured or scaled channels.
@@ -432,9 +432,9 @@ def begins_at_rest(record: Record, n_states: int) -> bool:
         >>> begins_at_rest(struck, 2), begins_at_rest(struck, 3)
         (True, False)
     """
-    if n_states > record.n_samples:
+    if not 0 < n_states <= record.n_samples or record.inputs[:n_states].any():
         return False
-    return all(bool((rows[:n_states] == rows[0]).all()) for rows in (record.inputs, record.outputs))
+    return bool((record.outputs[:n_states] == record.outputs[0]).all())
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:

@@ -133,6 +133,8 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
 
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
+CHANCE = 0.01
+"""Add no pole whose answer white noise would take for one so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
 
@@ -165,7 +167,7 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
 
 
 def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> tuple[complex, int] | None:
-    """The pole whose answer to one of the inputs takes most of the squared errors, and that input.
+    """The pole whose answer to one of the inputs takes most of the errors, and that input; None where chance does so.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
     energy that is that of u's own:
@@ -173,8 +175,14 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
         sum e(k) x*(k) = sum over m > 0 of r(m) (lambda*)^(m-1),   r(m) = sum e(k+m) u(k)
         sum |x(k)|^2 = (rho(0) + 2 Re sum over l > 0 of rho(l) lambda^l) / (1 - |lambda|^2)
 
-    so one FFT tells the gain, 2 |sum e x*|^2 / sum |x|^2, of all frequencies at one decay.
+    so one FFT tells the gain, 2 |sum e x*|^2 / sum |x|^2, of all frequencies at one decay. Over the power of an error
+    that is white it is distributed as chi^2 of two, and the largest of M is beyond g as often as M times one
+    (Bonferroni).
     """
+    power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)
+    if not power.any():
+        return None
+    errors = [error / np.sqrt(np.where(power > 0.0, power, 1.0)) for error in errors]
     longest = max(len(error) for error in errors)
     length = scipy.fft.next_fast_len(2 * longest, real=True)
     into, out = (np.stack([np.fft.rfft(one, length, axis=0) for one in each]) for each in (inputs, errors))
@@ -187,14 +195,18 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
         fading = np.exp(-decay * lags)
         product = np.fft.rfft(cross * fading, length)[..., there]
-        energy = own[:, :1] + 2.0 * np.exp(-decay) * (
-            np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])
-        ).real
+        energy = (
+            own[:, :1]
+            + 2.0
+            * np.exp(-decay)
+            * (np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])).real
+        )
         gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, TINY * own[:, :1])
         j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
         if there.size and gains[j, k] > best[0]:
             best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
-    return best[1:] if best[0] > 0.0 else None
+    n_looked = n_decays * longest * len(own)
+    return best[1:] if n_looked * scipy.special.gammaincc(power.size, best[0]) < CHANCE else None
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:

@@ -29,6 +29,8 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 SMALLEST_GAIN = 1e-9
 """Relative decrease of the error below which another step is not worth its cost."""
+GROWS_ON = 1e-3
+"""Let a model that is to grow do so once a step decreases its error by a smaller share."""
 LARGEST_STEP = 0.7
 """Of the logarithm of a decay rate, and of an angle relative to itself or to what is left to half the sampling rate."""
 LEAST_DECAY = 1e-10
@@ -214,6 +216,11 @@ def step_at(
         grams=grams,
         error=float((weights * linear.error_products).sum()),
     )
+
+
+def linear_of(step: RefinementStep, *, held_out: int) -> LinearPart:
+    """Shapes, feedthrough and levels of the same poles by the rows that are not held out."""
+    return linear_part(step.layout, gram_of_training(step.layout, step.grams, step.blocks, held_out))
 
 
 def gram_of_training(layout: SignalLayout, grams: FloatArray, blocks: Sequence[Block], held_out: int) -> FloatArray:

@@ -33,10 +33,18 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.free_run import filled
+from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import errors_of, in_units, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
-from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine, step_at
+from modal.estimation.output_error import (
+    GROWS_ON,
+    SMALLEST_GAIN,
+    OutputError,
+    RefinementStep,
+    linear_of,
+    refine,
+    step_at,
+)
 from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
@@ -98,7 +106,8 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     orders = _orders(found)
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined: dict[tuple[int, float, int], list[Trial]] = {}
-    pursued = _pursued(shop, first, found.limits.model_orders) if found.ground.by == "rows" else []
+    resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
+    pursued = _pursued(shop, first, found.limits.model_orders) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -145,18 +154,20 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
         model_orders: that may be tried: even ones up to the largest, or the one that was given.
     """
     trials: list[Trial] = []
-    scored = [[i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))]
+    scored = [
+        [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
+    ]
     step: RefinementStep | None = nothing_yet(shop.data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
         step = None if step is None else with_weak_mode(step, shop.data)
         if step is None:
             break
-        step = refine(step, shop.data, n_steps=UNTIL_STILL, least_gain=STANDS_STILL)[-1]
+        step = refine(step, shop.data, n_steps=MOST_STEPS, least_gain=GROWS_ON)[-1]
         errors = []
         for fold, blocks in enumerate(scored):
-            start = step_at(step.parameters, shop.data, held_out=fold)
-            last = refine(start, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1]
+            start = replace(step, linear=linear_of(step, held_out=fold))
+            last = refine(start, shop.data, held_out=fold, n_steps=SCOUT_STEPS, least_gain=GROWS_ON)[-1]
             errors.append(last.block_errors(blocks))
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
@@ -391,7 +402,8 @@ def refined_model(
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     for _ in range(weak_modes):
         larger = with_weak_mode(last, data)
-        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=least_gain)[-1]
+        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=GROWS_ON)[-1]
+    last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)
     if n_steps == MOST_STEPS and start.n_outputs > 1:
         likeliest, own = _weighted(last, data, least_gain)

@@ -124,7 +124,9 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
     of_observers = measure
     if chosen.grew:
         least = min(trial.error for trial in observed)
-        of_observers = f"free run on held-out rows: fit {1.0 - least:.3f}, less than that of the model, which grew by itself"
+        of_observers = (
+            f"free run on held-out rows: fit {1.0 - least:.3f}, less than that of the model, which grew by itself"
+        )
     choices = [
         Choice(
             what="observer order",
@@ -289,16 +291,23 @@ def warnings_in_words(
             f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "
             "record may carry more."
         )
-    if residuals.input_correlation_ratio > FOLLOWS_INPUT:
-        what, why = "observer", "changes in time, or answers for longer than the observer looks back"
-        if found.chosen.grew:
-            what, why = "model", "or changes in time"
-        words.append(
-            f"What the {what} leaves over still follows the inputs (statistic over degrees of freedom "
-            f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, {why}, "
-            "so expect damping ratios to be off."
-        )
+    words += _what_follows(residuals, grew=found.chosen.grew)
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
+
+
+def _what_follows(residuals: ResidualCheck, *, grew: bool) -> tuple[str, ...]:
+    """That what is left follows the inputs, where it does."""
+    if not residuals.input_correlation_ratio > FOLLOWS_INPUT:
+        return ()
+    what, why = "observer", "changes in time, or answers for longer than the observer looks back"
+    if grew:
+        what, why = "model", "or changes in time"
+    text = (
+        f"What the {what} leaves over still follows the inputs (statistic over degrees of freedom "
+        f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, {why}, so expect damping "
+        "ratios to be off."
+    )
+    return (text,)
 
 
 def _fits_to_all(found: Search) -> FloatArray:

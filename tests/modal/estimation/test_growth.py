@@ -5,7 +5,7 @@ import pytest
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.estimation.modal_parameters import errors_of, starting_parameters, with_weak_mode
+from modal.estimation.modal_parameters import errors_of, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from okid.record import Record
@@ -71,6 +71,13 @@ def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
 
 def test_nothing_is_added_where_nothing_can_be_fitted(case):
     _, data, step = case
-    few = np.zeros(4000, dtype=bool)
-    few[::50] = True  # no two rows in a run
-    assert with_weak_mode(step, OutputError(records=data.records, rows=(few,), blocks=data.blocks)) is None
+    none = np.zeros(4000, dtype=bool)
+    assert with_weak_mode(step, OutputError(records=data.records, rows=(none,), blocks=data.blocks)) is None
+
+
+def test_the_first_mode_of_nothing_is_the_one_that_a_free_run_of_its_own_explains_best(case):
+    system, data, _ = case
+    first = with_weak_mode(nothing_yet(data), data)
+    frequencies = np.abs(np.log(first.parameters.poles)) / (2 * np.pi * system.dt)
+    assert np.min(np.abs(frequencies - [[6.0], [14.0]])) < 0.1
+    assert first.error < 0.75 * nothing_yet(data).error
