@@ -418,9 +418,9 @@ def initial_state(model: ModalForm, record: Record, training: BoolArray) -> Comp
 
 
 def begins_at_rest(record: Record, n_states: int) -> bool:
-    """Whether nothing acts and no output moves over the first rows, at least as many as a model has states.
+    """Whether nothing acts and no output moves over the first rows, one more than a model has states.
 
-    An observable state that leaves so many outputs alone is zero: it is known, and one to fit would let a model begin
+    An observable state that leaves outputs at one level for so long is zero: it is known, and one to fit would let a model begin
     in the past what a blow does.
 
     Args:
@@ -429,12 +429,12 @@ def begins_at_rest(record: Record, n_states: int) -> bool:
 
     Example:
         >>> struck = Record(np.r_[0.0, 0.0, 1.0, 0.0], np.r_[5.0, 5.0, 5.0, 6.0], 0.1)
-        >>> begins_at_rest(struck, 2), begins_at_rest(struck, 3)
+        >>> begins_at_rest(struck, 1), begins_at_rest(struck, 2)
         (True, False)
     """
-    if not 0 < n_states <= record.n_samples or record.inputs[:n_states].any():
+    if not 0 < n_states < record.n_samples or record.inputs[: n_states + 1].any():
         return False
-    return bool((record.outputs[:n_states] == record.outputs[0]).all())
+    return bool((record.outputs[: n_states + 1] == record.outputs[0]).all())
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:
