@@ -420,8 +420,8 @@ def initial_state(model: ModalForm, record: Record, training: BoolArray) -> Comp
 def begins_at_rest(record: Record, n_states: int) -> bool:
     """Whether nothing acts and no output moves over the first rows, one more than a model has states.
 
-    An observable state that leaves outputs at one level for so long is zero: it is known, and one to fit would let a model begin
-    in the past what a blow does.
+    An observable state that leaves outputs at one level for so long is zero: it is known, and one to fit would let a
+    model begin in the past what a blow does.
 
     Args:
         record: of measured or scaled channels.
