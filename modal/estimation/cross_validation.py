@@ -22,6 +22,7 @@ from era.hankel import block_sizes
 from era.realisation import Realisation
 from modal.estimation.free_run import (
     ModalForm,
+    begins_at_rest,
     block_errors,
     driven_by_outputs,
     filled,
@@ -230,10 +231,14 @@ def _blocks(rows: BoolArray, n_records: int, by: Folds) -> list[tuple[int, int]]
 
 
 def scaled_record(record: Record, scaling: ChannelScaling) -> Record:
-    """The record with every channel at zero mean and unit standard deviation."""
+    """The record with every channel at zero mean and unit standard deviation.
+
+    Where it begins at rest its inputs stay zero there, and so does the state of a model.
+    """
+    rest = 0.0 if begins_at_rest(record, 2) else scaling.input_mean
     return replace(
         record,
-        inputs=(record.inputs - scaling.input_mean) / scaling.input_scale,
+        inputs=(record.inputs - rest) / scaling.input_scale,
         outputs=(record.outputs - scaling.output_mean) / scaling.output_scale,
     )
 
@@ -362,6 +367,11 @@ class Trial(Displayed):
     error: float
     refinement_steps: int = 0
     weak_modes: int = 0
+
+    @property
+    def grew(self) -> bool:
+        """Whether the model grew mode by mode from nothing."""
+        return 0 < self.model_order == 2 * self.weak_modes
 
 
 def make_trials(

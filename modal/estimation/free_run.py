@@ -275,6 +275,11 @@ class ModalForm:
     participations: ComplexArray
     feedthrough: FloatArray
 
+    @property
+    def order(self) -> int:
+        """Number of real states."""
+        return int(self.weights.sum())
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FreeRun:
@@ -339,8 +344,9 @@ def free_run(model: ModalForm, record: Record, training: BoolArray) -> FreeRun:
         ([11.0, 10.5, 10.25, 11.125], [10.0])
     """
     recursion = ModalRecursion.of_model(model)
+    rests = begins_at_rest(record, model.order)
     outputs = recursion.from_rest(record.inputs)
-    state, level = _start_and_level(model, recursion, record.outputs - outputs, training)
+    state, level = _start_and_level(model, recursion, record.outputs - outputs, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
     outputs[:n_alive] += recursion.free_response(state, n_alive)
     outputs += level
@@ -360,8 +366,9 @@ def block_errors(
         blocks: (first, one past last) row of each; none of their rows trains.
     """
     recursion, left = _left_from_rest(model, record)
+    rests = begins_at_rest(record, model.order)
     scored = [left[first:last].copy() for first, last in blocks]  # before what does not train is set to zero
-    state, level = _start_and_level(model, recursion, left, training)
+    state, level = _start_and_level(model, recursion, left, training, rests=rests)
     n_alive = recursion.n_alive(record.n_samples)
     free = recursion.free_response(state, n_alive)
     errors = np.empty((len(blocks), record.n_outputs))
@@ -376,7 +383,7 @@ def block_errors(
 
 
 def _start_and_level(
-    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray
+    model: ModalForm, recursion: "ModalRecursion", left: FloatArray, training: BoolArray, *, rests: bool
 ) -> tuple[ComplexArray, FloatArray]:
     """Initial state and level of each output from what the run from rest leaves, which is overwritten."""
     n_samples, n_outputs = left.shape
@@ -388,6 +395,8 @@ def _start_and_level(
             left[first:last] = 0.0
     else:
         left[~training] = 0.0
+    if rests:
+        return np.zeros(model.poles.size, dtype=np.complex128), left.sum(axis=0) / np.maximum(training.sum(axis=0), 1)
     return fit_initial_state(
         model.poles,
         model.weights * model.shapes,
@@ -400,7 +409,29 @@ def _start_and_level(
 
 def initial_state(model: ModalForm, record: Record, training: BoolArray) -> ComplexArray:
     """(n_poles,) modal state at the first sample that `free_run` would start from."""
-    return _start_and_level(model, *_left_from_rest(model, record), training)[0]
+    if begins_at_rest(record, model.order):
+        return np.zeros(model.poles.size, dtype=np.complex128)
+    return _start_and_level(model, *_left_from_rest(model, record), training, rests=False)[0]
+
+
+def begins_at_rest(record: Record, n_states: int) -> bool:
+    """Whether nothing acts and no output moves over the first rows, one more than a model has states.
+
+    An observable state that leaves outputs at one level for so long is zero: it is known, and one to fit would let a
+    model begin in the past what a blow does.
+
+    Args:
+        record: of measured or scaled channels.
+        n_states: of the model.
+
+    Example:
+        >>> struck = Record(np.r_[0.0, 0.0, 1.0, 0.0], np.r_[5.0, 5.0, 5.0, 6.0], 0.1)
+        >>> begins_at_rest(struck, 1), begins_at_rest(struck, 2)
+        (True, False)
+    """
+    if not 0 < n_states < record.n_samples or record.inputs[: n_states + 1].any():
+        return False
+    return bool((record.outputs[: n_states + 1] == record.outputs[0]).all())
 
 
 def _left_from_rest(model: ModalForm, record: Record) -> tuple["ModalRecursion", FloatArray]:

@@ -8,27 +8,23 @@ Where a refinement starts: the modal form of a realisation, and the initial stat
 Weak modes that a refined model leaves over: found in its error, added, refined together with the others.
 
 An observer of the whole record sees a mode that is far below the others only with the noise of the reduction on top;
-the error of a refined model holds that mode and the noise, and nothing else. OKID and ERA on the inputs and the error
-give its pole, and the refinement of all poles together decides, on held-out rows, whether it stays.
+the error of a refined model holds that mode and the noise, and nothing else. The pole whose answer takes most of the
+error is added, and the refinement of all poles together decides, on held-out rows, whether it stays.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
-from okid.arrays import BoolArray, ComplexArray, FloatArray
-from okid.errors import IdentificationError
-from okid.gram import lag_gram
-from okid.least_squares import solve
-from okid.record import Record
-from okid.scaling import ChannelScaling, channel_scaling
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+from okid.scaling import ChannelScaling
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
@@ -71,7 +67,7 @@ def in_data_states(model: Realisation, start: Realisation, scaling: ChannelScali
 def real_modal_form(step: RefinementStep) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, B, C with one state for a real pole and two, real and imaginary part, for a pair."""
     parameters, c = step.parameters, step.linear.shapes
-    order = int(np.where(parameters.is_pair, 2, 1).sum())
+    order = step.order
     A, B = np.zeros((order, order)), np.zeros((order, step.layout.n_inputs))
     C = np.zeros((step.layout.n_outputs, order))
     row = 0
@@ -135,13 +131,24 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
     return np.where(is_pair, values, values.real).astype(np.complex128)
 
 
-CANDIDATE_ORDER = 8
-"""States of the model of the error: the strongest of its poles is taken."""
-LONGEST_OBSERVER = 64
-ROWS_AN_UNKNOWN = 8
-"""Rows for each unknown of that observer."""
-LARGEST_POLE = 0.9999
-N_LAGS = 200
+DECAYS_A_DECADE = 4
+"""Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
+CHANCE = 0.01
+"""Add no pole whose answer white noise would take for one so often, at any frequency and decay that is looked at."""
+FASTEST = 0.5
+"""Decay per sample up to which a pole is looked for."""
+
+
+def nothing_yet(data: OutputError) -> RefinementStep:
+    """The model without a pole: levels, and what inputs do at once."""
+    n_records, n_inputs = len(data.records), data.records[0].n_inputs
+    nothing = ModalParameters(
+        poles=np.empty(0, dtype=np.complex128),
+        is_pair=np.empty(0, dtype=np.bool_),
+        inputs=np.empty((0, n_inputs), dtype=np.complex128),
+        states=np.empty((n_records, 0), dtype=np.complex128),
+    )
+    return step_at(nothing, data)
 
 
 def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
@@ -152,24 +159,54 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
         data: that it was fitted to.
         held_out: rows with this label are not looked at.
     """
-    # rows that take turns leave no past without a gap: what is held out helps to find a mode, not to keep it
+    # rows that take turns fold a third of the sampling rate into images: what is held out helps to find, not to keep
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
-    errors = errors_of(step, data, held_out=seen)
-    records = tuple(replace(record, outputs=error) for record, error in zip(data.records, errors, strict=True))
-    found = _model_of_error(records)
-    if found is None:
+    errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
+    found = _strongest_answer(errors, [record.inputs for record in data.records])
+    return None if found is None else step_at(_joined(step.parameters, *found), data, held_out=held_out)
+
+
+def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> tuple[complex, int] | None:
+    """The pole whose answer to one of the inputs takes most of the errors, and that input; None where chance does so.
+
+    A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
+    energy that is that of u's own:
+
+        sum e(k) x*(k) = sum over m > 0 of r(m) (lambda*)^(m-1),   r(m) = sum e(k+m) u(k)
+        sum |x(k)|^2 = (rho(0) + 2 Re sum over l > 0 of rho(l) lambda^l) / (1 - |lambda|^2)
+
+    so one FFT tells the gain, 2 |sum e x*|^2 / sum |x|^2, of all frequencies at one decay. Over the power of an error
+    that is white it is distributed as chi^2 of two, and the largest of M is beyond g as often as M times one
+    (Bonferroni).
+    """
+    power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)
+    if not power.any():
         return None
-    left = OutputError(records=tuple(_filled(record) for record in records), rows=data.rows, blocks=data.blocks)
-    candidates = starting_parameters(found, left, held_out=held_out)
-    if candidates is None:
-        return None
-    parameters = candidates.parameters
-    vibrating = np.flatnonzero(parameters.is_pair & (np.abs(parameters.poles) < LARGEST_POLE))
-    alone = [_chosen(parameters, i) for i in vibrating.tolist()]
-    if not alone:
-        return None
-    best = min(alone, key=lambda one: step_at(one, left, held_out=held_out).error)
-    return step_at(_joined(step.parameters, best), data, held_out=held_out)
+    errors = [error / np.sqrt(np.where(power > 0.0, power, 1.0)) for error in errors]
+    longest = max(len(error) for error in errors)
+    length = scipy.fft.next_fast_len(2 * longest, real=True)
+    into, out = (np.stack([np.fft.rfft(one, length, axis=0) for one in each]) for each in (inputs, errors))
+    cross = np.fft.irfft(np.einsum("rkj,rko->jok", into.conj(), out), length)[..., 1:longest]
+    own = np.fft.irfft((np.abs(into) ** 2).sum(axis=0), length, axis=0).T[:, :longest]
+    lags, angle = np.arange(longest - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
+    n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * longest)))
+    best: tuple[float, complex, int] = (0.0, 0j, 0)
+    for decay in np.geomspace(1.0 / longest, FASTEST, n_decays):
+        there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
+        fading = np.exp(-decay * lags)
+        product = np.fft.rfft(cross * fading, length)[..., there]
+        energy = (
+            own[:, :1]
+            + 2.0
+            * np.exp(-decay)
+            * (np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])).real
+        )
+        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, TINY * own[:, :1])
+        j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
+        if there.size and gains[j, k] > best[0]:
+            best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
+    n_looked = n_decays * longest * len(own)
+    return best[1:] if n_looked * scipy.special.gammaincc(power.size, best[0]) < CHANCE else None
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
@@ -194,51 +231,12 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
     return errors
 
 
-def _model_of_error(records: tuple[Record, ...]) -> Realisation | None:
-    scaling = channel_scaling(records)
-    n_channels = records[0].n_inputs + records[0].n_outputs
-    n_samples = sum(record.n_samples for record in records)
-    longest = max(1, min(LONGEST_OBSERVER, n_samples // (ROWS_AN_UNKNOWN * n_channels)))
-    try:
-        gram = lag_gram(records, longest, scaling=scaling)
-        coefficients = solve(gram, FIRST_RIDGE)
-    except IdentificationError:
-        return None
-    found = decompose_coefficients(coefficients, N_LAGS, records[0].dt, CANDIDATE_ORDER)
-    if found is None:
-        return None
-    order = min(CANDIDATE_ORDER, found.rank, found.max_order)
-    model = corner(found, order)
-    while model is not None and np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
-        order -= 1
-        model = corner(found, order) if order > 0 else None
-    if model is None:
-        return None
-    out = scaling.output_scale[:, np.newaxis]
-    return Realisation(
-        model.A, model.B / scaling.input_scale, model.C * out, model.D * out / scaling.input_scale, model.dt
-    )
-
-
-def _filled(record: Record) -> Record:
-    """Zeros where an error does not count: these rows are in no sum."""
-    return replace(record, outputs=np.nan_to_num(record.outputs))
-
-
-def _chosen(parameters: ModalParameters, index: int) -> ModalParameters:
-    one = slice(index, index + 1)
+def _joined(first: ModalParameters, pole: complex, number: int) -> ModalParameters:
+    """The parameters and one pole more, which one input drives from rest."""
+    n_inputs = first.inputs.shape[1]
     return ModalParameters(
-        poles=parameters.poles[one],
-        is_pair=parameters.is_pair[one],
-        inputs=parameters.inputs[one],
-        states=parameters.states[:, one],
-    )
-
-
-def _joined(first: ModalParameters, second: ModalParameters) -> ModalParameters:
-    return ModalParameters(
-        poles=np.concatenate([first.poles, second.poles]),
-        is_pair=np.concatenate([first.is_pair, second.is_pair]),
-        inputs=np.vstack([first.inputs, second.inputs]),
-        states=np.hstack([first.states, second.states]),
+        poles=np.append(first.poles, pole),
+        is_pair=np.append(first.is_pair, True),
+        inputs=np.vstack([first.inputs, np.arange(n_inputs) == number]),
+        states=np.hstack([first.states, np.zeros((len(first.states), 1))]),
     )

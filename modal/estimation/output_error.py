@@ -28,6 +28,8 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 SMALLEST_GAIN = 1e-9
 """Relative decrease of the error below which another step is not worth its cost."""
+GROWS_ON = 1e-3
+"""Let a model that is to grow do so once a step decreases its error by a smaller share."""
 LARGEST_STEP = 0.7
 """Of the logarithm of a decay rate, and of an angle relative to itself or to what is left to half the sampling rate."""
 LEAST_DECAY = 1e-10
@@ -117,6 +119,11 @@ class RefinementStep:
     gram: FloatArray
     parts: FloatArray
     error: float
+
+    @property
+    def order(self) -> int:
+        """Number of real states: two for a pair."""
+        return int(np.where(self.parameters.is_pair, 2, 1).sum())
 
     def block_errors(self, chosen: Sequence[int]) -> FloatArray:
         """(n_chosen, n_outputs) squared error of the model on these blocks."""
@@ -327,6 +334,7 @@ class PolesAndParticipations:
         """Which of all entries are parameters, none twice, none of no effect, and the scale of each entry."""
         n_poles, n_inputs = parameters.inputs.shape
         moves = np.ones((1 + n_inputs + parameters.states.shape[0], n_poles), dtype=np.bool_)
+        moves[1 + n_inputs :][~parameters.states.any(axis=1)] = False
         moves[1 + np.abs(parameters.inputs).argmax(axis=1), np.arange(n_poles)] = False
         free = np.flatnonzero(np.concatenate([moves.ravel(), (moves & parameters.is_pair).ravel()]))
         # the first parameter of a pole is the logarithm of its decay, not the decay itself

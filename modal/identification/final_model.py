@@ -160,7 +160,7 @@ def fit_all_rows(
 def _starts(found: Search, trial: Trial, model: Realisation, *, of_folds: bool) -> Iterator[Realisation]:
     """The model cut from all rows, then those from which the trial's folds went where it was chosen."""
     yield model
-    for fold in range(len(found.ground.folds) if of_folds and trial.refinement_steps else 0):
+    for fold in range(len(found.ground.folds) if of_folds and trial.refinement_steps and model.order else 0):
         decomposition = training_decomposition(found.ground, trial.observer_order, trial.ridge, fold, model.order)
         start = None if decomposition is None else corner(decomposition, model.order)
         if start is not None:

@@ -280,6 +280,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
+        grows=found.chosen.grew,
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
     left = runs.left
@@ -317,7 +318,7 @@ def _identified(
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
-    residuals = check_residuals(observer, prepared)
+    residuals, innovations = check_residuals(observer, prepared), _innovations(model, runs.records)
     result = Identification(
         records=tuple(
             replace(run, inputs=came.inputs).samples(n)
@@ -362,7 +363,7 @@ def _identified(
                 lines=lines,
                 modes=modes,
                 excitation=excitation if by_inputs else None,
-                residuals=residuals,
+                residuals=residuals if innovations is None or not found.chosen.grew else innovations,
                 found=found,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),
@@ -370,7 +371,7 @@ def _identified(
         ),
         record_kind=kind.kind,
         uncertainty=uncertainty,
-        innovations=_innovations(model, runs.records),
+        innovations=innovations,
         innovation_covariance=_covariance(final),
         input_delay=preparation.input_delay,
     )

@@ -33,10 +33,17 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.free_run import filled
-from modal.estimation.modal_parameters import errors_of, in_units, starting_parameters, with_weak_mode
+from modal.estimation.free_run import begins_at_rest, filled
+from modal.estimation.modal_parameters import errors_of, in_units, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
-from modal.estimation.output_error import SMALLEST_GAIN, OutputError, RefinementStep, refine, step_at
+from modal.estimation.output_error import (
+    GROWS_ON,
+    SMALLEST_GAIN,
+    OutputError,
+    RefinementStep,
+    refine,
+    step_at,
+)
 from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import FloatArray
@@ -98,7 +105,9 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     orders = _orders(found)
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined: dict[tuple[int, float, int], list[Trial]] = {}
-    best, without_gain = found.trials[0].error, 0
+    resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
+    pursued = _pursued(shop, first, found.limits.model_orders) if resting else []
+    best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
         progress(0.6 * (i + 1) / len(orders))
@@ -116,19 +125,55 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     for observer in others:
         n = _best_order(refined)
         refined[*observer, n] = _trials(shop, (*observer, n), hopeless=HOPELESS * best)
-    trials = [trial for row in refined.values() for trial in row]
+    trials = [*pursued, *(trial for row in refined.values() for trial in row)]
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
     if not trials:
         return found
     chosen = _chosen(everything, lambda n: _estimation_share(found.ground, n))
-    if len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
+    if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
+        chosen = replace(chosen, refinement_steps=MOST_STEPS)
+    elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
         grown = _grown(shop, chosen)
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
         chosen = grown[-1] if grown else chosen
-    if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
-        chosen = replace(chosen, refinement_steps=MOST_STEPS)
     progress(1.0)
     return replace(found, trials=tuple(everything), chosen=chosen)
+
+
+def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequence[int]) -> list[Trial]:
+    """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
+
+    An answer to a blow is over before an observer has seen enough of it, and its weak modes lie far below the others;
+    but it is a sum of a few answers, of which each takes its own part of the squared error. All rows find where each
+    fold starts, which then fits its own.
+
+    Args:
+        shop: of the refinements.
+        observer: (order, ridge) whose evidence the models keep.
+        model_orders: that may be tried: even ones up to the largest, or the one that was given.
+    """
+    trials: list[Trial] = []
+    scored = [
+        [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
+    ]
+    step: RefinementStep | None = nothing_yet(shop.data)
+    best, without_gain = None, 0
+    while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
+        step = None if step is None else with_weak_mode(step, shop.data)
+        if step is None:
+            break
+        step = refine(step, shop.data, n_steps=MOST_STEPS, least_gain=GROWS_ON)[-1]
+        errors = []
+        for fold, blocks in enumerate(scored):
+            start = step_at(step.parameters, shop.data, held_out=fold)
+            last = refine(start, shop.data, held_out=fold, n_steps=SCOUT_STEPS, least_gain=GROWS_ON)[-1]
+            errors.append(last.block_errors(blocks))
+        n = len(trials) + 1
+        made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
+        trials.append(made)
+        gains = best is None or significantly_worse(best, made)
+        best, without_gain = (made, 0) if gains else (best, without_gain + 1)
+    return trials if len(model_orders) > 1 else [trial for trial in trials if trial.model_order in model_orders]
 
 
 def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
@@ -345,7 +390,7 @@ def refined_model(
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
     rows = tuple(record.complete_rows() for record in records)
     data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, _even_blocks(scaled)))
-    first = starting_parameters(scaled_model(start, scaling), data)
+    first = starting_parameters(scaled_model(start, scaling), data) if start.order else nothing_yet(data)
     if first is None or n_steps == 0:
         return None
     power = sum(float(np.square(record.outputs[there]).sum()) for record, there in zip(scaled, rows, strict=True))
@@ -353,10 +398,11 @@ def refined_model(
         return None
     weights = np.eye(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
-    last = refine(first, data, n_steps=most, least_gain=least_gain)[-1]
+    last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     for _ in range(weak_modes):
         larger = with_weak_mode(last, data)
-        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=least_gain)[-1]
+        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=GROWS_ON)[-1]
+    last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)
     if n_steps == MOST_STEPS and start.n_outputs > 1:
         likeliest, own = _weighted(last, data, least_gain)

@@ -120,20 +120,27 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
     chosen, limits = found.chosen, found.limits
     best = found.trials[0]
     measure = f"free run on held-out rows: fit {1.0 - chosen.error:.3f}"
+    observed = [trial for trial in found.trials if not trial.grew]
+    of_observers = measure
+    if chosen.grew:
+        least = min(trial.error for trial in observed)
+        of_observers = (
+            f"free run on held-out rows: fit {1.0 - least:.3f}, less than that of the model, which grew by itself"
+        )
     choices = [
         Choice(
             what="observer order",
             value=str(chosen.observer_order),
             reason="given as an argument"
             if len(limits.observer_orders) == 1
-            else f"{measure}; {_runners_up(found.trials, 'observer_order')}",
+            else f"{of_observers}; {_runners_up(observed, 'observer_order')}",
         ),
         Choice(
             what="ridge",
             value=f"{chosen.ridge:.3g}",
             reason="given as an argument"
             if len(limits.ridges) == 1
-            else f"{measure}; {_runners_up(found.trials, 'ridge')}",
+            else f"{of_observers}; {_runners_up(observed, 'ridge')}",
         ),
     ]
     if len(limits.model_orders) == 1:
@@ -154,6 +161,9 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
             f"{n_weak} weak mode{'s' * (n_weak > 1)} found in what {chosen.model_order - 2 * n_weak} states leave"
         )
         reason = f"{measure}; with {found_so}, held-out rows gain significantly"
+    if chosen.grew:
+        reason = f"{measure}; {n_weak} mode{'s' * (n_weak > 1)}, each found in what those before leave, as long as "
+        reason += "held-out rows gain significantly"
     choices.append(Choice(what="model order", value=str(chosen.model_order), reason=reason))
     return (*choices, *_refinement(found))
 
@@ -234,7 +244,10 @@ def warnings_in_words(
     residuals: ResidualCheck,
     found: Search,
 ) -> tuple[str, ...]:
-    """What the user must read before believing a number; empty when all is well."""
+    """What the user must read before believing a number; empty when all is well.
+
+    The residuals are those of what the model came from: its observer, or itself where it grew mode by mode.
+    """
     words = []
     driven = records[0].n_inputs > 0
     if fit.mean < EXPLAINS or missed > MOST_MISSED:
@@ -278,13 +291,23 @@ def warnings_in_words(
             f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "
             "record may carry more."
         )
-    if residuals.input_correlation_ratio > FOLLOWS_INPUT:
-        words.append(
-            "What the observer leaves over still follows the inputs (statistic over degrees of freedom "
-            f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, changes in time, or "
-            "answers for longer than the observer looks back, so expect damping ratios to be off."
-        )
+    words += _what_follows(residuals, grew=found.chosen.grew)
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
+
+
+def _what_follows(residuals: ResidualCheck, *, grew: bool) -> tuple[str, ...]:
+    """That what is left follows the inputs, where it does."""
+    if not residuals.input_correlation_ratio > FOLLOWS_INPUT:
+        return ()
+    what, why = "observer", "changes in time, or answers for longer than the observer looks back"
+    if grew:
+        what, why = "model", "or changes in time"
+    text = (
+        f"What the {what} leaves over still follows the inputs (statistic over degrees of freedom "
+        f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, {why}, so expect damping "
+        "ratios to be off."
+    )
+    return (text,)
 
 
 def _fits_to_all(found: Search) -> FloatArray:

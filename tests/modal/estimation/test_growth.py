@@ -5,7 +5,7 @@ import pytest
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.estimation.modal_parameters import errors_of, starting_parameters, with_weak_mode
+from modal.estimation.modal_parameters import errors_of, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from okid.record import Record
@@ -71,6 +71,41 @@ def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
 
 def test_nothing_is_added_where_nothing_can_be_fitted(case):
     _, data, step = case
-    few = np.zeros(4000, dtype=bool)
-    few[::50] = True  # no two rows in a run
-    assert with_weak_mode(step, OutputError(records=data.records, rows=(few,), blocks=data.blocks)) is None
+    none = np.zeros(4000, dtype=bool)
+    assert with_weak_mode(step, OutputError(records=data.records, rows=(none,), blocks=data.blocks)) is None
+
+
+def test_the_first_mode_of_nothing_is_the_one_that_a_free_run_of_its_own_explains_best(case):
+    system, data, _ = case
+    first = with_weak_mode(nothing_yet(data), data)
+    frequencies = np.abs(np.log(first.parameters.poles)) / (2 * np.pi * system.dt)
+    assert np.min(np.abs(frequencies - [[6.0], [14.0]])) < 0.1
+    assert first.error < 0.75 * nothing_yet(data).error
+
+
+def test_nothing_is_added_to_white_noise(case):
+    _, data, _ = case
+    for seed in range(5):
+        noise = np.random.default_rng(seed).standard_normal((4000, 2))
+        record = Record(data.records[0].inputs, noise, data.records[0].dt)
+        alone = OutputError(records=(record,), rows=data.rows, blocks=data.blocks)
+        assert with_weak_mode(nothing_yet(alone), alone) is None
+
+
+def test_rest_before_a_blow_leaves_no_state_to_fit():
+    """One would let a fast pole with a large state stand for what the blow does; the answers of both are exact."""
+    force = np.r_[np.zeros(60), 1.0, 0.5, np.zeros(438)]
+    pole = 0.98 * np.exp(0.6j)
+    answer = 2.0 * np.real(np.convolve(force, np.r_[0.0, pole ** np.arange(499)])[:500])
+    noise = 0.1 * np.random.default_rng(0).standard_normal(500) * (np.arange(500) >= 60)
+    started = {}
+    for name, outputs in (("rest", answer + noise), ("moving", answer + noise + 1e-3 * np.cos(np.arange(500)))):
+        record = Record(force, outputs, 0.01)
+        data = OutputError(records=(record,), rows=(np.ones(500, dtype=bool),), blocks=blocks_of((record,), [[[]]]))
+        model = Realisation(
+            np.array([[pole.real, -pole.imag], [pole.imag, pole.real]]), [[2.0], [0.0]], [[1.0, 0.0]], [[0.0]], 0.01
+        )
+        step = refine(starting_parameters(model, data), data, n_steps=5)[-1]
+        started[name] = step.parameters.states.any()
+        assert abs(step.parameters.poles[0] - pole) < 0.003
+    assert started == {"rest": False, "moving": True}

@@ -54,6 +54,17 @@ def test_all_rows_are_explained_as_well_as_the_folds_promised():
         assert any(abs(mode.frequency - frequency) < 5 * mode.frequency_std for mode in result.modes.system)
 
 
+def test_a_short_answer_of_five_modes_is_found_mode_by_mode():
+    """It is over after thirty rows, in which no observer sees more than two of its modes."""
+    truth = random_records("transient", 7005)
+    result = identified(truth)
+    assert len(result.modes.system) == truth.poles.size
+    assert_told_right(result, truth)
+    errors = result.records[0].outputs - result.simulated[0].outputs
+    assert np.sqrt(np.nanmean(errors**2)) < 1.05 * truth.noise_std[0]
+    assert not [words for words in result.warnings if "observer" in words]
+
+
 def test_no_longer_record_is_asked_for_where_rows_would_be_rest():
     """Its observer is as long as any that is tried, but what was let go has nothing to add."""
     result = identified(random_records("decay", 207, n_records=1))
