@@ -19,6 +19,7 @@ import contextlib
 import itertools
 import operator
 import os
+import re
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -290,6 +291,7 @@ FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
 SEEN_BYTES = 64
 """Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
+_BEGINS_AS_A_ROW = re.compile(rb"[\s\0\"'+.,;|-]*(\d|nan|inf|$)", re.IGNORECASE)
 LARGEST = 1e150
 """Count a cell beyond this as missing: sums of its square are no numbers."""
 
@@ -326,7 +328,7 @@ def growing_blocks(
     path = Path(path)
     check_file(path)
     missing = _Missing(path.name, tell)
-    with contextlib.closing(_Numpy(path) if path.suffix.lower() == ".npy" else _Text(path)) as source:
+    with contextlib.closing(_Numpy(path) if path.suffix.lower() == ".npy" else _Text(path, missing)) as source:
         pieces = _pieces(source, path.name, patience, stop)
         for first in itertools.islice(pieces, 1):
             table = source.table(np.vstack(first[0]))
@@ -417,28 +419,34 @@ class _Missing:
         """The rows that have a time, without cells that are no measurement; behind each its number in the file."""
         wild = ~np.isnan(values) & ~(np.abs(values) <= LARGEST)
         for row, column in np.argwhere(wild)[:1]:
-            what = f"holds {values[row, column]:g} in {table.names[column]!r}"
-            self._say("cells that are no measurement", f"row {self._n_rows + row + 1}", what, int(wild.sum()))
+            where = f"row {self._n_rows + row + 1} of {self._name}"
+            what = f"{where} holds {values[row, column]:g} in {table.names[column]!r}"
+            self._say("cells that are no measurement", what, int(wild.sum()))
         numbers = self._n_rows + 1.0 + np.arange(len(values))
         self._n_rows += len(values)
         values = np.column_stack([np.where(wild, np.nan, values), numbers])
         stamps = _seconds(table, values)
         lost = np.zeros(len(values), dtype=np.bool_) if stamps is None else np.isnan(stamps)
         if lost.any():
-            self._say("rows without a time", f"row {values[lost][0, -1]:.0f}", "has no time", int(lost.sum()))
+            what = f"row {values[lost][0, -1]:.0f} of {self._name} has no time"
+            self._say("rows without a time", what, int(lost.sum()))
         return values[~lost]
 
     def channels(self, table: Table, rows: FloatArray, kept: Sequence[int]) -> bool:
         """Whether a channel has no number in any of these rows."""
         empty = [table.names[k] for k in kept if np.isnan(rows[:, k]).all()]
         if empty:
-            where = f"rows {rows[0, -1]:.0f} to {rows[-1, -1]:.0f}"
-            self._say("rows without a channel", where, f"hold no number of {listed(empty)}", len(rows))
+            where = f"rows {rows[0, -1]:.0f} to {rows[-1, -1]:.0f} of {self._name}"
+            self._say("rows without a channel", f"{where} hold no number of {listed(empty)}", len(rows))
         return bool(empty)
 
-    def _say(self, kind: str, where: str, what: str, count: int) -> None:
+    def torn(self, error: UnreadableFileError) -> None:
+        """A line as a logger leaves it that lost its power, or two that write at once."""
+        self._say("lines that are no row", str(error).partition("; ")[0], 1)
+
+    def _say(self, kind: str, what: str, count: int) -> None:
         if not self._counts[kind]:
-            self.tell(f"{where} of {self._name} {what}; {kind} count as missing, here and later.")
+            self.tell(f"{what}; {kind} count as missing, here and later.")
         self._counts[kind] += count
 
     def tell_all(self) -> None:
@@ -471,17 +479,13 @@ class _Growing:
             ) from error
         self._file.seek(self._at - len(self._last))
         data = self._file.readall()
-        how = (
-            "was replaced by another file"
-            if not os.path.samestat(named, opened)
-            else "became shorter"
-            if opened.st_size < self._at
-            else "was written anew"
-            if not data.startswith(self._last)
-            else ""
-        )
-        if how:
-            raise UnreadableFileError(f"{self._path.name} {how} while it was followed; start again.")
+        for how, done in (
+            ("was replaced by another file", not os.path.samestat(named, opened)),
+            ("became shorter", opened.st_size < self._at),
+            ("was written anew", not data.startswith(self._last)),
+        ):
+            if done:
+                raise UnreadableFileError(f"{self._path.name} {how} while it was followed; start again.")
         return data[len(self._last) :]
 
     def _take(self, data: bytes) -> None:
@@ -494,14 +498,14 @@ class _Text(_Growing):
 
     _table: Table
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, missing: _Missing) -> None:
         if READERS.get(path.suffix.lower()) is not read_text:
             raise UnreadableFileError(
                 f"{path.name} is of type {path.suffix or 'none'}, whose rows cannot be followed while it grows; write "
                 "a text table (.csv, .txt, ...) or .npy."
             )
         super().__init__(path)
-        self._head, self._n_lines = b"", 0
+        self._head, self._n_lines, self._missing = b"", 0, missing
 
     def rows(self) -> FloatArray:
         data = self._behind()
@@ -509,7 +513,7 @@ class _Text(_Growing):
         if not whole.strip() or (not self._head and whole.count(b"\n") < FEWEST_ROWS):
             return np.empty((0, 0))
         if self._head:
-            values = more_rows(whole, self._head, self._path, n_lines=self._n_lines)[:, : len(self._table.columns)]
+            values = self._more(whole.splitlines(keepends=True), self._n_lines)
         else:
             self._head = whole[: whole.find(b"\n", min(HEAD_BYTES, len(whole) - 1)) + 1]
             self._table = table_of_text(whole, self._path)
@@ -517,6 +521,21 @@ class _Text(_Growing):
         self._take(whole)
         self._n_lines += whole.count(b"\n")
         return values
+
+    def _more(self, lines: list[bytes], n_before: int) -> FloatArray:
+        """The rows of lines, NaN where a line is torn."""
+        width = len(self._table.columns)
+        try:
+            return more_rows(b"".join(lines), self._head, self._path, n_lines=n_before)[:, :width]
+        except UnreadableFileError as error:
+            if (half := len(lines) // 2) > 0:
+                return np.vstack([self._more(lines[:half], n_before), self._more(lines[half:], n_before + half)])
+            if not lines[0].strip():
+                return np.empty((0, width))
+            if not _BEGINS_AS_A_ROW.match(lines[0]):  # another table begins
+                raise
+            self._missing.torn(error)
+            return np.full((1, width), np.nan)
 
     def table(self, values: FloatArray) -> Table:
         return replace(self._table, values=values)

@@ -71,7 +71,7 @@ def foreign(path: Path, kind: str) -> Iterator[None]:
     except UnreadableFileError:
         raise
     except Exception as error:
-        if "pickle" in str(error) or "Python objects" in str(error):
+        if "Object arrays" in str(error) or "Python objects" in str(error):  # numpy's words and ours
             raise UnreadableFileError(
                 f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; "
                 "save plain arrays of numbers."
