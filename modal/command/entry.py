@@ -1,5 +1,6 @@
 """The first lines of `modal-report`: requests to stop are noted before anything else is imported."""
 
+import os
 import sys
 
 from modal.command.stopping import Requests
@@ -9,12 +10,17 @@ __all__ = ["main"]
 LEAST_ADDRESSES, WITH_RECORDING = 2**30, 3 * 2**30
 """Begin nothing where less may be mapped [bytes]: BLAS and the viewer's library wait for ever for memory, or abort."""
 
+LEAST_FILES = 16
+"""Begin nothing where fewer files may be open: the recording's library ends the process where it gets none."""
+
 WITHOUT_RECORDING = frozenset(["check", "diff", "view", "-h", "--help", "--version"])
 
 
 def main() -> None:
     """Run the command and leave with its exit status."""
     Requests.listen()
+    if os.environ.get("COLUMNS", "").strip("0") == "":  # some programs that stand between say so where they do not know
+        os.environ.pop("COLUMNS", None)
     refused = _too_little_room(sys.argv[1:])
     if refused:
         sys.stderr.write(f"modal-report: {refused}\n")
@@ -30,6 +36,9 @@ def _too_little_room(arguments: list[str]) -> str:
         import resource
     except ImportError:  # Windows
         return ""
+    n_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if n_files != resource.RLIM_INFINITY and n_files < LEAST_FILES:
+        return f"ulimit -n allows {n_files} open files, and the libraries need {LEAST_FILES}; raise it."
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     need = LEAST_ADDRESSES if WITHOUT_RECORDING & {*arguments[:1], *arguments[-1:]} else WITH_RECORDING
     if limit == resource.RLIM_INFINITY or limit >= need:
