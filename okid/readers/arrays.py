@@ -8,6 +8,7 @@ or `t` the time axis. Every other vector is a channel called like the array, eve
 NPY and NPZ. Nothing is ever unpickled: a pickle may run any program.
 """
 
+import contextlib
 import math
 import os
 import shutil
@@ -249,19 +250,20 @@ def _on_disk(path: Path, file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
     The system ends a process whose mapped file is cut, and one that is written anew would change the record.
     """
     file.seek(0)
-    try:
-        copy = tempfile.TemporaryFile()  # noqa: SIM115 - the map holds it
-        shutil.copyfileobj(file, copy)
-        copy.flush()
-    except OSError:
-        check_memory(path, 2.0 * size)
-        file.seek(0)
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
-    if copy.tell() != size:
-        raise Damage("it was cut while it was read")
-    copy.seek(0)
-    shape, in_columns, dtype = _header(copy)
-    return np.memmap(copy, dtype, "r", copy.tell(), shape, "F" if in_columns else "C")
+    with contextlib.ExitStack() as held:
+        try:
+            copy = held.enter_context(tempfile.TemporaryFile())
+            shutil.copyfileobj(file, copy)
+            copy.flush()
+        except OSError:
+            check_memory(path, 2.0 * size)
+            file.seek(0)
+            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+        if copy.tell() != size:
+            raise Damage("it was cut while it was read")
+        copy.seek(0)
+        shape, in_columns, dtype = _header(copy)
+        return np.memmap(copy, dtype, "r", copy.tell(), shape, "F" if in_columns else "C")
 
 
 def read_npz(path: Path) -> Table:

@@ -85,7 +85,9 @@ def read_table(path: str | Path) -> Table:
             f"{path.name} has more than one column called {', '.join(map(repr, double[:5]))}; give each its own name."
         )
     if not table.columns:
-        raise UnreadableFileError(f"{path.name} holds {table.n_samples} samples of no channel; save at least one column.")
+        raise UnreadableFileError(
+            f"{path.name} holds {table.n_samples} samples of no channel; save at least one column."
+        )
     if table.n_samples == 0:
         raise UnreadableFileError(f"{path.name} has columns ({', '.join(table.names[:8])}) but no samples.")
     return table

@@ -119,6 +119,35 @@ def test_libraries_that_could_not_be_loaded_are_not_tried(data, command, leaves,
     assert f"ulimit -v allows {leaves:.2g} GiB to be mapped, and the libraries map up to {needs} GiB" in run.stderr
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="ulimit is of Unix")
+def test_too_few_open_files_are_a_sentence(data):
+    """The recording's library ends the process where it gets none."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (8, 8));"
+    run = subprocess.run(
+        [*COMMAND[:-1], limit + COMMAND[-1], "run", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert run.returncode == 2
+    assert run.stderr == "modal-report: ulimit -n allows 8 open files, and the libraries need 16; raise it.\n"
+
+
+def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
+    run = subprocess.run(
+        [*COMMAND, "check", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE), "COLUMNS": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert run.returncode == 0
+    assert "1 input, 1 output" in run.stdout
+
+
 def test_a_link_to_a_record_is_that_record(data):
     (data / "link.csv").symlink_to("a.csv")
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):
