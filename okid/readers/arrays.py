@@ -9,6 +9,7 @@ NPY and NPZ. Nothing is ever unpickled: a pickle may run any program.
 """
 
 import contextlib
+import errno
 import math
 import os
 import shutil
@@ -37,6 +38,8 @@ RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequenc
 ROLES = ("inputs", "outputs")
 LOADED = 2**24
 """Keep a larger array [bytes] on disk: a copy of the file that nobody else can change is mapped."""
+DISK_SHARE = 0.5
+"""Take no more than this share of the room for temporary files: others need some."""
 
 
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
@@ -253,6 +256,8 @@ def _on_disk(path: Path, file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
     with contextlib.ExitStack() as held:
         try:
             copy = held.enter_context(tempfile.TemporaryFile())
+            if size > DISK_SHARE * shutil.disk_usage(tempfile.gettempdir()).free:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # noqa: TRY301
             shutil.copyfileobj(file, copy)
             copy.flush()
         except OSError:

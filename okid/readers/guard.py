@@ -145,7 +145,7 @@ def check_memory(path: Path, n_bytes: float) -> None:
         raise UnreadableFileError(
             f"reading {path.name} needs about {n_bytes / 2**30:.1f} GiB, more than {MEMORY_SHARE:.0%} of the "
             f"{total / 2**30:.1f} GiB that {whose}; cut the file into parts, or save it as one .npy array, "
-            "which is mapped and not loaded."
+            "which stays on disk."
         )
 
 

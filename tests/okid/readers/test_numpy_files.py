@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -200,6 +201,19 @@ def test_an_npy_that_is_written_to_while_it_is_read_is_refused(tmp_path, monkeyp
     monkeypatch.setattr(arrays.shutil, "copyfileobj", slowly)
     with pytest.raises(UnreadableFileError, match="it was written to while it was read"):
         read_record(path, dt=1.0)
+
+
+def test_a_copy_never_fills_the_disk(tmp_path, monkeypatch):
+    """A file of holes has any size that it likes."""
+    np.save(tmp_path / "a.npy", LARGE)
+    monkeypatch.setattr(arrays.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=60e6))
+    monkeypatch.setattr(arrays.shutil, "copyfileobj", lambda *_files: pytest.fail("it was copied"))
+    assert read_record(tmp_path / "a.npy", dt=1.0).outputs[-1, 1] == 2.5e6 - 1
+    monkeypatch.setattr(guard, "memory_budget", lambda: (60e6, "the container leaves"))
+    with pytest.raises(
+        UnreadableFileError, match=r"reading a\.npy needs about 0\.1 GiB, more than 80% of the 0\.1 GiB"
+    ):
+        read_record(tmp_path / "a.npy", dt=1.0)
 
 
 def test_what_a_large_npy_becomes_as_numbers_of_eight_bytes_is_in_the_budget(tmp_path, monkeypatch):
