@@ -160,7 +160,7 @@ def test_npz_names_must_fit(tmp_path):
 
 
 LARGE = np.arange(2.5e6).reshape(-1, 2)
-"""40 MB: kept on disk."""
+"""20 MB: kept on disk."""
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -206,12 +206,12 @@ def test_an_npy_that_is_written_to_while_it_is_read_is_refused(tmp_path, monkeyp
 def test_a_copy_never_fills_the_disk(tmp_path, monkeypatch):
     """A file of holes has any size that it likes."""
     np.save(tmp_path / "a.npy", LARGE)
-    monkeypatch.setattr(arrays.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=60e6))
+    monkeypatch.setattr(arrays.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=30e6))
     monkeypatch.setattr(arrays.shutil, "copyfileobj", lambda *_files: pytest.fail("it was copied"))
     assert read_record(tmp_path / "a.npy", dt=1.0).outputs[-1, 1] == 2.5e6 - 1
-    monkeypatch.setattr(guard, "memory_budget", lambda: (60e6, "the container leaves"))
+    monkeypatch.setattr(guard, "memory_budget", lambda: (30e6, "the container leaves"))
     with pytest.raises(
-        UnreadableFileError, match=r"reading a\.npy needs about 0\.1 GiB, more than 80% of the 0\.1 GiB"
+        UnreadableFileError, match=r"reading a\.npy needs about 0\.0 GiB, more than 80% of the 0\.0 GiB"
     ):
         read_record(tmp_path / "a.npy", dt=1.0)
 
