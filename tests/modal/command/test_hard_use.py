@@ -12,6 +12,7 @@ import pytest
 import modal.command.run
 from modal.command.main import status
 from modal.command.view import recording_of
+from modal.discrepancy.setup import check_records
 from modal.identification import pipeline
 from modal.report import folder, writing
 from okid.errors import InvalidDataError, UnreadableFileError
@@ -153,6 +154,21 @@ def test_a_link_to_a_record_is_that_record(data):
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):
         read_records(["a.csv", "link.csv"])
     assert len(read_records(["a.csv", "b.csv"])) == 2
+
+
+def test_a_copy_of_a_record_is_that_record(data, capsys):
+    """It halves every variance, and the copy of a row that is held out proves the row."""
+    (data / "copy.csv").write_bytes((data / "a.csv").read_bytes())
+    words = (data / "b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (data / "b.csv").write_text("".join(words[:300]), encoding="utf-8")
+    for command in ("run", "check"):
+        assert status([command, "a.csv", "b.csv", "copy.csv", "--inputs", "force"]) == 2
+        assert "records 'a' and 'copy' hold the same samples; a record counts once" in capsys.readouterr().err
+    a, b = (read_records([f"{name}.csv"], inputs="force")[0] for name in "ab")
+    check_records([a], [b])
+    for fit, held_out in (([a, a], [b]), ([b], [a, a])):
+        with pytest.raises(InvalidDataError, match="records 'a' and 'a' hold the same samples"):
+            check_records(fit, held_out)
 
 
 def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):
