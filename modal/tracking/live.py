@@ -43,6 +43,7 @@ from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
 from okid.markov import recover_markov
 from okid.observer import check_channels_move, observer_fit
+from okid.readers.arrays import array_header
 from okid.readers.dispatch import READERS
 from okid.readers.guard import check_file, foreign
 from okid.readers.table import Column, Table, choose_channels, to_record
@@ -137,7 +138,7 @@ def follow(
     total: LagGram | None = None
     taken_off, end = np.zeros(1), 0.0
     for block in blocks:
-        record = _as_record(block, dt, end)
+        record = block if isinstance(block, Record) else Record(*block, dt, start_time=end)  # type: ignore[arg-type]
         _check(record, dt, window, observer_order, parts)
         if parts and not -ON_TIME * dt <= record.start_time - end <= window:
             parts.clear()
@@ -165,13 +166,6 @@ def follow(
         while past[0].time < estimate.time - window - ON_TIME * dt:
             past.popleft()
         yield estimate
-
-
-def _as_record(block: Block, dt: float, end: float) -> Record:
-    if isinstance(block, Record):
-        return block
-    inputs, outputs = block
-    return Record(inputs, outputs, dt, start_time=end)  # type: ignore[arg-type]  # the record makes arrays of them
 
 
 def _check(record: Record, dt: float, window: float, observer_order: int, parts: Sequence[_Part]) -> None:
@@ -418,9 +412,8 @@ class _Missing:
     def left(self, table: Table, values: FloatArray) -> FloatArray:
         """The rows that have a time, without cells that are no measurement; behind each its number in the file."""
         wild = ~np.isnan(values) & ~(np.abs(values) <= LARGEST)
-        for row, column in np.argwhere(wild)[:1]:
-            where = f"row {self._n_rows + row + 1} of {self._name}"
-            what = f"{where} holds {values[row, column]:g} in {table.names[column]!r}"
+        for row, k in np.argwhere(wild)[:1]:
+            what = f"row {self._n_rows + row + 1} of {self._name} holds {values[row, k]:g} in {table.names[k]!r}"
             self._say("cells that are no measurement", what, int(wild.sum()))
         numbers = self._n_rows + 1.0 + np.arange(len(values))
         self._n_rows += len(values)
@@ -546,9 +539,7 @@ class _Numpy(_Growing):
 
     def __init__(self, path: Path) -> None:
         with foreign(path, ".npy file"), path.open("rb") as file:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, by_columns, self._dtype = read(file)
+            shape, by_columns, self._dtype = array_header(file)
             header = file.tell()
         if by_columns or len(shape) != 2 or shape[1] < 1 or self._dtype.kind not in "iuf":
             raise UnreadableFileError(

@@ -28,7 +28,16 @@ from okid.errors import UnreadableFileError
 from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, sound_archive
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
-__all__ = ["Content", "array_of", "npz_contents", "read_npy", "read_npz", "table_from_arrays", "table_of_channels"]
+__all__ = [
+    "Content",
+    "array_header",
+    "array_of",
+    "npz_contents",
+    "read_npy",
+    "read_npz",
+    "table_from_arrays",
+    "table_of_channels",
+]
 
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""
@@ -267,7 +276,7 @@ def _on_disk(path: Path, file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
         if copy.tell() != size:
             raise Damage("it was cut while it was read")
         copy.seek(0)
-        shape, in_columns, dtype = _header(copy)
+        shape, in_columns, dtype = array_header(copy)
         return np.memmap(copy, dtype, "r", copy.tell(), shape, "F" if in_columns else "C")
 
 
@@ -314,8 +323,12 @@ def _end_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
             pass
 
 
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether a column's numbers stand together, and type of what follows."""
+def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether a column's numbers stand together, and type of what follows; numpy may raise where it is damaged.
+
+    Raises:
+        Damage: no array.
+    """
     start = stream.read(8)
     if start[:6] != np.lib.format.MAGIC_PREFIX:
         raise Damage("it does not begin as an array of numpy does")
@@ -325,7 +338,7 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 def _check_header(stream: IO[bytes], size: int) -> np.dtype[Any]:
     """The type of the numbers; raise unless the header accounts for every byte behind it."""
-    shape, _, dtype = _header(stream)
+    shape, _, dtype = array_header(stream)
     if dtype.hasobject:
         raise Damage("it holds Python objects")
     claimed, there = math.prod(shape) * dtype.itemsize, size - stream.tell()
