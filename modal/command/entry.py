@@ -1,7 +1,10 @@
 """The first lines of `modal-report`: requests to stop are noted before anything else is imported."""
 
+import contextlib
+import io
 import os
 import sys
+from typing import Any
 
 from modal.command.stopping import Requests
 
@@ -16,9 +19,22 @@ LEAST_FILES = 16
 WITHOUT_RECORDING = frozenset(["check", "diff", "view", "-h", "--help", "--version"])
 
 
+class _Unheard(io.FileIO):
+    """A stream for what is only said: where it finds no room, or its terminal has gone, the work goes on."""
+
+    def write(self, data: Any) -> int:
+        """Write, and take what cannot be written for written."""
+        with contextlib.suppress(OSError):
+            super().write(data)
+        return memoryview(data).nbytes
+
+
 def main() -> None:
     """Run the command and leave with its exit status."""
     Requests.listen()
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        raw = io.BufferedWriter(_Unheard(sys.stderr.fileno(), "w", closefd=False))
+        sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, sys.stderr.errors, line_buffering=True)
     if os.environ.get("COLUMNS", "").strip("0") == "":  # some programs that stand between say so where they do not know
         os.environ.pop("COLUMNS", None)
     refused = _too_little_room(sys.argv[1:])

@@ -149,6 +149,25 @@ def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
     assert "1 input, 1 output" in run.stdout
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is of Linux")
+@pytest.mark.parametrize(("arguments", "status"), [(["nothing.csv"], 2), (["a.csv", "--inputs", "force"], 0)])
+def test_a_log_without_room_changes_no_exit_status(data, arguments, status):
+    """What is said beforehand of long work was the end of it, and 1 says that there is a result."""
+    script = f"import modal.command.terminal as terminal; terminal.LONG = -1.0; {COMMAND[-1]}"
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run(
+            [*COMMAND[:-1], script, "check", *arguments],
+            env={**os.environ, "PYTHONPATH": str(HERE)},
+            stdout=subprocess.PIPE,
+            stderr=full,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+    assert run.returncode == status
+    assert ("1 input, 1 output" in run.stdout) == (status == 0)
+
+
 def test_a_link_to_a_record_is_that_record(data):
     (data / "link.csv").symlink_to("a.csv")
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):
