@@ -5,11 +5,12 @@ units, `read_described` does both in one reading. Nothing in a file is ever exec
 are refused before they are read.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
+from okid.readers.guard import check_file
 from okid.readers.joining import records_of_tables
 from okid.readers.table import Table, to_record
 from okid.readers.units import UnitConversion
@@ -111,7 +112,8 @@ def read_described(
 
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
-    listed = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    one = isinstance(paths, str | bytes | Path) or not isinstance(paths, Iterable)
+    listed = [check_file(path) for path in ([paths] if one else paths)]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
     files = [path.resolve() for path in listed]  # a link to a record is that record

@@ -66,8 +66,7 @@ def read_table(path: str | Path) -> Table:
     Raises:
         UnreadableFileError: no such file, an unknown type, or damage; the message says which and what to do.
     """
-    path = Path(path)
-    check_file(path)
+    path = check_file(path)
     reader = READERS.get(path.suffix.lower()) or _reader_of_others(path.suffix.lower())
     if reader is None:
         raise UnreadableFileError(

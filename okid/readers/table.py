@@ -11,7 +11,7 @@ import difflib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, TypeVar
@@ -399,8 +399,20 @@ Names = Sequence[str] | str | None
 
 
 def as_names(names: Names) -> list[str] | None:
-    """A list of names; a single name is a list of one, None stays None."""
-    return [names] if isinstance(names, str) else None if names is None else list(names)
+    """A list of names; a single name is a list of one, None stays None.
+
+    Raises:
+        InvalidDataError: something else than names.
+    """
+    if names is None or isinstance(names, str):
+        return names if names is None else [names]
+    listed = list(names) if isinstance(names, Iterable) else [names]
+    for name in listed:
+        if not isinstance(name, str):
+            raise InvalidDataError(
+                f"the name of a channel must be a text, but is {name!r}; give it as the file has it."
+            )
+    return listed
 
 
 def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
