@@ -122,7 +122,7 @@ def check_file(given: Any) -> Path:
     """
     if not isinstance(given, str | os.PathLike):
         raise UnreadableFileError(
-            f"a file must be named by its path, a text or a Path, but a {type(given).__name__} was given; give its path."
+            f"a file must be named by its path, a text or a Path, but a {type(given).__name__} was given; give one."
         )
     path = Path(given)
     try:
