@@ -70,7 +70,7 @@ class Displayed:
 
 def _again(kind: type, values: Mapping[str, Any]) -> Any:
     """An object with these fields, frozen and not checked again."""
-    made = object.__new__(kind)
+    made: Any = object.__new__(kind)
     for name, value in values.items():
         _freeze(value)
         object.__setattr__(made, name, value)

@@ -25,7 +25,7 @@ class _Unheard(io.FileIO):
     def write(self, data: Any) -> int:
         """Write, and take what cannot be written for written."""
         with contextlib.suppress(OSError):
-            super().write(data)
+            return super().write(data) or memoryview(data).nbytes  # None where a pipe that does not wait is full
         return memoryview(data).nbytes
 
 

@@ -404,9 +404,10 @@ def as_names(names: Names) -> list[str] | None:
     Raises:
         InvalidDataError: something else than names.
     """
-    if names is None or isinstance(names, str):
-        return names if names is None else [names]
-    listed = list(names) if isinstance(names, Iterable) else [names]
+    given: Any = names  # a caller may hand on anything
+    if given is None or isinstance(given, str):
+        return None if given is None else [given]
+    listed = list(given) if isinstance(given, Iterable) else [given]
     for name in listed:
         if not isinstance(name, str):
             raise InvalidDataError(
