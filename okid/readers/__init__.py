@@ -113,7 +113,7 @@ def read_described(
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
     one = isinstance(paths, str | bytes | Path) or not isinstance(paths, Iterable)
-    listed = [check_file(path) for path in ([paths] if one else paths)]
+    listed = [Path(path) if isinstance(path, str | Path) else check_file(path) for path in ([paths] if one else paths)]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
     files = [path.resolve() for path in listed]  # a link to a record is that record
