@@ -7,6 +7,7 @@ are refused before they are read.
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
@@ -112,8 +113,9 @@ def read_described(
 
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
-    one = isinstance(paths, str | bytes | Path) or not isinstance(paths, Iterable)
-    listed = [Path(path) if isinstance(path, str | Path) else check_file(path) for path in ([paths] if one else paths)]
+    given: Any = paths  # a caller may hand on anything
+    several = [given] if isinstance(given, str | bytes | Path) or not isinstance(given, Iterable) else given
+    listed = [Path(path) if isinstance(path, str | Path) else check_file(path) for path in several]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
     files = [path.resolve() for path in listed]  # a link to a record is that record
