@@ -1,8 +1,11 @@
-"""How a frozen type shows itself: a few lines in a console, a small table in a notebook, never all of its numbers."""
+"""How a frozen type shows itself: a few lines in a console, a small table in a notebook, never all of its numbers.
+
+And how it is copied and pickled: numpy makes arrays writable again, and a copy is to be as frozen as what it is of.
+"""
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,6 +28,20 @@ class Displayed:
     """
 
     __slots__: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Let nobody write to the arrays; a type that checks them has its own."""
+        own: Any = self
+        for field in fields(own):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                view = value.view()  # whoever made it may still write to it
+                view.flags.writeable = False
+                object.__setattr__(self, field.name, view)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        own: Any = self
+        return _again, (type(self), {field.name: getattr(self, field.name) for field in fields(own)})
 
     def display_rows(self) -> list[tuple[str, str]]:
         """What is shown: the name of each field and its value in short."""
@@ -49,6 +66,28 @@ class Displayed:
             for key, value in _cut(self.display_rows())
         )
         return f"<table><caption>{html.escape(self.display_title())}</caption>{cells}</table>"
+
+
+def _again(kind: type, values: Mapping[str, Any]) -> Any:
+    """An object with these fields, frozen and not checked again."""
+    made: Any = object.__new__(kind)
+    for name, value in values.items():
+        _freeze(value)
+        object.__setattr__(made, name, value)
+    return made
+
+
+def _freeze(value: Any) -> None:
+    """Let nobody write to the arrays in a value."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, tuple | list):
+        for each in value:
+            _freeze(each)
+    elif isinstance(value, Mapping):
+        _freeze(tuple(value.values()))
+    elif is_dataclass(value) and not isinstance(value, type | Displayed):
+        _freeze(tuple(getattr(value, field.name) for field in fields(value)))
 
 
 def first_names(names: Sequence[str]) -> str:

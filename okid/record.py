@@ -357,7 +357,12 @@ class Record(Displayed):
 
         Raises:
             InsufficientDataError: nothing would be left, or fewer samples than channels.
+            InvalidDataError: something else than whole numbers.
         """
+        if not all(end is None or isinstance(end, int | np.integer) for end in (start, stop)):
+            raise InvalidDataError(
+                f"samples must be whole numbers, but are {start!r} to {stop!r}; take `seconds` for times."
+            )
         first, last, _ = slice(start, stop).indices(self.n_samples)
         if last <= first:
             raise InsufficientDataError(

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray, whole_number
+from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray, row_chunks, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.scaling import ChannelScaling
@@ -51,6 +51,42 @@ def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
                 f"record 0 has {first.dt:.9g} s; resample or decimate one of them."
             )
     return several
+
+
+def same_samples(one: Record, other: Record) -> bool:
+    """Whether two records hold the same numbers throughout, whatever they are called.
+
+    Two measurements never do, for no noise comes twice.
+    """
+    if one.outputs.shape != other.outputs.shape or one.inputs.shape != other.inputs.shape:
+        return False
+    pairs = ((one.outputs, other.outputs), (one.inputs, other.inputs))
+    return all(
+        np.array_equal(a[rows], b[rows], equal_nan=True) for a, b in pairs for rows in row_chunks(len(a), a.shape[1])
+    )
+
+
+def refuse_copies(records: Sequence[Record]) -> None:
+    """Raise where two of the records are one: counted twice, it would seem surer than it is, and prove itself.
+
+    Raises:
+        InvalidDataError: a record that is a copy of another.
+
+    Example:
+        >>> refuse_copies([Record([], [0.0, 1.0], 0.1, name="a"), Record([], [0.0, 1.0], 0.1, name="b")])
+        Traceback (most recent call last):
+        okid.errors.InvalidDataError: records 'a' and 'b' hold the same samples; a record counts once; leave one out.
+    """
+    for (first, one), (second, other) in itertools.combinations(enumerate(records), 2):
+        if one is other or same_samples(one, other):
+            raise InvalidDataError(
+                f"records {_called(one, first)} and {_called(other, second)} hold the same samples; a record counts "
+                "once; leave one out."
+            )
+
+
+def _called(record: Record, number: int) -> str:
+    return repr(record.name) if record.name else str(number)
 
 
 def join_setups(records: Sequence[Record]) -> tuple[Record, ...]:

@@ -179,6 +179,8 @@ def _grouped(files: Sequence[Path], pattern: str) -> dict[str, list[Path]]:
 
 
 def _hash(file: Path) -> str:
+    if not file.is_file():  # a pipe would be waited for
+        return ""
     try:
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()

@@ -1,6 +1,10 @@
 """The first lines of `modal-report`: requests to stop are noted before anything else is imported."""
 
+import contextlib
+import io
+import os
 import sys
+from typing import Any
 
 from modal.command.stopping import Requests
 
@@ -9,12 +13,30 @@ __all__ = ["main"]
 LEAST_ADDRESSES, WITH_RECORDING = 2**30, 3 * 2**30
 """Begin nothing where less may be mapped [bytes]: BLAS and the viewer's library wait for ever for memory, or abort."""
 
+LEAST_FILES = 16
+"""Begin nothing where fewer files may be open: the recording's library ends the process where it gets none."""
+
 WITHOUT_RECORDING = frozenset(["check", "diff", "view", "-h", "--help", "--version"])
+
+
+class _Unheard(io.FileIO):
+    """A stream for what is only said: where it finds no room, or its terminal has gone, the work goes on."""
+
+    def write(self, data: Any) -> int:
+        """Write, and take what cannot be written for written."""
+        with contextlib.suppress(OSError):
+            return super().write(data) or memoryview(data).nbytes  # None where a pipe that does not wait is full
+        return memoryview(data).nbytes
 
 
 def main() -> None:
     """Run the command and leave with its exit status."""
     Requests.listen()
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        raw = io.BufferedWriter(_Unheard(sys.stderr.fileno(), "w", closefd=False))
+        sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, sys.stderr.errors, line_buffering=True)
+    if os.environ.get("COLUMNS", "").strip("0") == "":  # some programs that stand between say so where they do not know
+        os.environ.pop("COLUMNS", None)
     refused = _too_little_room(sys.argv[1:])
     if refused:
         sys.stderr.write(f"modal-report: {refused}\n")
@@ -30,6 +52,9 @@ def _too_little_room(arguments: list[str]) -> str:
         import resource
     except ImportError:  # Windows
         return ""
+    n_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if n_files != resource.RLIM_INFINITY and n_files < LEAST_FILES:
+        return f"ulimit -n allows {n_files} open files, and the libraries need {LEAST_FILES}; raise it."
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     need = LEAST_ADDRESSES if WITHOUT_RECORDING & {*arguments[:1], *arguments[-1:]} else WITH_RECORDING
     if limit == resource.RLIM_INFINITY or limit >= need:

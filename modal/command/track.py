@@ -26,6 +26,7 @@ from modal.wording.numbers import listed
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import READERS, read_table
+from okid.readers.guard import check_memory
 from okid.readers.table import Table
 from okid.readers.text import read_text, table_of_text
 from okid.record import Record
@@ -112,6 +113,8 @@ def _read_causes(path: Path, batch: Batch) -> dict[str, FloatArray]:
 def _named_rows(path: Path) -> tuple[Table, list[str] | None]:
     """The table, and the names of its rows where the first column of a text is headed 'record'."""
     text = path.is_file() and READERS.get(path.suffix.lower()) is read_text
+    if text:
+        check_memory(path, 4.0 * path.stat().st_size)
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8) if text else b""
     cells = [(one[1] or one[2] or b"").decode(errors="replace").strip() for one in _FIRST_CELL.finditer(data)]
     if not cells or cells[0].lower() != "record":

@@ -98,7 +98,7 @@ def open_recording(recording: Path) -> str:
 def _in_folder(folder: Path, shown: str) -> Path:
     if (folder / RECORDING).is_file():
         return folder / RECORDING
-    others = sorted(folder.glob("*.rrd"))
+    others = sorted(path for path in folder.glob("*.rrd") if path.is_file())
     if len(others) == 1:
         return others[0]
     if others:

@@ -27,7 +27,7 @@ from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
-from okid.rows import stretch_of
+from okid.rows import refuse_copies, same_samples, stretch_of
 
 SAME_LEVEL = 1.25
 """Say that records are of one level whose inputs differ by less than this factor."""
@@ -51,7 +51,7 @@ def check_records(
     """The records as tuples, and what the reader must know of them.
 
     Raises:
-        InvalidDataError: If there is none of either, or they do not share channels and time step.
+        InvalidDataError: If there is none of either, they do not share channels and time step, or two are copies.
     """
     fits = (fit,) if isinstance(fit, Record) else tuple(fit)
     helds = (held_out,) if isinstance(held_out, Record) else tuple(held_out)
@@ -80,11 +80,13 @@ def check_records(
                 f"{record.n_samples} samples, so no model can be simulated along it; cut the record there, or fill them"
             )
     for held in helds:
-        if any(held is record or _same(held, record) for record in fits):
+        if any(held is record or same_samples(held, record) for record in fits):
             raise InvalidDataError(
                 f"held-out record {held.name or 'without a name'} is also among the records to fit, so it proves "
                 "nothing; hold out another one."
             )
+    refuse_copies(fits)
+    refuse_copies(helds)
     return fits, helds, _level_notes(fits, helds)
 
 
@@ -139,12 +141,6 @@ def _strong_part(record: Record, side: Sequence[Record], most: int) -> Record:
     starts = range(0, record.n_samples - length + 1, length)
     powers = [_level(record.samples(first, first + length)) ** 2 for first in starts]
     return stretch_of(record, starts[int(np.argmax(np.array(powers) >= 0.5 * max(powers)))], length)
-
-
-def _same(one: Record, other: Record) -> bool:
-    if one.outputs.shape != other.outputs.shape or not np.array_equal(one.inputs, other.inputs):
-        return False
-    return np.array_equal(one.outputs, other.outputs, equal_nan=True)
 
 
 def _check_alike(records: Sequence[Record]) -> None:

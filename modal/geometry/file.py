@@ -67,8 +67,7 @@ def read_geometry(path: str | Path) -> Geometry:
         InvalidDataError: a key that is not known, a line to an unknown node, a channel twice, a position that is no
             finite number.
     """
-    path = Path(path)
-    check_file(path)
+    path = check_file(path)
     if _is_universal(path):
         return read_uff_geometry(path)
     name = shorten(visible(path.name), 80)

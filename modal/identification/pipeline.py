@@ -55,7 +55,7 @@ from okid.frequency_response import FrequencyResponse
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
-from okid.rows import as_records, spread_stretches
+from okid.rows import as_records, refuse_copies, spread_stretches
 
 __all__ = ["expected_work", "identify"]
 
@@ -162,6 +162,7 @@ def identify(
     if decimation != "auto":
         decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
     several = as_records(records)
+    refuse_copies(several)
     if has_absent_outputs(several):
 
         def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:

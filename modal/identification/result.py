@@ -34,7 +34,7 @@ from okid.excitation import Excitation
 from okid.frequency_response import FrequencyResponse
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
-from okid.readers.guard import foreign, sound_archive
+from okid.readers.guard import check_file, foreign, sound_archive
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
@@ -241,9 +241,9 @@ def load(path: str | Path) -> Identification:
     return cast("Identification", result)
 
 
-def read_part(path: str | Path, name: str, kind: type[Any]) -> Any:
+def read_part(given: Any, name: str, kind: type[Any]) -> Any:
     """One part of what `write_parts` wrote, None where the file has no such part; errors as in `load`."""
-    path = Path(path)
+    path = Path(given) if isinstance(given, str | os.PathLike) else check_file(given)
     if not path.is_file():
         raise UnreadableFileError(f"there is no file {path}; give the path of a saved identification.")
     part = None

@@ -507,8 +507,7 @@ def read_shapes(path: str | Path) -> Shapes:
     Raises:
         UnreadableFileError: no such file, another type, damage, or no shape in it.
     """
-    path = Path(path)
-    check_file(path)
+    path = check_file(path)
     check_memory(path, 8.0 * path.stat().st_size)
     readers = {".csv": _read_csv, ".npz": _read_npz, ".uff": _read_uff, ".unv": _read_uff}
     if path.suffix.lower() not in readers:

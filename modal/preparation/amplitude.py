@@ -403,7 +403,7 @@ def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
             where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} holds each value for {times} samples: it was taken at "
             f"{spoken(1 / (times * channel.dt))} Hz only and held in between, which looks like a delay and an "
-            f"attenuation; keep every {times}th row of the record.",
+            f"attenuation; keep one row in {times} of the record.",
             channels=(channel.name,),
             share=share,
         )

@@ -43,7 +43,7 @@ from modal.quality.inputs import copy_findings, excitation_findings, timing_find
 from okid.arrays import BoolArray, FloatArray
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
-from okid.rows import as_records
+from okid.rows import as_records, refuse_copies
 from okid.scaling import channel_scaling
 
 SECONDS_A_VALUE = (4e-7, 1.5e-6)
@@ -115,7 +115,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         records: one record or several of one system.
 
     Raises:
-        InvalidDataError: records that do not belong together.
+        InvalidDataError: records that do not belong together, or copies of one another.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -127,6 +127,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         ('bad', [('clipped', ('tip',))])
     """
     several = as_records(records)
+    refuse_copies(several)
     first = several[0]
     scaling = channel_scaling(several)
     spectra = _spectra(several)

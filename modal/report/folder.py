@@ -98,7 +98,12 @@ def write_folder(
     _MADE[:0] = made
     try:
         with scratch_folder(target.absolute().parent) as temporary:
-            write(temporary)
+            try:
+                write(temporary)
+            except InvalidDataError as error:  # it names a file in the scratch folder, which nobody chose
+                if isinstance(error.__cause__, OSError):
+                    raise error.__cause__ from error
+                raise
             written = [path.name for path in temporary.iterdir()]
             _commit(temporary, target, names, existing, gone)
             _check_whole(target, written)

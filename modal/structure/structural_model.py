@@ -36,6 +36,11 @@ from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import first_names
+from okid.errors import InvalidDataError
+from okid.readers.guard import MEMORY_SHARE, memory_budget
+
+MATRICES = 12
+"""Expect the building of a chain to hold so many square matrices at a time (measured: 11.0)."""
 
 _COUPLINGS: Any = None
 """Default of `elements`: those that stand in the matrices."""
@@ -211,12 +216,19 @@ class StructuralModel(KeptModel):
             mass_tolerance: As in the class.
 
         Raises:
-            InvalidDataError: Not one stiffness and one damping a mass, a DOF that is not there, or what the class
-                refuses.
+            InvalidDataError: Not one stiffness and one damping a mass, a DOF that is not there, matrices beyond the
+                memory, or what the class refuses.
         """
         m = as_column(masses, name="masses")
         k = as_column(stiffnesses, name="stiffnesses", length=len(m))
         c = as_column(dampings, name="dampings", length=len(m))
+        need, (budget, whose) = MATRICES * m.itemsize * float(len(m)) ** 2, memory_budget()
+        if need > MEMORY_SHARE * budget:
+            raise InvalidDataError(
+                f"the matrices of {len(m)} masses need about {need / 2**30:.1f} GiB, more than {MEMORY_SHARE:.0%} of "
+                f"the {budget / 2**30:.1f} GiB that {whose}; reduce the model to the masses that move in the measured "
+                "band."
+            )
         join = np.eye(len(m)) - np.diag(np.ones(len(m) - 1), -1)  # row e: x[e] - x[e-1]
         force_map = map_of_dofs(force_dofs, len(m), name="force_dofs").T
         if base_motion is not None:

@@ -19,6 +19,7 @@ import contextlib
 import itertools
 import operator
 import os
+import re
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -42,6 +43,7 @@ from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
 from okid.markov import recover_markov
 from okid.observer import check_channels_move, observer_fit
+from okid.readers.arrays import array_header
 from okid.readers.dispatch import READERS
 from okid.readers.guard import check_file, foreign
 from okid.readers.table import Column, Table, choose_channels, to_record
@@ -136,7 +138,7 @@ def follow(
     total: LagGram | None = None
     taken_off, end = np.zeros(1), 0.0
     for block in blocks:
-        record = _as_record(block, dt, end)
+        record = block if isinstance(block, Record) else Record(*block, dt, start_time=end)  # type: ignore[arg-type]
         _check(record, dt, window, observer_order, parts)
         if parts and not -ON_TIME * dt <= record.start_time - end <= window:
             parts.clear()
@@ -164,13 +166,6 @@ def follow(
         while past[0].time < estimate.time - window - ON_TIME * dt:
             past.popleft()
         yield estimate
-
-
-def _as_record(block: Block, dt: float, end: float) -> Record:
-    if isinstance(block, Record):
-        return block
-    inputs, outputs = block
-    return Record(inputs, outputs, dt, start_time=end)  # type: ignore[arg-type]  # the record makes arrays of them
 
 
 def _check(record: Record, dt: float, window: float, observer_order: int, parts: Sequence[_Part]) -> None:
@@ -290,6 +285,7 @@ FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
 SEEN_BYTES = 64
 """Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
+_BEGINS_AS_A_ROW = re.compile(rb"[\s\0\"'+.,;|-]*(\d|nan|inf|$)", re.IGNORECASE)
 LARGEST = 1e150
 """Count a cell beyond this as missing: sums of its square are no numbers."""
 
@@ -326,7 +322,7 @@ def growing_blocks(
     path = Path(path)
     check_file(path)
     missing = _Missing(path.name, tell)
-    with contextlib.closing(_Numpy(path) if path.suffix.lower() == ".npy" else _Text(path)) as source:
+    with contextlib.closing(_Numpy(path) if path.suffix.lower() == ".npy" else _Text(path, missing)) as source:
         pieces = _pieces(source, path.name, patience, stop)
         for first in itertools.islice(pieces, 1):
             table = source.table(np.vstack(first[0]))
@@ -416,29 +412,34 @@ class _Missing:
     def left(self, table: Table, values: FloatArray) -> FloatArray:
         """The rows that have a time, without cells that are no measurement; behind each its number in the file."""
         wild = ~np.isnan(values) & ~(np.abs(values) <= LARGEST)
-        for row, column in np.argwhere(wild)[:1]:
-            what = f"holds {values[row, column]:g} in {table.names[column]!r}"
-            self._say("cells that are no measurement", f"row {self._n_rows + row + 1}", what, int(wild.sum()))
+        for row, k in np.argwhere(wild)[:1]:
+            what = f"row {self._n_rows + row + 1} of {self._name} holds {values[row, k]:g} in {table.names[k]!r}"
+            self._say("cells that are no measurement", what, int(wild.sum()))
         numbers = self._n_rows + 1.0 + np.arange(len(values))
         self._n_rows += len(values)
         values = np.column_stack([np.where(wild, np.nan, values), numbers])
         stamps = _seconds(table, values)
         lost = np.zeros(len(values), dtype=np.bool_) if stamps is None else np.isnan(stamps)
         if lost.any():
-            self._say("rows without a time", f"row {values[lost][0, -1]:.0f}", "has no time", int(lost.sum()))
+            what = f"row {values[lost][0, -1]:.0f} of {self._name} has no time"
+            self._say("rows without a time", what, int(lost.sum()))
         return values[~lost]
 
     def channels(self, table: Table, rows: FloatArray, kept: Sequence[int]) -> bool:
         """Whether a channel has no number in any of these rows."""
         empty = [table.names[k] for k in kept if np.isnan(rows[:, k]).all()]
         if empty:
-            where = f"rows {rows[0, -1]:.0f} to {rows[-1, -1]:.0f}"
-            self._say("rows without a channel", where, f"hold no number of {listed(empty)}", len(rows))
+            where = f"rows {rows[0, -1]:.0f} to {rows[-1, -1]:.0f} of {self._name}"
+            self._say("rows without a channel", f"{where} hold no number of {listed(empty)}", len(rows))
         return bool(empty)
 
-    def _say(self, kind: str, where: str, what: str, count: int) -> None:
+    def torn(self, error: UnreadableFileError) -> None:
+        """A line as a logger leaves it that lost its power, or two that write at once."""
+        self._say("lines that are no row", str(error).partition("; ")[0], 1)
+
+    def _say(self, kind: str, what: str, count: int) -> None:
         if not self._counts[kind]:
-            self.tell(f"{where} of {self._name} {what}; {kind} count as missing, here and later.")
+            self.tell(f"{what}; {kind} count as missing, here and later.")
         self._counts[kind] += count
 
     def tell_all(self) -> None:
@@ -471,17 +472,13 @@ class _Growing:
             ) from error
         self._file.seek(self._at - len(self._last))
         data = self._file.readall()
-        how = (
-            "was replaced by another file"
-            if not os.path.samestat(named, opened)
-            else "became shorter"
-            if opened.st_size < self._at
-            else "was written anew"
-            if not data.startswith(self._last)
-            else ""
-        )
-        if how:
-            raise UnreadableFileError(f"{self._path.name} {how} while it was followed; start again.")
+        for how, done in (
+            ("was replaced by another file", not os.path.samestat(named, opened)),
+            ("became shorter", opened.st_size < self._at),
+            ("was written anew", not data.startswith(self._last)),
+        ):
+            if done:
+                raise UnreadableFileError(f"{self._path.name} {how} while it was followed; start again.")
         return data[len(self._last) :]
 
     def _take(self, data: bytes) -> None:
@@ -494,14 +491,14 @@ class _Text(_Growing):
 
     _table: Table
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, missing: _Missing) -> None:
         if READERS.get(path.suffix.lower()) is not read_text:
             raise UnreadableFileError(
                 f"{path.name} is of type {path.suffix or 'none'}, whose rows cannot be followed while it grows; write "
                 "a text table (.csv, .txt, ...) or .npy."
             )
         super().__init__(path)
-        self._head, self._n_lines = b"", 0
+        self._head, self._n_lines, self._missing = b"", 0, missing
 
     def rows(self) -> FloatArray:
         data = self._behind()
@@ -509,7 +506,7 @@ class _Text(_Growing):
         if not whole.strip() or (not self._head and whole.count(b"\n") < FEWEST_ROWS):
             return np.empty((0, 0))
         if self._head:
-            values = more_rows(whole, self._head, self._path, n_lines=self._n_lines)[:, : len(self._table.columns)]
+            values = self._more(whole.splitlines(keepends=True), self._n_lines)
         else:
             self._head = whole[: whole.find(b"\n", min(HEAD_BYTES, len(whole) - 1)) + 1]
             self._table = table_of_text(whole, self._path)
@@ -517,6 +514,21 @@ class _Text(_Growing):
         self._take(whole)
         self._n_lines += whole.count(b"\n")
         return values
+
+    def _more(self, lines: list[bytes], n_before: int) -> FloatArray:
+        """The rows of lines, NaN where a line is torn."""
+        width = len(self._table.columns)
+        try:
+            return more_rows(b"".join(lines), self._head, self._path, n_lines=n_before)[:, :width]
+        except UnreadableFileError as error:
+            if (half := len(lines) // 2) > 0:
+                return np.vstack([self._more(lines[:half], n_before), self._more(lines[half:], n_before + half)])
+            if not lines[0].strip():
+                return np.empty((0, width))
+            if not _BEGINS_AS_A_ROW.match(lines[0]):  # another table begins
+                raise
+            self._missing.torn(error)
+            return np.full((1, width), np.nan)
 
     def table(self, values: FloatArray) -> Table:
         return replace(self._table, values=values)
@@ -527,9 +539,7 @@ class _Numpy(_Growing):
 
     def __init__(self, path: Path) -> None:
         with foreign(path, ".npy file"), path.open("rb") as file:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, by_columns, self._dtype = read(file)
+            shape, by_columns, self._dtype = array_header(file)
             header = file.tell()
         if by_columns or len(shape) != 2 or shape[1] < 1 or self._dtype.kind not in "iuf":
             raise UnreadableFileError(

@@ -5,11 +5,13 @@ units, `read_described` does both in one reading. Nothing in a file is ever exec
 are refused before they are read.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
+from okid.readers.guard import check_file
 from okid.readers.joining import records_of_tables
 from okid.readers.table import Table, to_record
 from okid.readers.units import UnitConversion
@@ -42,8 +44,8 @@ def read_record(
             parameters do.
 
     Returns:
-        The record, named after the file. A mapped .npy stays on disk. A unit that is known is converted to SI; others
-        are kept as they are, see `describe_file`.
+        The record, named after the file. A large .npy stays on disk, in a copy of its own. A unit that is known is
+        converted to SI; others are kept as they are, see `describe_file`.
 
     Raises:
         UnreadableFileError: no such file, an unknown type, damage, or text where a number is expected.
@@ -111,7 +113,9 @@ def read_described(
 
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:
-    listed = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    given: Any = paths  # a caller may hand on anything
+    several = [given] if isinstance(given, str | bytes | Path) or not isinstance(given, Iterable) else given
+    listed = [Path(path) if isinstance(path, str | Path) else check_file(path) for path in several]
     if not listed:
         raise InvalidDataError("no file was given; name at least one.")
     files = [path.resolve() for path in listed]  # a link to a record is that record

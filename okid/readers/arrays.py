@@ -8,22 +8,36 @@ or `t` the time axis. Every other vector is a channel called like the array, eve
 NPY and NPZ. Nothing is ever unpickled: a pickle may run any program.
 """
 
+import contextlib
+import errno
 import math
+import os
+import shutil
+import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import Damage, check_channel_count, first_line, foreign, sound_archive
+from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, sound_archive
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
-__all__ = ["Content", "array_of", "npz_contents", "read_npy", "read_npz", "table_from_arrays", "table_of_channels"]
+__all__ = [
+    "Content",
+    "array_header",
+    "array_of",
+    "npz_contents",
+    "read_npy",
+    "read_npz",
+    "table_from_arrays",
+    "table_of_channels",
+]
 
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""
@@ -32,7 +46,9 @@ STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"]
 RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
 ROLES = ("inputs", "outputs")
 LOADED = 2**24
-"""Map a larger array into memory: the system ends a process whose mapped file is cut while it is read."""
+"""Keep a larger array [bytes] on disk: a copy of the file that nobody else can change is mapped."""
+DISK_SHARE = 0.5
+"""Take no more than this share of the room for temporary files: others need some."""
 
 
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
@@ -206,17 +222,26 @@ def _listed(contents: Mapping[str, Content]) -> str:
 
 
 def read_npy(path: Path) -> Table:
-    """One array, (n_samples, n_channels), mapped where it is large; its channels are column_0, column_1, ...
+    """One array, (n_samples, n_channels), on disk where it is large; its channels are column_0, column_1, ...
 
-    The fields of a structured array are channels by their names.
+    The fields of a structured array are channels by their names. What becomes of the file afterwards changes nothing.
 
     Raises:
-        UnreadableFileError: damaged, pickled, or not an array of numbers.
+        UnreadableFileError: damaged, pickled, written to meanwhile, or not an array of numbers.
     """
     with foreign(path, ".npy file"), path.open("rb") as file:
-        _check_header(file, path.stat().st_size)
-        mapped: Literal["r"] | None = "r" if path.stat().st_size > LOADED else None
-        array = np.load(path, mmap_mode=mapped, allow_pickle=False)
+        before = os.fstat(file.fileno())
+        dtype = _check_header(file, before.st_size)
+        if before.st_size <= LOADED or dtype.names:  # fields are put together in memory anyway
+            file.seek(0)
+            array = np.lib.format.read_array(file, allow_pickle=False)
+        else:
+            if dtype != np.float64:  # made numbers of eight bytes
+                check_memory(path, 16.0 * before.st_size / dtype.itemsize)
+            array = _on_disk(path, file, before.st_size)
+        after = os.fstat(file.fileno())
+        if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+            raise Damage("it was written to while it was read")
     if array.dtype.names:
         fields: dict[str, Content] = {name: np.asarray(array[name]) for name in array.dtype.names}
         return table_from_arrays(fields, path=path, file_format="NPY")
@@ -229,6 +254,30 @@ def read_npy(path: Path) -> Table:
     check_channel_count(path, values.shape[1])
     columns = tuple(Column(name=f"column_{index}") for index in range(values.shape[1]))
     return Table(path=path, format="NPY", columns=columns, values=values)
+
+
+def _on_disk(path: Path, file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
+    """The array of a sound file, mapped from a copy without a name, or loaded where there is no room for one.
+
+    The system ends a process whose mapped file is cut, and one that is written anew would change the record.
+    """
+    file.seek(0)
+    with contextlib.ExitStack() as held:
+        try:
+            copy = held.enter_context(tempfile.TemporaryFile())
+            if size > DISK_SHARE * shutil.disk_usage(tempfile.gettempdir()).free:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # noqa: TRY301
+            shutil.copyfileobj(file, copy)
+            copy.flush()
+        except OSError:
+            check_memory(path, 2.0 * size)
+            file.seek(0)
+            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+        if copy.tell() != size:
+            raise Damage("it was cut while it was read")
+        copy.seek(0)
+        shape, in_columns, dtype = array_header(copy)
+        return np.memmap(copy, dtype, "r", copy.tell(), shape, "F" if in_columns else "C")
 
 
 def read_npz(path: Path) -> Table:
@@ -274,18 +323,28 @@ def _end_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
             pass
 
 
-def _check_header(stream: IO[bytes], size: int) -> None:
-    """Raise unless the header accounts for every byte behind it."""
+def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether a column's numbers stand together, and type of what follows; numpy may raise where it is damaged.
+
+    Raises:
+        Damage: no array.
+    """
     start = stream.read(8)
     if start[:6] != np.lib.format.MAGIC_PREFIX:
         raise Damage("it does not begin as an array of numpy does")
     read = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(stream)
+    return read(stream)
+
+
+def _check_header(stream: IO[bytes], size: int) -> np.dtype[Any]:
+    """The type of the numbers; raise unless the header accounts for every byte behind it."""
+    shape, _, dtype = array_header(stream)
     if dtype.hasobject:
         raise Damage("it holds Python objects")
     claimed, there = math.prod(shape) * dtype.itemsize, size - stream.tell()
     if min(shape, default=0) < 0 or claimed != there:
         raise Damage(f"its header announces {claimed} bytes of {dtype} in shape {shape}, and {there} follow")
+    return dtype
 
 
 def _content(array: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> Content:

@@ -66,8 +66,7 @@ def read_table(path: str | Path) -> Table:
     Raises:
         UnreadableFileError: no such file, an unknown type, or damage; the message says which and what to do.
     """
-    path = Path(path)
-    check_file(path)
+    path = check_file(path)
     reader = READERS.get(path.suffix.lower()) or _reader_of_others(path.suffix.lower())
     if reader is None:
         raise UnreadableFileError(
@@ -83,6 +82,10 @@ def read_table(path: str | Path) -> Table:
     if double:
         raise UnreadableFileError(
             f"{path.name} has more than one column called {', '.join(map(repr, double[:5]))}; give each its own name."
+        )
+    if not table.columns:
+        raise UnreadableFileError(
+            f"{path.name} holds {table.n_samples} samples of no channel; save at least one column."
         )
     if table.n_samples == 0:
         raise UnreadableFileError(f"{path.name} has columns ({', '.join(table.names[:8])}) but no samples.")

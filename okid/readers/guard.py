@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def foreign(path: Path, kind: str) -> Iterator[None]:
     except UnreadableFileError:
         raise
     except Exception as error:
-        if "pickle" in str(error) or "Python objects" in str(error):
+        if "Object arrays" in str(error) or "Python objects" in str(error):  # numpy's words and ours
             raise UnreadableFileError(
                 f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; "
                 "save plain arrays of numbers."
@@ -113,16 +114,22 @@ def sound_archive(path: Path, *, most: float | None = None) -> Iterator[zipfile.
         yield archive
 
 
-def check_file(path: Path) -> None:
-    """Raise unless `path` is a file that holds something.
+def check_file(given: Any) -> Path:
+    """The path of a file that holds something.
 
     Raises:
-        UnreadableFileError: no such file, a folder, a pipe, an empty file, or one that may not be read.
+        UnreadableFileError: no path, no such file, a folder, a pipe, an empty file, or one that may not be read.
     """
+    if not isinstance(given, str | os.PathLike):
+        raise UnreadableFileError(
+            f"a file must be named by its path, a text or a Path, but a {type(given).__name__} was given; give one."
+        )
+    path = Path(given)
     try:
         found = path.stat()
-    except OSError as error:
-        reason = "does not exist" if isinstance(error, FileNotFoundError) else f"cannot be opened ({error.strerror})"
+    except (OSError, ValueError) as error:  # a name that holds a zero byte is a ValueError
+        why = error.strerror if isinstance(error, OSError) else error
+        reason = "does not exist" if isinstance(error, FileNotFoundError) else f"cannot be opened ({why})"
         raise UnreadableFileError(f"{path} {reason}; check the path.") from error
     if stat.S_ISDIR(found.st_mode):
         raise UnreadableFileError(f"{path} is a folder; give the file in it that holds the record.")
@@ -132,6 +139,7 @@ def check_file(path: Path) -> None:
         )
     if found.st_size == 0:
         raise UnreadableFileError(f"{path} is empty (0 bytes); save the measurement again.")
+    return path
 
 
 def check_memory(path: Path, n_bytes: float) -> None:
@@ -145,7 +153,7 @@ def check_memory(path: Path, n_bytes: float) -> None:
         raise UnreadableFileError(
             f"reading {path.name} needs about {n_bytes / 2**30:.1f} GiB, more than {MEMORY_SHARE:.0%} of the "
             f"{total / 2**30:.1f} GiB that {whose}; cut the file into parts, or save it as one .npy array, "
-            "which is mapped and not loaded."
+            "which stays on disk."
         )
 
 

@@ -103,8 +103,7 @@ def read_response(
         UnreadableFileError: no such file, an unknown type, damage, or no frequency response in it.
         InvalidDataError: no such channel, or numbers that cannot be a response.
     """
-    path = Path(path)
-    check_file(path)
+    path = check_file(path)
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
             found = _read(path)

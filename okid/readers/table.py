@@ -11,10 +11,10 @@ import difflib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -399,8 +399,21 @@ Names = Sequence[str] | str | None
 
 
 def as_names(names: Names) -> list[str] | None:
-    """A list of names; a single name is a list of one, None stays None."""
-    return [names] if isinstance(names, str) else None if names is None else list(names)
+    """A list of names; a single name is a list of one, None stays None.
+
+    Raises:
+        InvalidDataError: something else than names.
+    """
+    given: Any = names  # a caller may hand on anything
+    if given is None or isinstance(given, str):
+        return None if given is None else [given]
+    listed = list(given) if isinstance(given, Iterable) else [given]
+    for name in listed:
+        if not isinstance(name, str):
+            raise InvalidDataError(
+                f"the name of a channel must be a text, but is {name!r}; give it as the file has it."
+            )
+    return listed
 
 
 def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:

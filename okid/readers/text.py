@@ -392,7 +392,8 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
         # pyarrow may still be reading ahead in this very file
         with io.BytesIO(file.getvalue()) if isinstance(file, io.BytesIO) else path.open("rb") as again:
             again.seek(start)
-            _raise_fault(io.TextIOWrapper(again, encoding="latin-1"), layout, names, path)
+            bytewise = io.TextIOWrapper(again, encoding="latin-1")  # each line by itself says how it is written
+            _raise_fault((_line(line.encode("latin-1")) for line in bytewise), layout, names, path)
         raise UnreadableFileError(f"{path.name} cannot be read as a table of numbers ({first_line(error)}).") from error
     values = np.empty((sum(len(part) for part in parts), layout.n_columns))
     last = len(values)

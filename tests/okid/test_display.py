@@ -1,6 +1,8 @@
 """How results show themselves: at most 20 lines and 2000 characters, whatever they hold, and no markup of a file."""
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pyarrow as pa
@@ -74,3 +76,32 @@ def test_units_of_a_frame_are_read_as_in_a_file():
 def test_what_is_no_frame_is_refused_in_words():
     with pytest.raises(ValueError, match="is no data frame"):
         Record.from_frame([1, 2, 3], inputs=(), outputs="a", dt=1.0)
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class Inner:
+    values: object
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [copy.copy, copy.deepcopy, *(lambda x, p=p: pickle.loads(pickle.dumps(x, p)) for p in range(6))],  # noqa: S301
+)
+def test_a_copy_is_as_frozen_as_what_it_is_of(copied):
+    """Numpy makes arrays writable again; other programs pass results between processes."""
+    record = Record([0.0, 1.0, 0.0], [0.0, np.nan, 1.0], 0.1, output_names=["tip"], start_time=3.0)
+    again = copied(record)
+    np.testing.assert_array_equal(again.outputs, record.outputs)
+    assert (again.output_names, again.start_time, again.input_hold) == (("tip",), 3.0, "zero_order")
+    held = copied(Holder((np.ones(3), {"a": np.ones(2)}), Inner(np.ones(4))))
+    for array in (again.inputs, again.outputs, held.first[0], held.first[1]["a"], held.second.values):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+def test_nobody_writes_to_a_result_and_whoever_made_an_array_still_may():
+    mine = np.zeros(3)
+    holder = Holder(mine)
+    with pytest.raises(ValueError, match="read-only"):
+        holder.first[0] = 1.0
+    mine[0] = 2.0

@@ -112,6 +112,14 @@ def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, sequential
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name are of Unix")
+def test_a_pipe_is_a_failure_and_not_waited_for(runs, tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    found = rows(modal.identify_batch([runs / "run_0.csv", tmp_path / "pipe.csv"], tmp_path / "out", **QUICK))
+    assert (found["run_0"]["status"], found["pipe"]["status"]) == ("done", "failed")
+    assert "is a pipe or a device, and no file" in found["pipe"]["message"]
+
+
 def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys):
     (runs / "empty.csv").write_text("")
     (runs / "cut.csv").write_text((runs / "run_1.csv").read_text()[:200])

@@ -261,8 +261,9 @@ def test_the_python_of_the_report_runs(data, quick, monkeypatch):
 
 def test_an_unknown_unit_is_said_once(data, quick):
     table = np.column_stack([0.01 * np.arange(50), np.random.default_rng(1).standard_normal((50, 2))])
-    for name in ("a.csv", "b.csv"):
-        np.savetxt(data / name, table, delimiter=",", header="time [s],force [counts],tip [g]", comments="")
+    for name, sign in (("a.csv", 1.0), ("b.csv", -1.0)):
+        rows = table * [1.0, sign, sign]
+        np.savetxt(data / name, rows, delimiter=",", header="time [s],force [counts],tip [g]", comments="")
     result = invoke(data / "a.csv", data / "b.csv", "--inputs", "force", "-o", data / "out")
     assert result.exit_code == 0, result.output
     words = " ".join(result.stdout.split())

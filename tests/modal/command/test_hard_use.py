@@ -12,6 +12,7 @@ import pytest
 import modal.command.run
 from modal.command.main import status
 from modal.command.view import recording_of
+from modal.discrepancy.setup import check_records
 from modal.identification import pipeline
 from modal.report import folder, writing
 from okid.errors import InvalidDataError, UnreadableFileError
@@ -119,11 +120,74 @@ def test_libraries_that_could_not_be_loaded_are_not_tried(data, command, leaves,
     assert f"ulimit -v allows {leaves:.2g} GiB to be mapped, and the libraries map up to {needs} GiB" in run.stderr
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="ulimit is of Unix")
+def test_too_few_open_files_are_a_sentence(data):
+    """The recording's library ends the process where it gets none."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (8, 8));"
+    run = subprocess.run(
+        [*COMMAND[:-1], limit + COMMAND[-1], "run", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert run.returncode == 2
+    assert run.stderr == "modal-report: ulimit -n allows 8 open files, and the libraries need 16; raise it.\n"
+
+
+def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
+    run = subprocess.run(
+        [*COMMAND, "check", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE), "COLUMNS": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert run.returncode == 0
+    assert "1 input, 1 output" in run.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is of Linux")
+@pytest.mark.parametrize(("arguments", "status"), [(["nothing.csv"], 2), (["a.csv", "--inputs", "force"], 0)])
+def test_a_log_without_room_changes_no_exit_status(data, arguments, status):
+    """What is said beforehand of long work was the end of it, and 1 says that there is a result."""
+    script = f"import modal.command.terminal as terminal; terminal.LONG = -1.0; {COMMAND[-1]}"
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run(
+            [*COMMAND[:-1], script, "check", *arguments],
+            env={**os.environ, "PYTHONPATH": str(HERE)},
+            stdout=subprocess.PIPE,
+            stderr=full,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+    assert run.returncode == status
+    assert ("1 input, 1 output" in run.stdout) == (status == 0)
+
+
 def test_a_link_to_a_record_is_that_record(data):
     (data / "link.csv").symlink_to("a.csv")
     with pytest.raises(InvalidDataError, match=r"a\.csv, link\.csv is given more than once; a record counts once"):
         read_records(["a.csv", "link.csv"])
     assert len(read_records(["a.csv", "b.csv"])) == 2
+
+
+def test_a_copy_of_a_record_is_that_record(data, capsys):
+    """It halves every variance, and the copy of a row that is held out proves the row."""
+    (data / "copy.csv").write_bytes((data / "a.csv").read_bytes())
+    words = (data / "b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (data / "b.csv").write_text("".join(words[:300]), encoding="utf-8")
+    for command in ("run", "check"):
+        assert status([command, "a.csv", "b.csv", "copy.csv", "--inputs", "force"]) == 2
+        assert "records 'a' and 'copy' hold the same samples; a record counts once" in capsys.readouterr().err
+    a, b = (read_records([f"{name}.csv"], inputs="force")[0] for name in "ab")
+    check_records([a], [b])
+    for fit, held_out in (([a, a], [b]), ([b], [a, a])):
+        with pytest.raises(InvalidDataError, match="records 'a' and 'a' hold the same samples"):
+            check_records(fit, held_out)
 
 
 def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):

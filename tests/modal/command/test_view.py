@@ -1,5 +1,6 @@
 """The command `modal-report view`: which recording, which viewer, and what is said where there is none."""
 
+import os
 import subprocess
 import sys
 
@@ -44,6 +45,14 @@ def test_the_recording_of_a_folder_or_the_file_itself(folder):
     assert recording_of("result").name == "recording.rrd"
     assert recording_of("result/recording.rrd").name == "recording.rrd"
     assert recording_of("one").name == "other.rrd"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name are of Unix")
+def test_a_pipe_is_no_recording(folder):
+    """It would be waited for."""
+    os.mkfifo(folder / "empty" / "recording.rrd")
+    with pytest.raises(UnreadableFileError, match=r"'empty' holds no recording\.rrd"):
+        recording_of("empty")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from systems import chain_matrices, structure
 
+from modal.structure import structural_model
 from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError
@@ -184,3 +185,12 @@ def test_with_effect_adds_and_leaves_the_first_alone() -> None:
 def test_with_effect_refuses(effect: str, where: str, values: dict[str, float], words: str) -> None:
     with pytest.raises(InvalidDataError, match=words):
         chain().with_effect(effect, where, **values)
+
+
+def test_a_chain_beyond_the_memory_is_refused_before_its_matrices_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structural_model, "memory_budget", lambda: (2**31, "the container leaves"))
+    many = np.ones(20_000)
+    with pytest.raises(
+        InvalidDataError, match=r"matrices of 20000 masses need about 35\.8 GiB, more than 80% of the 2"
+    ):
+        StructuralModel.chain(many, many, many, force_dofs=[0], sensor_dofs=[0])

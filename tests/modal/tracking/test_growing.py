@@ -149,12 +149,33 @@ def test_too_few_rows_are_one_sentence(tmp_path, capsys):
     assert "fewer than the 20 rows" in capsys.readouterr().err
 
 
-def test_a_later_line_is_named_by_its_number_in_the_file(tmp_path):
+@pytest.mark.parametrize(
+    ("torn", "words"),
+    [
+        ("4.02,rubbish,1\n", "line 404, column 'force' of run.csv holds 'rubbish' where a number is expected"),
+        ("4.02,1.54.03,1,1\n", "line 404 of run.csv holds 4 cells, but the table has 3 columns"),
+        ("4.0\n\n", "line 404 of run.csv holds 1 cells, but the table has 3 columns"),
+        ("4.02,\0\0\0,1\n", "line 404, column 'force' of run.csv holds '\\x00\\x00\\x00' where a number is expected"),
+    ],
+)
+def test_a_torn_line_is_missing_and_named_by_its_number_in_the_file(tmp_path, torn, words):
+    """What a logger leaves that lost its power does not end the session, and every other row is there."""
+    lines, said = ["time,force,tip\n", *lines_of(STAMPS, *motion())], []
+    blocks = begun(tmp_path / "run.csv", "".join(lines[:401]), tell=said.append, stop=lambda: len(said) > 0)
+    with (tmp_path / "run.csv").open("a") as file:
+        file.write("".join(lines[401:403]) + torn + "".join(lines[404:701]))
+    rest = list(blocks)
+    assert said[0] == f"{words}; lines that are no row count as missing, here and later."
+    assert sum(block.n_samples for block in rest) == 700 - 1 - 100
+    assert any(text.startswith("0.01 s are missing before 4.03 s") for text in said)
+
+
+def test_another_table_in_the_same_file_ends_in_one_sentence(tmp_path):
     lines = ["time,force,tip\n", *lines_of(STAMPS, *motion())]
     blocks = begun(tmp_path / "run.csv", "".join(lines[:401]))
     with (tmp_path / "run.csv").open("a") as file:
-        file.write(lines[401] + "4.01,rubbish,1\n")
-    with pytest.raises(UnreadableFileError, match=r"line 403, column 'force' of run\.csv holds 'rubbish'"):
+        file.write("time,tip,force\n" + "".join(lines[401:]))
+    with pytest.raises(UnreadableFileError, match=r"line 402, column 'time' of run\.csv holds 'time' where a number"):
         list(blocks)
 
 

@@ -1,13 +1,16 @@
-"""NPY and NPZ written by numpy: mapped where possible, never unpickled."""
+"""NPY and NPZ written by numpy: large arrays stay on disk, nothing is unpickled."""
 
 import os
+import subprocess
+import sys
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from okid.errors import InvalidDataError, UnreadableFileError
-from okid.readers import describe_file, read_record
+from okid.readers import arrays, describe_file, guard, read_record
 from okid.readers.arrays import npz_contents
 
 RNG = np.random.default_rng(7)
@@ -154,3 +157,82 @@ def test_npz_names_must_fit(tmp_path):
     np.savez(tmp_path / "a.npz", dt=0.2, outputs=VALUES, output_names=["a", "b"])
     with pytest.raises(InvalidDataError, match=r"output_names of a.npz holds 2 texts, but outputs has 5 columns"):
         read_record(tmp_path / "a.npz")
+
+
+LARGE = np.arange(2.5e6).reshape(-1, 2)
+"""20 MB: kept on disk."""
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("room", [True, False])
+def test_a_large_npy_that_is_cut_or_written_anew_stays_what_it_was(tmp_path, order, room):
+    """In a process of its own, which the system would end."""
+    np.save(tmp_path / "a.npy", np.asarray(LARGE, order=order))
+    script = (
+        "import os, sys, tempfile\n"
+        "import numpy as np\n"
+        "from okid.readers import read_record\n"
+        "def full(): raise OSError(28, 'No space left on device')\n"
+        f"if not {room}: tempfile.TemporaryFile = full\n"
+        "record = read_record(sys.argv[1], dt=1.0)\n"
+        "os.truncate(sys.argv[1], 300)\n"
+        "np.testing.assert_array_equal(record.outputs, np.arange(2.5e6).reshape(-1, 2))\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script, tmp_path / "a.npy"], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_an_npy_that_is_written_to_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.npy"
+    np.save(path, LARGE)
+    with monkeypatch.context() as patch:
+        patch.setattr(arrays.shutil, "copyfileobj", lambda _from, to: to.write(b"1" * 1000))
+        with pytest.raises(UnreadableFileError, match="it was cut while it was read"):
+            read_record(path, dt=1.0)
+
+    def slowly(source, copy):
+        copy.write(source.read())
+        with path.open("r+b") as file:
+            file.write(b"\x93")
+        os.utime(path, ns=(1, 1))
+
+    monkeypatch.setattr(arrays.shutil, "copyfileobj", slowly)
+    with pytest.raises(UnreadableFileError, match="it was written to while it was read"):
+        read_record(path, dt=1.0)
+
+
+def test_a_copy_never_fills_the_disk(tmp_path, monkeypatch):
+    """A file of holes has any size that it likes."""
+    np.save(tmp_path / "a.npy", LARGE)
+    monkeypatch.setattr(arrays.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=30e6))
+    monkeypatch.setattr(arrays.shutil, "copyfileobj", lambda *_files: pytest.fail("it was copied"))
+    assert read_record(tmp_path / "a.npy", dt=1.0).outputs[-1, 1] == 2.5e6 - 1
+    monkeypatch.setattr(guard, "memory_budget", lambda: (30e6, "the container leaves"))
+    with pytest.raises(
+        UnreadableFileError, match=r"reading a\.npy needs about 0\.0 GiB, more than 80% of the 0\.0 GiB"
+    ):
+        read_record(tmp_path / "a.npy", dt=1.0)
+
+
+def test_what_a_large_npy_becomes_as_numbers_of_eight_bytes_is_in_the_budget(tmp_path, monkeypatch):
+    np.save(tmp_path / "a.npy", np.zeros((1 << 24, 2), dtype=np.int8))
+    monkeypatch.setattr(guard, "memory_budget", lambda: (2**28, "the container leaves"))
+    with pytest.raises(
+        UnreadableFileError, match=r"reading a\.npy needs about 0\.5 GiB, more than 80% of the 0\.2 GiB"
+    ):
+        read_record(tmp_path / "a.npy", dt=1.0)
+
+
+def test_a_header_that_is_too_long_is_no_pickle_and_no_columns_are_no_channel(tmp_path):
+    np.save(tmp_path / "a.npy", VALUES)
+    data = (tmp_path / "a.npy").read_bytes()
+    at = 10 + int.from_bytes(data[8:10], "little")
+    header = data[10:at].rstrip() + b" " * 20_000 + b"\n"
+    (tmp_path / "a.npy").write_bytes(data[:8] + len(header).to_bytes(2, "little") + header + data[at:])
+    with pytest.raises(UnreadableFileError, match="Header info length"):
+        read_record(tmp_path / "a.npy", dt=1.0)
+    np.save(tmp_path / "b.npy", np.zeros((9, 0)))
+    with pytest.raises(UnreadableFileError, match=r"b\.npy holds 9 samples of no channel"):
+        read_record(tmp_path / "b.npy", dt=1.0)

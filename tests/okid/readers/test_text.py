@@ -199,3 +199,10 @@ def test_a_header_one_name_short_is_refused(tmp_path, header):
     path.write_text(header + "\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50)))
     with pytest.raises(UnreadableFileError, match="names 2 columns, but its rows hold 3 numbers"):
         read_record(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_a_cell_is_shown_as_it_is_written(table, encoding):
+    text = "time,u\n" + "".join(f"{k},1\n" for k in range(30)) + "30,größer als 5 µm\n"
+    with pytest.raises(UnreadableFileError, match="holds 'größer als 5 µm' where a number is expected"):
+        table(text.encode(encoding))
