@@ -430,8 +430,8 @@ class _Driven:
             np.matmul(turned, s[:, 1, 1:], out=other)
             state += other
             memory[0] = recursion.fill(s[:, :, 0], state[:, 2:], memory[0])
-            signals[-2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
-            signals[self.n_families * n : -2 * n] = self.partners[:, first : first + n_rows]
+            signals[self.n_signals - 2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
+            signals[self.n_families * n : self.n_signals - 2 * n] = self.partners[:, first : first + n_rows]
             memory[-1] *= powers[n_rows - 1] * poles
             yield first, signals, memory.T.copy()
 
