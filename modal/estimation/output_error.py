@@ -28,8 +28,9 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 SMALLEST_GAIN = 1e-9
 """Relative decrease of the error below which another step is not worth its cost."""
-GROWS_ON = 1e-3
-"""Let a model that is to grow do so once a step decreases its error by a smaller share."""
+GROWS_AFTER, GROWS_ON = 8, 1e-3
+"""Let a model that is to grow do so after so many steps, or once one decreases its error by a smaller share: what is
+added moves the others again."""
 LARGEST_STEP = 0.7
 """Of the logarithm of a decay rate, and of an angle relative to itself or to what is left to half the sampling rate."""
 LEAST_DECAY = 1e-10

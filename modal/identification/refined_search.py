@@ -37,6 +37,7 @@ from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import errors_of, in_units, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
 from modal.estimation.output_error import (
+    GROWS_AFTER,
     GROWS_ON,
     SMALLEST_GAIN,
     OutputError,
@@ -162,11 +163,11 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
         step = None if step is None else with_weak_mode(step, shop.data)
         if step is None:
             break
-        step = refine(step, shop.data, n_steps=MOST_STEPS, least_gain=GROWS_ON)[-1]
+        step = refine(step, shop.data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         errors = []
         for fold, blocks in enumerate(scored):
             start = step_at(step.parameters, shop.data, held_out=fold)
-            last = refine(start, shop.data, held_out=fold, n_steps=SCOUT_STEPS, least_gain=GROWS_ON)[-1]
+            last = refine(start, shop.data, held_out=fold, n_steps=1, least_gain=GROWS_ON)[-1]
             errors.append(last.block_errors(blocks))
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
@@ -401,7 +402,7 @@ def refined_model(
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     for _ in range(weak_modes):
         larger = with_weak_mode(last, data)
-        last = last if larger is None else refine(larger, data, n_steps=most, least_gain=GROWS_ON)[-1]
+        last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)
     if n_steps == MOST_STEPS and start.n_outputs > 1:

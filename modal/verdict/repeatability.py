@@ -17,7 +17,7 @@ from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import NONE, Block, blocks_by_turns, blocks_of
-from modal.estimation.output_error import GROWS_ON, OutputError, RefinementStep, refine
+from modal.estimation.output_error import GROWS_AFTER, GROWS_ON, OutputError, RefinementStep, refine
 from modal.estimation.prediction_error import STILL, CanonicalVariates, n_rows_of
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
@@ -113,7 +113,8 @@ def repeat(
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
         modes = extract_modes(_refined((model,), again, grown_to=model_order if grows else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
-    for n in _other_orders(model_order, 2 * largest if grows else largest):
+    others = _other_orders(model_order, 2 * largest if grows else largest)
+    for n in _nearest(model_order, others) if grows else others:
         start = realise_from(decomposition, min(_most(n), largest) if grows else n)
         modes = extract_modes(_refined((start,), again, grown_to=n if grows else 0))
         runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
@@ -185,7 +186,7 @@ def _refined(
         if start is not None:
             last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             while last.order < grown_to and (larger := with_weak_mode(last, again.data, held_out=held_out)) is not None:
-                last = refine(larger, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=GROWS_ON)[-1]
+                last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
             if grown_to:
                 last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
@@ -244,6 +245,11 @@ def _other_orders(model_order: int, largest: int) -> list[int]:
     orders |= {model_order + step}
     others = sorted(n for n in orders if 0 < n <= largest and n != model_order)
     return others if others and others[-1] > model_order else []
+
+
+def _nearest(model_order: int, others: Sequence[int]) -> list[int]:
+    """The order below and the one above: what grows finds the same modes on its way to any other, at their price."""
+    return [*[n for n in others if n < model_order][-1:], *[n for n in others if n > model_order][:1]]
 
 
 def _model(gram: LagGram, ridge: float, scaling: ChannelScaling, dt: float, order: int) -> Realisation | None:
