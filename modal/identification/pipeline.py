@@ -281,7 +281,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
-        grows=found.chosen.grew,
+        grows=found.chosen.weak_modes > 0,
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
     left = runs.left

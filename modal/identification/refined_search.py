@@ -185,12 +185,11 @@ def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
     last = chosen
     while len(grown) < MOST_WEAK_MODES:
         larger = [with_weak_mode(step, shop.data, held_out=fold) for fold, step in enumerate(steps)]
-        if any(step is None for step in larger):
+        if all(step is None for step in larger):
             break
-        steps = [
-            refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1]
-            for fold, step in enumerate(larger)
-            if step is not None
+        steps = [  # a fold that has nothing to find keeps what it has found before the others
+            refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
+            for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
         ]
         errors = [
             step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])

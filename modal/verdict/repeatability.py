@@ -74,7 +74,7 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: the model grew mode by mode: its reruns start with some modes less, which they find in what those leave.
+        grows: modes of the model were found in what others leave: its reruns start with some less, and find them so too.
     """
     scaling = channel_scaling(records)
     if past:
