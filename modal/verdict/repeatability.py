@@ -74,7 +74,7 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: modes of the model were found in what others leave: its reruns start with some less, and find them so too.
+        grows: some modes were found in what others leave: reruns start with some less, and find them so again.
     """
     scaling = channel_scaling(records)
     if past:
