@@ -333,8 +333,9 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
     decay = -mode.pole.real * duration * float(np.exp(-DEVIATIONS * spread))
     undamped = mode.kind == "oscillatory" and decay < LEAST_DECAY
     if gain < 0:
-        line = "an undamped line that the input does not drive" if undamped else "the input does not drive it"
-        return (f"{line} (held-out gain negative){': periodic disturbance?' if mode.kind == 'oscillatory' else ''}",)
+        words = "the input does not drive it (held-out gain negative)"
+        line = "an undamped line that the input does not drive (held-out gain negative): periodic disturbance?"
+        return (line if undamped else words,)
     if undamped and not gain >= UNDAMPED_GAIN:
         if -mode.pole.real * duration < LEAST_DECAY:
             share = -100 * np.expm1(mode.pole.real * duration)

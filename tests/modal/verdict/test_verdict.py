@@ -277,13 +277,14 @@ def found_driven(first, second, mode):
     [
         ((0.01, -0.005), np.nan, "system", "found again"),
         ((0.01, np.nan), np.nan, "system", "found again"),
+        ((0.01, -0.02), np.nan, "doubtful", "the input does not drive it (held-out gain negative); found"),
+        ((-0.3, -0.2), 150.0, "doubtful", "the input does not drive it (held-out gain negative); found"),
         (
-            (0.01, -0.02),
-            np.nan,
+            (-0.3, -0.2),
+            1.5,
             "doubtful",
-            "the input does not drive it (held-out gain negative): periodic disturbance?",
+            "an undamped line that the input does not drive (held-out gain negative): periodic disturbance?",
         ),
-        ((-0.3, -0.2), 1.5, "doubtful", "an undamped line that the input does not drive (held-out gain negative)"),
         ((0.09, 0.10), 1.5, "doubtful", "an undamped line, which decays by only 61 %"),
         ((0.11, 0.12), 1.5, "system", "found again"),
     ],
