@@ -27,6 +27,7 @@ __all__ = [
     "check_memory",
     "first_line",
     "foreign",
+    "in_memory",
     "memory_budget",
     "optional_package",
     "sound_archive",
@@ -49,6 +50,7 @@ MEMORY_SHARE = 0.8
 """Refuse to read a file or to identify a record that would take a greater share of the memory."""
 
 CGROUPS, CGROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+MOUNTS = Path("/proc/self/mountinfo")
 
 
 class Damage(Exception):  # noqa: N818 - it never leaves the boundary
@@ -205,6 +207,18 @@ def memory_budget() -> tuple[float, str]:
     return min(limits, key=lambda limit: limit[0])
 
 
+def in_memory(folder: Path) -> bool:
+    """Whether the files in a folder take memory instead of disk; False where nobody tells.
+
+    Raises:
+        OSError: no such folder.
+    """
+    device = folder.stat().st_dev
+    mounts = [line.partition(" - ") for line in _words(MOUNTS).splitlines()]
+    held = {place.split()[2] for place, _, kind in mounts if kind.startswith(("tmpfs ", "ramfs "))}
+    return bool(held) and f"{os.major(device)}:{os.minor(device)}" in held
+
+
 def _machine() -> float:
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
@@ -255,6 +269,6 @@ def _address_space() -> float:
 
 def _words(path: Path) -> str:
     try:
-        return path.read_text(encoding="ascii")
-    except (OSError, ValueError):
+        return path.read_text(encoding="latin-1")
+    except OSError:
         return ""

@@ -136,6 +136,21 @@ def test_too_few_open_files_are_a_sentence(data):
     assert run.stderr == "modal-report: ulimit -n allows 8 open files, and the libraries need 16; raise it.\n"
 
 
+def test_an_epoch_that_is_no_number_is_a_sentence(data):
+    run = subprocess.run(
+        [*COMMAND, "check", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE), "SOURCE_DATE_EPOCH": "abc"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == (
+        "modal-report: SOURCE_DATE_EPOCH must be a whole number of seconds, but is 'abc'; correct it, or unset it.\n"
+    )
+
+
 def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
     run = subprocess.run(
         [*COMMAND, "check", "a.csv", "--inputs", "force"],
