@@ -1,6 +1,7 @@
 """Checks before a file is opened: is it there, is it a file, does it fit into memory, is its library installed."""
 
 import contextlib
+import errno
 import importlib
 import math
 import os
@@ -78,6 +79,11 @@ def foreign(path: Path, kind: str) -> Iterator[None]:
             raise UnreadableFileError(
                 f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; "
                 "save plain arrays of numbers."
+            ) from error
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+            raise UnreadableFileError(
+                f"{path.name} has {path.stat().st_size} bytes, more than this process may map; raise the limit "
+                "(ulimit -v), or cut the file into parts."
             ) from error
         raise UnreadableFileError(
             f"{path.name} is damaged, cut off or no {kind} ({first_line(error)}); save or copy it again."

@@ -232,6 +232,24 @@ def test_without_room_for_a_copy_the_file_itself_is_mapped(tmp_path, monkeypatch
     np.testing.assert_array_equal(record.outputs, LARGE)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="ulimit -v is of Linux")
+def test_a_large_npy_beyond_what_may_be_mapped_is_not_called_damaged(tmp_path):
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (1 << 30,)})
+        file.truncate(file.tell() + (8 << 30))
+    script = (
+        "import resource, sys\n"
+        "from okid.readers import arrays, read_record\n"
+        "arrays.DISK_SHARE = 0.0\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))\n"
+        "read_record(sys.argv[1], dt=1.0)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script, tmp_path / "a.npy"], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert "a.npy has 8589934720 bytes, more than this process may map; raise the limit (ulimit -v)" in run.stderr
+
+
 def test_the_copy_lies_where_the_user_says_or_on_a_disk(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(arrays.shutil, "disk_usage", lambda folder: asked.append(folder) or SimpleNamespace(free=0.0))
