@@ -139,7 +139,7 @@ def follow(
     taken_off, end = np.zeros(1), 0.0
     for block in blocks:
         try:
-            record = block if isinstance(block, Record) else Record(*block, dt=dt, start_time=end)
+            record = block if isinstance(block, Record) else Record(*block, dt=dt, start_time=end)  # type: ignore[arg-type]
         except TypeError:
             raise InvalidDataError("a block must be a record or a pair (inputs, outputs); give one of them.") from None
         _check(record, dt, window, observer_order, parts)
