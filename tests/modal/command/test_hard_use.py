@@ -15,9 +15,11 @@ from modal.command.view import recording_of
 from modal.discrepancy.setup import check_records
 from modal.identification import pipeline
 from modal.report import folder, writing
+from okid import rows
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers import read_records
 from okid.record import Record
+from okid.rows import refuse_copies
 
 HERE = Path(modal.command.run.__file__).parents[2]
 
@@ -203,6 +205,25 @@ def test_a_copy_of_a_record_is_that_record(data, capsys):
     for fit, held_out in (([a, a], [b]), ([b], [a, a])):
         with pytest.raises(InvalidDataError, match="records 'a' and 'a' hold the same samples"):
             check_records(fit, held_out)
+
+
+def test_only_copies_are_refused(data):
+    a = read_records(["a.csv"], inputs="force")[0]
+    outputs = np.array(a.outputs)
+    outputs[5:9] = np.nan
+    other = outputs.copy()
+    other[1] += 1e-9
+    gaps, again, near = (Record(-0.0 * a.inputs, values, a.dt) for values in (outputs, outputs, other))
+    refuse_copies([a, gaps, near])
+    with pytest.raises(InvalidDataError, match="records 1 and 3 hold the same samples"):
+        refuse_copies([a, gaps, near, Record(0.0 * again.inputs, again.outputs, a.dt)])
+
+
+def test_many_records_are_not_compared_each_with_each(data, monkeypatch):
+    """A hundred records took seconds."""
+    monkeypatch.setattr(rows, "same_samples", lambda *_records: pytest.fail("compared throughout"))
+    rng = np.random.default_rng(3)
+    refuse_copies([Record([], np.append(np.zeros(80), rng.standard_normal(20)), 0.1) for _ in range(50)])
 
 
 def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):
