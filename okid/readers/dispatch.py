@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from okid.arrays import row_chunks
 from okid.errors import UnreadableFileError
 from okid.readers.arrays import read_npy, read_npz, table_from_arrays, table_of_channels
 from okid.readers.guard import check_file, foreign
@@ -90,22 +89,7 @@ def read_table(path: str | Path) -> Table:
         )
     if table.n_samples == 0:
         raise UnreadableFileError(f"{path.name} has columns ({', '.join(table.names[:8])}) but no samples.")
-    _refuse_doubled_rows(table)
     return table
-
-
-def _refuse_doubled_rows(table: Table) -> None:
-    """Raise where most times come again, and whole rows with them: rounded times alone would only seem finer."""
-    values, index = table.values, table.time_column()
-    again = np.flatnonzero(np.diff(values[:, index]) == 0) if index is not None else np.empty(0, dtype=np.intp)
-    if 2 * len(again) < max(table.n_samples - 1, 2):
-        return
-    parts = (again[rows] for rows in row_chunks(len(again), values.shape[1]))
-    if all(np.array_equal(values[part], values[part + 1], equal_nan=True) for part in parts):
-        raise UnreadableFileError(
-            f"{len(again)} of the {table.n_samples} rows of {table.path.name} repeat the row before them, time and all;"
-            " keep each row once."
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

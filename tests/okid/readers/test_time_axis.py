@@ -232,7 +232,7 @@ def test_rows_that_all_stand_twice_are_refused(tmp_path, empty):
     rows = [f"{each:.2f},{empty if k % 5 == 0 else 7 * k % 13}\n" for k, each in enumerate(TIME)]
     path.write_text("time [s],y\n" + "".join(row * 2 for row in rows))
     for dt in (None, 0.01):
-        with pytest.raises(UnreadableFileError, match=r"200 of the 400 rows of record\.csv repeat the row before them"):
+        with pytest.raises(InvalidDataError, match=r"200 of the 400 rows of record\.csv repeat the row before them"):
             read_record(path, dt=dt)
     path.write_text("time [s],y\n" + "".join(f"{each:.2f},{k}\n" for k, each in enumerate(0.5 * TIME)))
     assert read_record(path).dt == pytest.approx(0.005, rel=1e-3)
