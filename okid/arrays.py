@@ -14,7 +14,7 @@ One BLAS thread while we work.
 
 import math
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -34,6 +34,21 @@ SHORTEST_STEP, LONGEST_STEP = 1e-12, 1e9
 
 CHUNK_VALUES = 1 << 21
 """Values looked at in one step, so that checking a mapped file needs 16 MiB at a time."""
+
+
+def listener(progress: Callable[[str, float], None] | None) -> Callable[[str, float], None]:
+    """What is told of the progress, as `progress(what, share_done)`; None hears nothing.
+
+    Raises:
+        InvalidDataError: something that cannot be called.
+    """
+    if progress is None:
+        return lambda _what, _share: None
+    if not callable(progress):
+        raise InvalidDataError(
+            f"progress must be a function that is called as progress(what, share_done), but {progress!r} was given."
+        )
+    return progress
 
 
 def row_chunks(n_samples: int, n_channels: int) -> Iterator[slice]:

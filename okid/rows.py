@@ -77,12 +77,22 @@ def refuse_copies(records: Sequence[Record]) -> None:
         Traceback (most recent call last):
         okid.errors.InvalidDataError: records 'a' and 'b' hold the same samples; a record counts once; leave one out.
     """
-    for (first, one), (second, other) in itertools.combinations(enumerate(records), 2):
-        if one is other or same_samples(one, other):
-            raise InvalidDataError(
-                f"records {_called(one, first)} and {_called(other, second)} hold the same samples; a record counts "
-                "once; leave one out."
-            )
+    alike: dict[bytes, list[int]] = {}
+    for number, record in enumerate(records):
+        others = alike.setdefault(_some_samples(record), [])
+        for other in others:
+            if same_samples(records[other], record):
+                raise InvalidDataError(
+                    f"records {_called(records[other], other)} and {_called(record, number)} hold the same samples; a "
+                    "record counts once; leave one out."
+                )
+        others.append(number)
+
+
+def _some_samples(record: Record) -> bytes:
+    """Rows all over the record: records that differ in them need not be compared."""
+    rows = np.linspace(0, record.n_samples - 1, 16).astype(int)
+    return np.nan_to_num(np.hstack([record.inputs[rows], record.outputs[rows]]) + 0.0, nan=np.inf).tobytes()
 
 
 def _called(record: Record, number: int) -> str:

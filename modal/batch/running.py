@@ -39,7 +39,7 @@ from modal.batch.task import (
 )
 from modal.recording.records import save_batch_recording
 from modal.report.folder import refuse_names, sweep
-from okid.arrays import whole_number
+from okid.arrays import listener, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import InputHold
 
@@ -304,7 +304,7 @@ def identify_batch(
         ridge=ridge,
         order=order,
     )
-    tell = progress or (lambda _what, _share: None)
+    tell = listener(progress)
     tell("looking at the files", 0.0)
     units = units_of(sources, settings, group_by=group_by, beside=target)
     records = target / PLACES

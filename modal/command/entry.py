@@ -37,7 +37,7 @@ def main() -> None:
         sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, sys.stderr.errors, line_buffering=True)
     if os.environ.get("COLUMNS", "").strip("0") == "":  # some programs that stand between say so where they do not know
         os.environ.pop("COLUMNS", None)
-    refused = _too_little_room(sys.argv[1:])
+    refused = _not_to_load(sys.argv[1:])
     if refused:
         sys.stderr.write(f"modal-report: {refused}\n")
         sys.exit(2)
@@ -46,8 +46,11 @@ def main() -> None:
     leave()
 
 
-def _too_little_room(arguments: list[str]) -> str:
+def _not_to_load(arguments: list[str]) -> str:
     """Why the libraries cannot even be loaded, "" where they can."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not epoch.isdecimal():  # scipy loads a part of numpy that reads it
+        return f"SOURCE_DATE_EPOCH must be a whole number of seconds, but is {epoch!a}; correct it, or unset it."
     try:
         import resource
     except ImportError:  # Windows

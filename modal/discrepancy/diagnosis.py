@@ -44,17 +44,13 @@ from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.scheme import cpu_seconds
 from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
-from okid.arrays import FloatArray, one_blas_thread
+from okid.arrays import FloatArray, listener, one_blas_thread
 from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 
 UNKNOWN_STATES = 6
 """Take a callable, of which nobody knows how many states it has, for three degrees of freedom."""
-
-
-def _silent(what: str, share: float) -> None:
-    del what, share
 
 
 def expected_diagnosis_work(
@@ -108,7 +104,7 @@ def diagnose(
         Nonlinear system identification in structural dynamics: 10 more years of progress, Mech. Syst. Signal Process.
         83, 2017, https://doi.org/10.1016/j.ymssp.2016.07.020
     """
-    report = _silent if progress is None else progress
+    report = listener(progress)
     if budget is not None and not budget > 0.0:
         raise InvalidDataError(f"the budget is a positive number of CPU seconds, but {budget!r} was given")
     with one_blas_thread(), cpu_seconds(budget):

@@ -189,7 +189,7 @@ WANTED: Final = (15, 2411, 781, 82, 2412, 18, 2420, 164)
 """Read these data sets and pass over all others."""
 
 LONGEST_LINE: Final = 4096
-"""Read a line in pieces of so many bytes."""
+"""Refuse a file with a line of so many bytes: universal files have lines of 80, and a hole never ends."""
 
 MOST_LINES: Final = 1_000_000
 """Refuse a file whose data sets of a geometry have more lines."""
@@ -251,15 +251,15 @@ def _sets(path: Path, name: str) -> Iterator[Set]:
     n_lines = 0
     size = path.stat().st_size
     with path.open("rb") as file:
-        while line := file.readline(LONGEST_LINE):
+        while line := _line(file, name):
             if line.strip() != b"-1":
                 continue
-            head = file.readline(LONGEST_LINE)
+            head = _line(file, name)
             kind = _kind(head, name)
             if head[6:7].lower() == b"b":
                 _pass_binary(file, head, size, name)
             lines = []
-            while (line := file.readline(LONGEST_LINE)).strip() != b"-1":
+            while (line := _line(file, name)).strip() != b"-1":
                 if not line:
                     raise UnreadableFileError(
                         f"data set {kind} of {name} is not closed by the line -1: the file is cut off; copy or export "
@@ -275,6 +275,15 @@ def _sets(path: Path, name: str) -> Iterator[Set]:
                     )
             if kind in WANTED:
                 yield kind, lines
+
+
+def _line(file: BinaryIO, name: str) -> bytes:
+    line = file.readline(LONGEST_LINE)
+    if len(line) == LONGEST_LINE:
+        raise UnreadableFileError(
+            f"{name} has a line of {LONGEST_LINE} bytes or more; it is damaged or no universal file; export it again."
+        )
+    return line
 
 
 def _kind(head: bytes, name: str) -> int:

@@ -48,7 +48,7 @@ from modal.verdict.excitation import between_lines, driven_gain, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from okid.arrays import FloatArray, one_blas_thread, whole_number
+from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.frequency_response import FrequencyResponse
@@ -190,7 +190,7 @@ def identify(
         integrators, input_delay = 0, 0
         drift = "none" if drift == "auto" else drift
     with one_blas_thread():
-        tell = progress or (lambda _what, _share: None)
+        tell = listener(progress)
         tell("looking at the data", 0.0)
         preparation = prepare(
             several,

@@ -30,7 +30,7 @@ from modal.modes.mode import Choice, Fit, ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.numbers import LEAST_FIT, counted, hertz
-from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, one_blas_thread, whole_number
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.frequency_response import (
     FrequencyResponse,
@@ -122,7 +122,7 @@ def identify_response(
     """
     if order != "auto":
         order = whole_number(order, name="order", least=1, otherwise='or "auto"')
-    tell = progress or (lambda _what, _share: None)
+    tell = listener(progress)
     with one_blas_thread():
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED

@@ -138,7 +138,10 @@ def follow(
     total: LagGram | None = None
     taken_off, end = np.zeros(1), 0.0
     for block in blocks:
-        record = block if isinstance(block, Record) else Record(*block, dt, start_time=end)  # type: ignore[arg-type]
+        try:
+            record = block if isinstance(block, Record) else Record(*block, dt=dt, start_time=end)  # type: ignore[arg-type]
+        except TypeError:
+            raise InvalidDataError("a block must be a record or a pair (inputs, outputs); give one of them.") from None
         _check(record, dt, window, observer_order, parts)
         if parts and not -ON_TIME * dt <= record.start_time - end <= window:
             parts.clear()
@@ -169,8 +172,7 @@ def follow(
 
 
 def _check(record: Record, dt: float, window: float, observer_order: int, parts: Sequence[_Part]) -> None:
-    n_channels = record.n_inputs + record.n_outputs
-    needed = 1 + record.n_inputs + observer_order * n_channels
+    needed = 1 + record.n_inputs + observer_order * (record.n_inputs + record.n_outputs)
     if window < (needed + observer_order) * dt:
         raise InvalidDataError(
             f"an observer of order {observer_order} has {needed} numbers an output; a window of {window:.3g} s holds "
@@ -421,8 +423,7 @@ class _Missing:
         stamps = _seconds(table, values)
         lost = np.zeros(len(values), dtype=np.bool_) if stamps is None else np.isnan(stamps)
         if lost.any():
-            what = f"row {values[lost][0, -1]:.0f} of {self._name} has no time"
-            self._say("rows without a time", what, int(lost.sum()))
+            self._say("rows without a time", f"row {values[lost][0, -1]:.0f} of {self._name} has no time", lost.sum())
         return values[~lost]
 
     def channels(self, table: Table, rows: FloatArray, kept: Sequence[int]) -> bool:
@@ -565,8 +566,7 @@ def _seconds(table: Table, values: FloatArray) -> FloatArray | None:
     index = table.time_column()
     if index is None:
         return None
-    column = table.columns[index]
-    conversion = convert_unit("time", column.unit)
+    conversion = convert_unit("time", table.columns[index].unit)
     stamps: FloatArray = values[:, index] * (conversion.factor if conversion.unit == "s" else 1.0)
     return stamps
 

@@ -44,8 +44,8 @@ def read_record(
             parameters do.
 
     Returns:
-        The record, named after the file. A large .npy stays on disk, in a copy of its own. A unit that is known is
-        converted to SI; others are kept as they are, see `describe_file`.
+        The record, named after the file. A large .npy stays on disk, in a copy of its own where a disk has room. A unit
+        that is known is converted to SI; others are kept as they are, see `describe_file`.
 
     Raises:
         UnreadableFileError: no such file, an unknown type, damage, or text where a number is expected.

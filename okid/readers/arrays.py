@@ -8,8 +8,6 @@ or `t` the time axis. Every other vector is a channel called like the array, eve
 NPY and NPZ. Nothing is ever unpickled: a pickle may run any program.
 """
 
-import contextlib
-import errno
 import math
 import os
 import shutil
@@ -25,7 +23,15 @@ import numpy.typing as npt
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
-from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, sound_archive
+from okid.readers.guard import (
+    Damage,
+    check_channel_count,
+    check_memory,
+    first_line,
+    foreign,
+    in_memory,
+    sound_archive,
+)
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
 __all__ = [
@@ -48,7 +54,7 @@ ROLES = ("inputs", "outputs")
 LOADED = 2**24
 """Keep a larger array [bytes] on disk: a copy of the file that nobody else can change is mapped."""
 DISK_SHARE = 0.5
-"""Take no more than this share of the room for temporary files: others need some."""
+"""Take no more than this share of the free disk for a copy: others need some."""
 
 
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
@@ -224,7 +230,8 @@ def _listed(contents: Mapping[str, Content]) -> str:
 def read_npy(path: Path) -> Table:
     """One array, (n_samples, n_channels), on disk where it is large; its channels are column_0, column_1, ...
 
-    The fields of a structured array are channels by their names. What becomes of the file afterwards changes nothing.
+    The fields of a structured array are channels by their names. What becomes of the file afterwards changes nothing,
+    unless it is large and no disk has room for a copy: then it must stay as it is as long as the record is used.
 
     Raises:
         UnreadableFileError: damaged, pickled, written to meanwhile, or not an array of numbers.
@@ -238,9 +245,9 @@ def read_npy(path: Path) -> Table:
         else:
             if dtype != np.float64:  # made numbers of eight bytes
                 check_memory(path, 16.0 * before.st_size / dtype.itemsize)
-            array = _on_disk(path, file, before.st_size)
-        after = os.fstat(file.fileno())
-        if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+            array = _on_disk(file, before.st_size)
+        after = path.stat()
+        if any(getattr(before, kind) != getattr(after, kind) for kind in ("st_ino", "st_size", "st_mtime_ns")):
             raise Damage("it was written to while it was read")
     if array.dtype.names:
         fields: dict[str, Content] = {name: np.asarray(array[name]) for name in array.dtype.names}
@@ -256,28 +263,31 @@ def read_npy(path: Path) -> Table:
     return Table(path=path, format="NPY", columns=columns, values=values)
 
 
-def _on_disk(path: Path, file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
-    """The array of a sound file, mapped from a copy without a name, or loaded where there is no room for one.
+def _on_disk(file: IO[bytes], size: int) -> npt.NDArray[np.generic]:
+    """The array of a sound file, mapped from a copy without a name, or from the file where no disk has room for one.
 
     The system ends a process whose mapped file is cut, and one that is written anew would change the record.
     """
-    file.seek(0)
-    with contextlib.ExitStack() as held:
-        try:
-            copy = held.enter_context(tempfile.TemporaryFile())
-            if size > DISK_SHARE * shutil.disk_usage(tempfile.gettempdir()).free:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # noqa: TRY301
-            shutil.copyfileobj(file, copy)
-            copy.flush()
-        except OSError:
-            check_memory(path, 2.0 * size)
+    usual = "/var/tmp"  # noqa: S108 - the copy has no name; /tmp often lies in memory
+    folder = os.environ.get("TMPDIR") or (usual if os.access(usual, os.W_OK) else tempfile.gettempdir())
+    try:
+        if in_memory(Path(folder)) or size > DISK_SHARE * shutil.disk_usage(folder).free:
+            return _mapped(file)
+        with tempfile.TemporaryFile(dir=folder) as copy:
             file.seek(0)
-            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
-        if copy.tell() != size:
-            raise Damage("it was cut while it was read")
-        copy.seek(0)
-        shape, in_columns, dtype = array_header(copy)
-        return np.memmap(copy, dtype, "r", copy.tell(), shape, "F" if in_columns else "C")
+            shutil.copyfileobj(file, copy)
+            if copy.tell() != size:
+                raise Damage("it was cut while it was read")
+            return _mapped(copy)
+    except OSError:
+        return _mapped(file)
+
+
+def _mapped(file: IO[bytes]) -> npt.NDArray[np.generic]:
+    """The array of a sound file, on disk; it stays when the file is closed."""
+    file.seek(0)
+    shape, in_columns, dtype = array_header(file)
+    return np.memmap(file, dtype, "r", file.tell(), shape, "F" if in_columns else "C")
 
 
 def read_npz(path: Path) -> Table:

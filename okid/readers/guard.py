@@ -1,6 +1,7 @@
 """Checks before a file is opened: is it there, is it a file, does it fit into memory, is its library installed."""
 
 import contextlib
+import errno
 import importlib
 import math
 import os
@@ -27,6 +28,7 @@ __all__ = [
     "check_memory",
     "first_line",
     "foreign",
+    "in_memory",
     "memory_budget",
     "optional_package",
     "sound_archive",
@@ -49,6 +51,7 @@ MEMORY_SHARE = 0.8
 """Refuse to read a file or to identify a record that would take a greater share of the memory."""
 
 CGROUPS, CGROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+MOUNTS = Path("/proc/self/mountinfo")
 
 
 class Damage(Exception):  # noqa: N818 - it never leaves the boundary
@@ -76,6 +79,11 @@ def foreign(path: Path, kind: str) -> Iterator[None]:
             raise UnreadableFileError(
                 f"{path.name} holds pickled Python objects, which are never loaded because they may run any program; "
                 "save plain arrays of numbers."
+            ) from error
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+            raise UnreadableFileError(
+                f"{path.name} has {path.stat().st_size} bytes, more than this process may map; raise the limit "
+                "(ulimit -v), or cut the file into parts."
             ) from error
         raise UnreadableFileError(
             f"{path.name} is damaged, cut off or no {kind} ({first_line(error)}); save or copy it again."
@@ -205,6 +213,18 @@ def memory_budget() -> tuple[float, str]:
     return min(limits, key=lambda limit: limit[0])
 
 
+def in_memory(folder: Path) -> bool:
+    """Whether the files in a folder take memory instead of disk; False where nobody tells.
+
+    Raises:
+        OSError: no such folder.
+    """
+    device = folder.stat().st_dev
+    mounts = [line.partition(" - ") for line in _words(MOUNTS).splitlines()]
+    held = {place.split()[2] for place, _, kind in mounts if kind.startswith(("tmpfs ", "ramfs "))}
+    return bool(held) and f"{os.major(device)}:{os.minor(device)}" in held
+
+
 def _machine() -> float:
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
@@ -255,6 +275,6 @@ def _address_space() -> float:
 
 def _words(path: Path) -> str:
     try:
-        return path.read_text(encoding="ascii")
-    except (OSError, ValueError):
+        return path.read_text(encoding="latin-1")
+    except OSError:
         return ""

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from okid.arrays import FloatArray, check_not_empty, column_block, time_step
+from okid.arrays import FloatArray, check_not_empty, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
 from okid.readers.units import UnitConversion, convert_unit, is_unit
 
@@ -523,6 +523,7 @@ def to_record(
     """
     into, out = choose_channels(table, inputs, outputs)
     _check_orientation(table, into, out)
+    _refuse_doubled_rows(table)
     step, start_time = table_time_step(table, dt)
     input_units = [_conversion(table, index) for index in into]
     output_units = [_conversion(table, index) for index in out]
@@ -553,6 +554,22 @@ def _check_orientation(table: Table, into: Sequence[int], out: Sequence[int]) ->
                 f"{table.path.name} holds {len(indices)} {kind} but only {table.n_samples} samples; rows must be "
                 f"samples and columns channels, so save its transpose, or name fewer {kind}."
             )
+
+
+def _refuse_doubled_rows(table: Table) -> None:
+    """Raise where most times come again, and whole rows with them: rounded times alone would only seem finer."""
+    values, index = table.values, table.time_column()
+    if index is None:
+        return
+    again = np.flatnonzero(values[1:, index] == values[:-1, index])
+    if 2 * len(again) < max(table.n_samples - 1, 2):
+        return
+    parts = (again[rows] for rows in row_chunks(len(again), values.shape[1]))
+    if all(np.array_equal(values[part], values[part + 1], equal_nan=True) for part in parts):
+        raise InvalidDataError(
+            f"{len(again)} of the {table.n_samples} rows of {table.path.name} repeat the row before them, time and all;"
+            " keep each row once."
+        )
 
 
 def _conversion(table: Table, index: int) -> UnitConversion:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from okid.arrays import real_number, time_step, whole_number
+from okid.arrays import listener, real_number, time_step, whole_number
 from okid.errors import InvalidDataError
 
 
@@ -38,3 +38,12 @@ def test_what_is_no_time_step(value):
 def test_a_number_is_a_float():
     assert real_number(np.float32(0.5)) == 0.5
     assert np.isnan(real_number(None))
+
+
+def test_progress_is_told_to_a_function_or_to_nobody():
+    told = []
+    listener(lambda *said: told.append(said))("fit", 0.5)
+    listener(None)("fit", 0.5)
+    assert told == [("fit", 0.5)]
+    with pytest.raises(InvalidDataError, match=r"progress must be a function .*, but 3 was given"):
+        listener(3)

@@ -15,9 +15,11 @@ from modal.command.view import recording_of
 from modal.discrepancy.setup import check_records
 from modal.identification import pipeline
 from modal.report import folder, writing
+from okid import rows
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers import read_records
 from okid.record import Record
+from okid.rows import refuse_copies
 
 HERE = Path(modal.command.run.__file__).parents[2]
 
@@ -136,6 +138,21 @@ def test_too_few_open_files_are_a_sentence(data):
     assert run.stderr == "modal-report: ulimit -n allows 8 open files, and the libraries need 16; raise it.\n"
 
 
+def test_an_epoch_that_is_no_number_is_a_sentence(data):
+    run = subprocess.run(
+        [*COMMAND, "check", "a.csv", "--inputs", "force"],
+        env={**os.environ, "PYTHONPATH": str(HERE), "SOURCE_DATE_EPOCH": "abc"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == (
+        "modal-report: SOURCE_DATE_EPOCH must be a whole number of seconds, but is 'abc'; correct it, or unset it.\n"
+    )
+
+
 def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
     run = subprocess.run(
         [*COMMAND, "check", "a.csv", "--inputs", "force"],
@@ -188,6 +205,25 @@ def test_a_copy_of_a_record_is_that_record(data, capsys):
     for fit, held_out in (([a, a], [b]), ([b], [a, a])):
         with pytest.raises(InvalidDataError, match="records 'a' and 'a' hold the same samples"):
             check_records(fit, held_out)
+
+
+def test_only_copies_are_refused(data):
+    a = read_records(["a.csv"], inputs="force")[0]
+    outputs = np.array(a.outputs)
+    outputs[5:9] = np.nan
+    other = outputs.copy()
+    other[1] += 1e-9
+    gaps, again, near = (Record(-0.0 * a.inputs, values, a.dt) for values in (outputs, outputs, other))
+    refuse_copies([a, gaps, near])
+    with pytest.raises(InvalidDataError, match="records 1 and 3 hold the same samples"):
+        refuse_copies([a, gaps, near, Record(0.0 * again.inputs, again.outputs, a.dt)])
+
+
+def test_many_records_are_not_compared_each_with_each(data, monkeypatch):
+    """A hundred records took seconds."""
+    monkeypatch.setattr(rows, "same_samples", lambda *_records: pytest.fail("compared throughout"))
+    rng = np.random.default_rng(3)
+    refuse_copies([Record([], np.append(np.zeros(80), rng.standard_normal(20)), 0.1) for _ in range(50)])
 
 
 def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):
@@ -301,11 +337,12 @@ def test_the_fit_to_all_rows_tells_of_each_step_and_never_steps_back(data):
     told = []
     rng = np.random.default_rng(8)
     force = rng.standard_normal(2000)
-    tip = np.zeros(2000)
+    tip, noise = np.zeros(2000), 0.1 * rng.standard_normal(2000)
     for k in range(2, 2000):
         tip[k] = 1.8 * tip[k - 1] - 0.97 * tip[k - 2] + force[k - 1]
+        noise[k] += 0.9 * noise[k - 1]  # white noise needs no model, so no step would be told of
     pipeline.identify(
-        Record(force, tip + 0.1 * rng.standard_normal(2000), 0.01),
+        Record(force, tip + noise, 0.01),
         observer_order=8,
         ridge=0.0,
         order=2,

@@ -85,6 +85,17 @@ def test_what_pyuff_writes_is_read(tmp_path):
     assert geometry.lines[0] == (0, 1, 2)
 
 
+def test_a_file_of_holes_is_refused_at_its_first_line_without_an_end(tmp_path):
+    """It has any size that it likes, and takes no room."""
+    for text in ("", set_15(), set_15() + "    -1\n   151\n"):
+        path = tmp_path / "holes.uff"
+        path.write_text(text)
+        with path.open("r+b") as file:
+            file.truncate(1 << 28)
+        with pytest.raises(UnreadableFileError, match="a line of 4096 bytes or more"):
+            read_geometry(path)
+
+
 def test_fields_without_a_space_between_are_read_by_their_width(tmp_path):
     crowded = {1: (-1.0, -2.0, -3.0), 1234567890: (-1e-100, 2.0, -0.5)}
     geometry = read(tmp_path, set_15(crowded) + set_82(1, 1234567890))

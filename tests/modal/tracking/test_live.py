@@ -128,3 +128,9 @@ def test_a_window_too_short_for_the_observer_says_what_it_needs():
         next(modal.follow(blocks_of(force, tip), dt=DT, window=0.3, observer_order=20))
     with pytest.raises(InvalidDataError, match="time step"):
         next(modal.follow([Record(force, tip, 0.02)], dt=DT, window=2.0, observer_order=5))
+
+
+@pytest.mark.parametrize("block", [3, None, (np.zeros(9),), (np.zeros(9), np.zeros(9), 0.1)])
+def test_a_block_that_is_no_pair_is_a_sentence(block):
+    with pytest.raises(InvalidDataError, match=r"a block must be a record or a pair \(inputs, outputs\); give one"):
+        next(modal.follow([block], dt=DT, window=2.0, observer_order=5))

@@ -223,3 +223,19 @@ def test_stamps_rounded_to_their_digits(file_with_time, rate, digits):
 def test_lost_samples_are_no_rounding(file_with_time, lost):
     with pytest.raises(InvalidDataError, match="not uniform"):
         read_record(file_with_time(np.round(np.delete(TIME, lost), 2)))
+
+
+@pytest.mark.parametrize("empty", ["1.5", ""])
+def test_rows_that_all_stand_twice_are_refused(tmp_path, empty):
+    """Rounded times would make them a record of half the step."""
+    path = tmp_path / "record.csv"
+    rows = [f"{each:.2f},{empty if k % 5 == 0 else 7 * k % 13}\n" for k, each in enumerate(TIME)]
+    path.write_text("time [s],y\n" + "".join(row * 2 for row in rows))
+    for dt in (None, 0.01):
+        with pytest.raises(InvalidDataError, match=r"200 of the 400 rows of record\.csv repeat the row before them"):
+            read_record(path, dt=dt)
+    path.write_text("time [s],y\n" + "".join(f"{each:.2f},{k}\n" for k, each in enumerate(0.5 * TIME)))
+    assert read_record(path).dt == pytest.approx(0.005, rel=1e-3)
+    path.write_text("time [s],y\n" + "".join([*rows[:1], *rows]))
+    with pytest.raises(InvalidDataError, match="must increase"):
+        read_record(path)
