@@ -8,8 +8,7 @@ import pytest
 import scipy
 from nonlinear_chain import no_force, run_chain
 
-from modal.localisation.character import coherent_share, narrowest_interval, single_line
-from modal.localisation.evidence import locate
+from modal.localisation.evidence import coherent_share, locate, narrowest_interval, single_line
 from modal.localisation.gap import measure_gap
 from modal.localisation.levels import level_modes
 from modal.localisation.lines import measure_lines
