@@ -248,7 +248,8 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     """How many times the power beside a mode its half-power bandwidth holds, a standard deviation of chance more.
 
     The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
-    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given.
+    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given. One sensor
+    hears all, so there a mode that stands on the other's side is passed over: what lies beyond it is the side.
 
     Args:
         model: modes of the model.
@@ -279,17 +280,28 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
             (np.fft.rfftfreq(record.n_samples, record.dt), np.fft.rfft(motion, axis=0) / record.duration**0.5)
         )
     found = np.full(len(model), np.nan)
-    for i, mode in enumerate(model.modes):
-        if mode.kind != "oscillatory":
-            continue
-        # a damping ratio that seems too small puts the sides on the peak
-        damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
-        half = max(damping * mode.frequency, RESOLVED / longest)
+    frequencies, damping = (
+        np.array([getattr(mode, what) for mode in model.modes]) for what in ("frequency", "damping_ratio")
+    )
+    # a damping ratio that seems too small puts the sides on the peak
+    damping = damping + np.nan_to_num(np.minimum(damping, [mode.damping_ratio_std for mode in model.modes]))
+    turning = np.array([mode.kind == "oscillatory" for mode in model.modes], dtype=np.bool_)
+    halves = np.maximum(np.where(turning, damping * frequencies, 0.0), RESOLVED / longest)
+    heard_too = turning if records[0].n_outputs == 1 else np.zeros_like(turning)
+    for i in np.flatnonzero(turning):
+        mode = model.modes[i]
+        reach = [frequencies[i] + halves[i] * np.array([-1.0, 1.0])]
+        for sign in (-1.0, 1.0):
+            last, there = i, heard_too
+            while there.any():  # one sensor is not deaf to a neighbour: the side is what lies beyond
+                ahead = sign * (frequencies - frequencies[last])
+                there = heard_too & (ahead > 0.0) & (ahead <= BESIDE[1] * halves[last])
+                last = int(np.where(there, ahead, -1.0).argmax()) if there.any() else last
+            reach.append(np.sort(frequencies[last] + sign * halves[last] * np.array(BESIDE)))
         own, *sides = (
-            [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
-             for lines, values in spectra]
-            for low, high in half * np.array([(-1.0, 1.0), (-BESIDE[1], -BESIDE[0]), BESIDE])
-        )  # fmt: skip
+            [values[(lines > 0.0) & (low <= lines) & (lines <= high)] for lines, values in spectra]
+            for low, high in reach
+        )
         n_values = sum(map(len, own)) / ALIKE
         powers = [power for power in map(_mean_power, sides) if power is not None]
         peak = _mean_power(own)

@@ -74,7 +74,8 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: the model grew mode by mode: its reruns start with some modes less, which they find in what those leave.
+        grows: the model grew mode by mode: its reruns start with some modes less, which they find in what those leave;
+            with the other observer from a cut of all, too: the one that a refinement takes further counts.
     """
     scaling = channel_scaling(records)
     if past:
@@ -107,11 +108,12 @@ def repeat(
             gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     largest = min(decomposition.rank, decomposition.max_order)
-    first = _most(model_order) if grows else model_order
-    model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, first)
-    if model is not None:
+    shorter = whole.truncated(min(other_order, observer_order))
+    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in ((_most(model_order),) * grows + (model_order,))]
+    models = [model for model in cuts if model is not None]
+    if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined((model,), again, grown_to=model_order if grows else 0))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grows else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grows else largest)
     for n in _nearest(model_order, others) if grows else others:
