@@ -25,7 +25,7 @@ from modal.estimation.free_run import filled
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
-from modal.verdict.probability import RESOLVED
+from modal.verdict.probability import LEAST_HEIGHT, RESOLVED
 from modal.wording.numbers import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -238,6 +238,8 @@ def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:
 
 BESIDE = (1.5, 4.0)
 """Compare a peak with what lies so many half-widths off: there a resonance alone has a sixth of its power."""
+WIDER = (1.0, 2.0, 4.0)
+"""Let sides reach so many times as far, one after the other, until a peak stands out."""
 ALIKE = 1.5
 """Count so many neighbouring frequencies as one independent value: the noise bandwidth of the window (Hann)."""
 LOADING = 1e-3
@@ -248,8 +250,10 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     """How many times the power beside a mode its half-power bandwidth holds, a standard deviation of chance more.
 
     The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
-    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given. One sensor
-    hears all, so there a mode that stands on the other's side is passed over: what lies beyond it is the side.
+    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given.
+
+    Neighbours that no weights tell apart, and a damping ratio that is too small, put a side on the peak, so where a
+    mode does not stand out it is asked again with wider sides. The edge of a filter has its pass band on one side.
 
     Args:
         model: modes of the model.
@@ -280,40 +284,39 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
             (np.fft.rfftfreq(record.n_samples, record.dt), np.fft.rfft(motion, axis=0) / record.duration**0.5)
         )
     found = np.full(len(model), np.nan)
-    frequencies, damping = (
-        np.array([getattr(mode, what) for mode in model.modes]) for what in ("frequency", "damping_ratio")
-    )
-    # a damping ratio that seems too small puts the sides on the peak
-    damping = damping + np.nan_to_num(np.minimum(damping, [mode.damping_ratio_std for mode in model.modes]))
-    turning = np.array([mode.kind == "oscillatory" for mode in model.modes], dtype=np.bool_)
-    halves = np.maximum(np.where(turning, damping * frequencies, 0.0), RESOLVED / longest)
-    heard_too = turning if records[0].n_outputs == 1 else np.zeros_like(turning)
-    for i in np.flatnonzero(turning):
-        mode = model.modes[i]
-        reach = [frequencies[i] + halves[i] * np.array([-1.0, 1.0])]
-        for sign in (-1.0, 1.0):
-            last, there = i, heard_too
-            while there.any():  # one sensor is not deaf to a neighbour: the side is what lies beyond
-                ahead = sign * (frequencies - frequencies[last])
-                there = heard_too & (ahead > 0.0) & (ahead <= BESIDE[1] * halves[last])
-                last = int(np.where(there, ahead, -1.0).argmax()) if there.any() else last
-            reach.append(np.sort(frequencies[last] + sign * halves[last] * np.array(BESIDE)))
-        own, *sides = (
-            [values[(lines > 0.0) & (low <= lines) & (lines <= high)] for lines, values in spectra]
-            for low, high in reach
-        )
-        n_values = sum(map(len, own)) / ALIKE
-        powers = [power for power in map(_mean_power, sides) if power is not None]
-        peak = _mean_power(own)
-        if peak is None or not powers:
+    for i, mode in enumerate(model.modes):
+        if mode.kind != "oscillatory":
             continue
-        beside = np.mean(powers, axis=0)
-        size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
-        alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
-        weights = np.linalg.solve(alike, mode.shape / size) / size
-        heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
-        found[i] = heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values))
+        # a damping ratio that seems too small puts the sides on the peak
+        damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
+        half = max(damping * mode.frequency, RESOLVED / longest)
+        for times in WIDER:
+            height = _height(mode, spectra, half, times)
+            found[i] = np.fmax(found[i], height)
+            if not height < LEAST_HEIGHT:
+                break
     return found
+
+
+def _height(mode: Mode, spectra: Sequence[tuple[FloatArray, ComplexArray]], half: float, times: float) -> float:
+    """Of a mode of this half-width above sides that reach so many times as far; nan where wider ones leave the band."""
+    bands = np.array([(-1.0, 1.0), (-times * BESIDE[1], -BESIDE[0]), (BESIDE[0], times * BESIDE[1])])
+    own, *sides = (
+        [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
+         for lines, values in spectra]
+        for low, high in half * bands
+    )  # fmt: skip
+    n_values = sum(map(len, own)) / ALIKE
+    powers = [power for power in map(_mean_power, sides) if power is not None]
+    peak = _mean_power(own)
+    if peak is None or not powers or (times > 1.0 and len(powers) < len(sides)):
+        return np.nan
+    beside = np.mean(powers, axis=0)
+    size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
+    alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
+    weights = np.linalg.solve(alike, mode.shape / size) / size
+    heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
+    return float(heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values)))
 
 
 def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:
