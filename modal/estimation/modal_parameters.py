@@ -190,6 +190,7 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
     own = np.fft.irfft((np.abs(into) ** 2).sum(axis=0), length, axis=0).T[:, :longest]
     lags, angle = np.arange(longest - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
     n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * longest)))
+    least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
     best: tuple[float, complex, int] = (0.0, 0j, 0)
     for decay in np.geomspace(1.0 / longest, FASTEST, n_decays):
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
@@ -201,7 +202,7 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
             * np.exp(-decay)
             * (np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])).real
         )
-        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, TINY * own[:, :1])
+        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, least)
         j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
         if there.size and gains[j, k] > best[0]:
             best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))

@@ -277,7 +277,7 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         [5.2, 0.9]
     """
     longest = max(record.duration for record in records)
-    spectra = []
+    spectra: list[tuple[FloatArray, ComplexArray]] = []
     for record in filled(records):
         motion = np.hanning(record.n_samples + 2)[1:-1, np.newaxis] * (record.outputs - record.outputs.mean(axis=0))
         spectra.append(

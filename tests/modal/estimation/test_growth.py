@@ -109,3 +109,33 @@ def test_rest_before_a_blow_leaves_no_state_to_fit():
         started[name] = step.parameters.states.any()
         assert abs(step.parameters.poles[0] - pole) < 0.003
     assert started == {"rest": False, "moving": True}
+
+
+def test_an_input_that_stands_still_in_all_records_is_kept_as_it_is():
+    """Steps at the start of each record: with zeros instead nothing drove the model."""
+    outputs = np.random.default_rng(0).standard_normal((2, 50, 1))
+    steps = [Record(np.full(50, size), one, 0.1) for size, one in zip((1.0, 2.0), outputs, strict=True)]
+    moving = Record(np.arange(50.0), outputs[0], 0.1)
+
+    def kept(records):
+        data = OutputError(
+            records=tuple(records),
+            rows=(np.ones(50, dtype=bool),) * len(records),
+            blocks=blocks_of(records, [[[]] * len(records)]),
+        )
+        return [record.inputs[0, 0] for record in data.records]
+
+    assert kept(steps) == [1.0, 2.0]
+    assert kept([*steps, moving]) == [0.0, 0.0, 0.0]
+    assert kept([moving, steps[1]]) == [0.0, 0.0]
+
+
+def test_an_input_that_never_moves_hides_no_mode(case):
+    """Nothing over nothing was the strongest answer of all, and no mode was added."""
+    _, data, step = case
+    (record,) = data.records
+    two = Record(np.hstack([0.0 * record.inputs, record.inputs]), record.outputs, record.dt)
+    both = OutputError(records=(two,), rows=data.rows, blocks=data.blocks)
+    found = with_weak_mode(nothing_yet(both), both)
+    assert found is not None
+    assert found.parameters.poles == with_weak_mode(nothing_yet(data), data).parameters.poles
