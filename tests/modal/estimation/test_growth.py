@@ -132,7 +132,7 @@ def test_an_input_that_stands_still_in_all_records_is_kept_as_it_is():
 
 def test_an_input_that_never_moves_hides_no_mode(case):
     """Nothing over nothing was the strongest answer of all, and no mode was added."""
-    _, data, step = case
+    _, data, _ = case
     (record,) = data.records
     two = Record(np.hstack([0.0 * record.inputs, record.inputs]), record.outputs, record.dt)
     both = OutputError(records=(two,), rows=data.rows, blocks=data.blocks)
