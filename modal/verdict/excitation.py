@@ -280,9 +280,8 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     spectra: list[tuple[FloatArray, ComplexArray]] = []
     for record in filled(records):
         motion = np.hanning(record.n_samples + 2)[1:-1, np.newaxis] * (record.outputs - record.outputs.mean(axis=0))
-        spectra.append(
-            (np.fft.rfftfreq(record.n_samples, record.dt), np.fft.rfft(motion, axis=0) / record.duration**0.5)
-        )
+        lines = np.asarray(np.fft.rfftfreq(record.n_samples, record.dt), dtype=np.float64)
+        spectra.append((lines, np.fft.rfft(motion, axis=0) / record.duration**0.5))
     found = np.full(len(model), np.nan)
     for i, mode in enumerate(model.modes):
         if mode.kind != "oscillatory":
