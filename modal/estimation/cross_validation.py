@@ -200,7 +200,7 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
     if not records[0].n_inputs:
         whole = tuple(driven_by_outputs(record) for record in whole)
     stretches = stretches_of(records, by)
-    scaled = tuple(moving_inputs(whole[one.record].samples(one.first, one.last)) for one in stretches)
+    scaled = moving_inputs([whole[one.record].samples(one.first, one.last) for one in stretches])
     complete = [records[one.record].complete_rows()[one.first : one.last] for one in stretches]
     counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
     held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted)

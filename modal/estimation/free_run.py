@@ -443,15 +443,23 @@ def _left_from_rest(model: ModalForm, record: Record) -> tuple["ModalRecursion",
     return recursion, record.outputs - recursion.from_rest(inputs)
 
 
-def moving_inputs(record: Record) -> Record:
-    """With zeros for inputs that stand still: a constant one makes a level and a start, which are a record's own.
+def moving_inputs(records: Sequence[Record]) -> tuple[Record, ...]:
+    """With zeros for inputs that stand still in a record: a constant one makes a level and a start, its record's own.
+
+    One that stands still in all records (a step at the start of each) is left as it is: nothing else tells of it.
 
     Example:
-        >>> moving_inputs(Record([[1.0, 2.0], [0.0, 2.0]], [0.0, 1.0], 0.1)).inputs.tolist()
-        [[1.0, 0.0], [0.0, 0.0]]
+        >>> one, other = Record([[1.0, 2.0], [0.0, 2.0]], [0.0, 1.0], 0.1), Record(np.eye(2), [0.0, 1.0], 0.1)
+        >>> moving_inputs([one, other])[0].inputs.tolist(), moving_inputs([one])[0].inputs.tolist()
+        ([[1.0, 0.0], [0.0, 0.0]], [[1.0, 2.0], [0.0, 2.0]])
     """
-    still = (record.inputs == record.inputs[:1]).all(axis=0) & (record.inputs[:1] != 0.0).any(axis=0)
-    return replace(record, inputs=np.where(still, 0.0, record.inputs)) if still.any() else record
+    still = np.array([(record.inputs == record.inputs[:1]).all(axis=0) for record in records])
+    still &= ~still.all(axis=0)
+    changed = [own & record.inputs[:1].any(axis=0) for own, record in zip(still, records, strict=True)]
+    return tuple(
+        replace(record, inputs=np.where(own, 0.0, record.inputs)) if own.any() else record
+        for own, record in zip(changed, records, strict=True)
+    )
 
 
 def free_runs(model: ModalForm, records: Sequence[Record]) -> list[FloatArray]:

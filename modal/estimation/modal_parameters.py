@@ -8,23 +8,30 @@ Where a refinement starts: the modal form of a realisation, and the initial stat
 Weak modes that a refined model leaves over: found in its error, added, refined together with the others.
 
 An observer of the whole record sees a mode that is far below the others only with the noise of the reduction on top;
-the error of a refined model holds that mode and the noise, and nothing else. The pole whose answer takes most of the
-error is added, and the refinement of all poles together decides, on held-out rows, whether it stays.
+the error of a refined model holds that mode and the noise, and nothing else. OKID and ERA on the inputs and the error
+give its pole, or, of what is struck, the answer that takes most of the error; it is added, and the refinement of all
+poles together decides, on held-out rows, whether it stays.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
+from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
-from modal.estimation.modal_states import NONE, ModalParameters
+from modal.estimation.modal_states import NONE, ModalParameters, blocks_of
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.scaling import ChannelScaling
+from okid.errors import IdentificationError
+from okid.gram import lag_gram
+from okid.least_squares import solve
+from okid.record import Record
+from okid.scaling import ChannelScaling, channel_scaling
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
@@ -131,6 +138,13 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
     return np.where(is_pair, values, values.real).astype(np.complex128)
 
 
+CANDIDATE_ORDER = 8
+"""Give the model of the error so many states: the strongest of its poles is taken."""
+LONGEST_OBSERVER = 64
+ROWS_AN_UNKNOWN = 8
+"""Ask for so many rows for each unknown of that observer."""
+LARGEST_POLE = 0.9999
+N_LAGS = 200
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
 CHANCE = 0.01
@@ -151,22 +165,80 @@ def nothing_yet(data: OutputError) -> RefinementStep:
     return step_at(nothing, data)
 
 
-def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
+def with_weak_mode(
+    step: RefinementStep, data: OutputError, *, held_out: int = NONE, struck: bool = False
+) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
     Args:
         step: a refined model.
         data: that it was fitted to.
-        held_out: rows with this label are not looked at.
+        held_out: rows with this label are not looked at, unless rows take turns, which leaves no past without a gap:
+            they help to find a mode, then, not to keep it.
+        struck: the inputs act in short events, whose answers are over before an observer has seen enough of them.
     """
-    # rows that take turns fold a third of the sampling rate into images: what is held out helps to find, not to keep
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
-    errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
-    found = _strongest_answer(errors, [record.inputs for record in data.records])
+    errors = errors_of(step, data, held_out=seen)
+    if struck:
+        found = _strongest_answer([np.nan_to_num(error) for error in errors], [one.inputs for one in data.records])
+    else:
+        several = [replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True)]
+        found = _strongest_of_observer(several)
     return None if found is None else step_at(_joined(step.parameters, *found), data, held_out=held_out)
 
 
-def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> tuple[complex, int] | None:
+def _strongest_of_observer(records: Sequence[Record]) -> tuple[complex, ComplexArray] | None:
+    """The pole and the participations that take most of the errors, of those that OKID and ERA find in them."""
+    found = _model_of_error(records)
+    if found is None:
+        return None
+    left = OutputError(
+        records=tuple(replace(one, outputs=np.nan_to_num(one.outputs)) for one in records),
+        rows=tuple(~np.isnan(one.outputs).any(axis=1) for one in records),
+        blocks=blocks_of(records, []),
+    )
+    candidates = starting_parameters(found, left)
+    if candidates is None:
+        return None
+    all_of_them = candidates.parameters
+    vibrating = np.flatnonzero(all_of_them.is_pair & (np.abs(all_of_them.poles) < LARGEST_POLE))
+    nothing = replace(
+        all_of_them, poles=all_of_them.poles[:0], is_pair=all_of_them.is_pair[:0], inputs=all_of_them.inputs[:0],
+        states=all_of_them.states[:, :0],
+    )  # fmt: skip
+    alone = [(complex(all_of_them.poles[i]), all_of_them.inputs[i]) for i in vibrating.tolist()]
+    return min(alone, key=lambda one: step_at(_joined(nothing, *one), left).error, default=None)
+
+
+def _model_of_error(records: Sequence[Record]) -> Realisation | None:
+    scaling = channel_scaling(records)
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    n_samples = sum(record.n_samples for record in records)
+    longest = max(1, min(LONGEST_OBSERVER, n_samples // (ROWS_AN_UNKNOWN * n_channels)))
+    try:
+        gram = lag_gram(records, longest, scaling=scaling)
+        coefficients = solve(gram, FIRST_RIDGE)
+    except IdentificationError:
+        return None
+    found = decompose_coefficients(coefficients, N_LAGS, records[0].dt, CANDIDATE_ORDER)
+    if found is None:
+        return None
+    order = min(CANDIDATE_ORDER, found.rank, found.max_order)
+    model = corner(found, order)
+    while model is not None and np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
+        order -= 1
+        model = corner(found, order) if order > 0 else None
+    if model is None:
+        return None
+    out = scaling.output_scale[:, np.newaxis]
+    return Realisation(
+        model.A, model.B / scaling.input_scale, model.C * out, model.D * out / scaling.input_scale, model.dt
+    )
+
+
+def _strongest_answer(
+    errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
+) -> tuple[complex, ComplexArray] | None:
     """The pole whose answer to one of the inputs takes most of the errors, and that input; None where chance does so.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
@@ -190,6 +262,7 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
     own = np.fft.irfft((np.abs(into) ** 2).sum(axis=0), length, axis=0).T[:, :longest]
     lags, angle = np.arange(longest - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
     n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * longest)))
+    least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
     best: tuple[float, complex, int] = (0.0, 0j, 0)
     for decay in np.geomspace(1.0 / longest, FASTEST, n_decays):
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
@@ -201,12 +274,14 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
             * np.exp(-decay)
             * (np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])).real
         )
-        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, TINY * own[:, :1])
+        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, least)
         j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
         if there.size and gains[j, k] > best[0]:
             best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
     n_looked = n_decays * longest * len(own)
-    return best[1:] if n_looked * scipy.special.gammaincc(power.size, best[0]) < CHANCE else None
+    if n_looked * scipy.special.gammaincc(power.size, best[0]) >= CHANCE:
+        return None
+    return best[1], (np.arange(len(own)) == best[2]).astype(np.complex128)
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
@@ -231,12 +306,11 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
     return errors
 
 
-def _joined(first: ModalParameters, pole: complex, number: int) -> ModalParameters:
-    """The parameters and one pole more, which one input drives from rest."""
-    n_inputs = first.inputs.shape[1]
+def _joined(first: ModalParameters, pole: complex, inputs: ComplexArray) -> ModalParameters:
+    """The parameters and one pole more, which the inputs drive from rest."""
     return ModalParameters(
         poles=np.append(first.poles, pole),
         is_pair=np.append(first.is_pair, True),
-        inputs=np.vstack([first.inputs, np.arange(n_inputs) == number]),
+        inputs=np.vstack([first.inputs, inputs]),
         states=np.hstack([first.states, np.zeros((len(first.states), 1))]),
     )

@@ -51,8 +51,8 @@ class OutputError:
         blocks: all rows, with the fold that holds each block out.
         n_direct: the first so many inputs act on the outputs at once; None for all of them.
 
-    An input that stands still throughout a record makes a level and a start, which each record has of its own, so it
-    is set to zero there.
+    An input that stands still throughout a record and moves in another makes a level and a start, which each record has
+    of its own, so it is set to zero there.
     """
 
     records: tuple[Record, ...]
@@ -61,7 +61,7 @@ class OutputError:
     n_direct: int | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "records", tuple(moving_inputs(record) for record in self.records))
+        object.__setattr__(self, "records", moving_inputs(self.records))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -120,10 +120,7 @@ def fit_all_rows(
     fallback: tuple[Search, FinalModel] | None = None
     n_made = 0
     for trial in (found.chosen, *found.trials):
-        observer = (trial.observer_order, trial.ridge)
-        if observer not in done:
-            done[observer] = _decomposed(records, trial)
-        fitted = done[observer]
+        trial, fitted = _with_observer(records, trial, found.trials, done)  # noqa: PLW2901
         model = None if fitted is None else _stable(fitted.decomposition, trial.model_order - 2 * trial.weak_modes)
         if fitted is None or model is None:
             continue
@@ -155,6 +152,23 @@ def fit_all_rows(
         f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
         "be trusted; give a longer record, or remove a drift from the outputs."
     )
+
+
+def _with_observer(
+    records: Sequence[Record], trial: Trial, others: Sequence[Trial], done: dict[tuple[int, float], FinalModel | None]
+) -> tuple[Trial, FinalModel | None]:
+    """The trial and its observer on all rows, added to those `done`; None where it cannot be recovered.
+
+    What grew mode by mode came from no observer, so the first of the others' that can be recovered will do.
+    """
+    for one in (trial, *others) if trial.grew else (trial,):
+        own = replace(trial, observer_order=one.observer_order, ridge=one.ridge)
+        observer = (own.observer_order, own.ridge)
+        if observer not in done:
+            done[observer] = _decomposed(records, own)
+        if done[observer] is not None:
+            return own, done[observer]
+    return trial, None
 
 
 def _starts(found: Search, trial: Trial, model: Realisation, *, of_folds: bool) -> Iterator[Realisation]:

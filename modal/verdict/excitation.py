@@ -25,7 +25,7 @@ from modal.estimation.free_run import filled
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
-from modal.verdict.probability import RESOLVED
+from modal.verdict.probability import LEAST_HEIGHT, RESOLVED
 from modal.wording.numbers import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -238,6 +238,8 @@ def _lines(looked: Sequence[_Lines], records: Sequence[Record]) -> FloatArray:
 
 BESIDE = (1.5, 4.0)
 """Compare a peak with what lies so many half-widths off: there a resonance alone has a sixth of its power."""
+WIDER = (1.0, 2.0, 4.0)
+"""Let sides reach so many times as far, one after the other, until a peak stands out."""
 ALIKE = 1.5
 """Count so many neighbouring frequencies as one independent value: the noise bandwidth of the window (Hann)."""
 LOADING = 1e-3
@@ -249,6 +251,9 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
 
     The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
     that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given.
+
+    Neighbours that no weights tell apart, and a damping ratio that is too small, put a side on the peak, so where a
+    mode does not stand out it is asked again with wider sides. The edge of a filter has its pass band on one side.
 
     Args:
         model: modes of the model.
@@ -272,12 +277,11 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         [5.2, 0.9]
     """
     longest = max(record.duration for record in records)
-    spectra = []
+    spectra: list[tuple[FloatArray, ComplexArray]] = []
     for record in filled(records):
         motion = np.hanning(record.n_samples + 2)[1:-1, np.newaxis] * (record.outputs - record.outputs.mean(axis=0))
-        spectra.append(
-            (np.fft.rfftfreq(record.n_samples, record.dt), np.fft.rfft(motion, axis=0) / record.duration**0.5)
-        )
+        lines = np.asarray(np.fft.rfftfreq(record.n_samples, record.dt), dtype=np.float64)
+        spectra.append((lines, np.fft.rfft(motion, axis=0) / record.duration**0.5))
     found = np.full(len(model), np.nan)
     for i, mode in enumerate(model.modes):
         if mode.kind != "oscillatory":
@@ -285,23 +289,33 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         # a damping ratio that seems too small puts the sides on the peak
         damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
         half = max(damping * mode.frequency, RESOLVED / longest)
-        own, *sides = (
-            [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
-             for lines, values in spectra]
-            for low, high in half * np.array([(-1.0, 1.0), (-BESIDE[1], -BESIDE[0]), BESIDE])
-        )  # fmt: skip
-        n_values = sum(map(len, own)) / ALIKE
-        powers = [power for power in map(_mean_power, sides) if power is not None]
-        peak = _mean_power(own)
-        if peak is None or not powers:
-            continue
-        beside = np.mean(powers, axis=0)
-        size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
-        alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
-        weights = np.linalg.solve(alike, mode.shape / size) / size
-        heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
-        found[i] = heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values))
+        for times in WIDER:
+            height = _height(mode, spectra, half, times)
+            found[i] = np.fmax(found[i], height)
+            if not height < LEAST_HEIGHT:
+                break
     return found
+
+
+def _height(mode: Mode, spectra: Sequence[tuple[FloatArray, ComplexArray]], half: float, times: float) -> float:
+    """Of a mode of this half-width above sides that reach so many times as far; nan where wider ones leave the band."""
+    bands = np.array([(-1.0, 1.0), (-times * BESIDE[1], -BESIDE[0]), (BESIDE[0], times * BESIDE[1])])
+    own, *sides = (
+        [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
+         for lines, values in spectra]
+        for low, high in half * bands
+    )  # fmt: skip
+    n_values = sum(map(len, own)) / ALIKE
+    powers = [power for power in map(_mean_power, sides) if power is not None]
+    peak = _mean_power(own)
+    if peak is None or not powers or (times > 1.0 and len(powers) < len(sides)):
+        return np.nan
+    beside = np.mean(powers, axis=0)
+    size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
+    alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
+    weights = np.linalg.solve(alike, mode.shape / size) / size
+    heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
+    return float(heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values)))
 
 
 def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:

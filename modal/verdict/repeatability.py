@@ -74,7 +74,8 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: some modes were found in what others leave: reruns start with some less, and find them so again.
+        grows: some modes were found in what others leave: reruns start with some less, and find them so again; with the
+            other observer from a cut of all, too: the one that a refinement takes further counts.
     """
     scaling = channel_scaling(records)
     if past:
@@ -107,11 +108,12 @@ def repeat(
             gain = _gain(model, modes, records, unseen, scaling.output_scale)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     largest = min(decomposition.rank, decomposition.max_order)
-    first = _most(model_order) if grows else model_order
-    model = _model(whole.truncated(min(other_order, observer_order)), other_ridge, scaling, dt, first)
-    if model is not None:
+    shorter = whole.truncated(min(other_order, observer_order))
+    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in ((_most(model_order),) * grows + (model_order,))]
+    models = [model for model in cuts if model is not None]
+    if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined((model,), again, grown_to=model_order if grows else 0))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grows else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grows else largest)
     for n in _nearest(model_order, others) if grows else others:
@@ -180,12 +182,16 @@ def _refined(
     The first as it is without steps or a stable start.
     """
     best: tuple[RefinementStep, Realisation] | None = None
+    struck = any(block.step > 1 for block in again.data.blocks)
     least = STILL / (n_rows_of(again.data) * again.data.records[0].n_outputs)
     for model in models if again.n_steps else ():
         start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
         if start is not None:
             last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
-            while last.order < grown_to and (larger := with_weak_mode(last, again.data, held_out=held_out)) is not None:
+            while last.order < grown_to:
+                larger = with_weak_mode(last, again.data, held_out=held_out, struck=struck)
+                if larger is None:
+                    break
                 last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
             if grown_to:
                 last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]

@@ -71,13 +71,16 @@ def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
 
 def test_nothing_is_added_where_nothing_can_be_fitted(case):
     _, data, step = case
-    none = np.zeros(4000, dtype=bool)
-    assert with_weak_mode(step, OutputError(records=data.records, rows=(none,), blocks=data.blocks)) is None
+    none, few = np.zeros((2, 4000), dtype=bool)
+    few[::50] = True  # no two rows in a run
+    there = [OutputError(records=data.records, rows=(rows,), blocks=data.blocks) for rows in (none, few)]
+    assert with_weak_mode(step, there[0], struck=True) is None
+    assert with_weak_mode(step, there[1]) is None
 
 
 def test_the_first_mode_of_nothing_is_the_one_that_a_free_run_of_its_own_explains_best(case):
     system, data, _ = case
-    first = with_weak_mode(nothing_yet(data), data)
+    first = with_weak_mode(nothing_yet(data), data, struck=True)
     frequencies = np.abs(np.log(first.parameters.poles)) / (2 * np.pi * system.dt)
     assert np.min(np.abs(frequencies - [[6.0], [14.0]])) < 0.1
     assert first.error < 0.75 * nothing_yet(data).error
@@ -89,7 +92,7 @@ def test_nothing_is_added_to_white_noise(case):
         noise = np.random.default_rng(seed).standard_normal((4000, 2))
         record = Record(data.records[0].inputs, noise, data.records[0].dt)
         alone = OutputError(records=(record,), rows=data.rows, blocks=data.blocks)
-        assert with_weak_mode(nothing_yet(alone), alone) is None
+        assert with_weak_mode(nothing_yet(alone), alone, struck=True) is None
 
 
 def test_rest_before_a_blow_leaves_no_state_to_fit():
@@ -109,3 +112,33 @@ def test_rest_before_a_blow_leaves_no_state_to_fit():
         started[name] = step.parameters.states.any()
         assert abs(step.parameters.poles[0] - pole) < 0.003
     assert started == {"rest": False, "moving": True}
+
+
+def test_an_input_that_stands_still_in_all_records_is_kept_as_it_is():
+    """Steps at the start of each record: with zeros instead nothing drove the model."""
+    outputs = np.random.default_rng(0).standard_normal((2, 50, 1))
+    steps = [Record(np.full(50, size), one, 0.1) for size, one in zip((1.0, 2.0), outputs, strict=True)]
+    moving = Record(np.arange(50.0), outputs[0], 0.1)
+
+    def kept(records):
+        data = OutputError(
+            records=tuple(records),
+            rows=(np.ones(50, dtype=bool),) * len(records),
+            blocks=blocks_of(records, [[[]] * len(records)]),
+        )
+        return [record.inputs[0, 0] for record in data.records]
+
+    assert kept(steps) == [1.0, 2.0]
+    assert kept([*steps, moving]) == [0.0, 0.0, 0.0]
+    assert kept([moving, steps[1]]) == [0.0, 0.0]
+
+
+def test_an_input_that_never_moves_hides_no_mode(case):
+    """Nothing over nothing was the strongest answer of all, and no mode was added."""
+    _, data, _ = case
+    (record,) = data.records
+    two = Record(np.hstack([0.0 * record.inputs, record.inputs]), record.outputs, record.dt)
+    both = OutputError(records=(two,), rows=data.rows, blocks=data.blocks)
+    found = with_weak_mode(nothing_yet(both), both, struck=True)
+    assert found is not None
+    assert found.parameters.poles == with_weak_mode(nothing_yet(data), data, struck=True).parameters.poles

@@ -9,6 +9,7 @@ from field_records import random_records
 
 import modal
 from era.balanced import realise
+from modal.identification import final_model
 from modal.identification.words import fit_sentence
 from okid.errors import InvalidDataError
 from okid.markov import MarkovParameters
@@ -124,3 +125,19 @@ def test_kinds_that_cannot_be():
         identified(truth, kind="driven")
     with pytest.raises(InvalidDataError, match="kind must be one of"):
         identified(truth, kind="free")
+
+
+def test_what_grew_needs_none_of_its_observers_recovered(monkeypatch):
+    """It came from none: with the observer that it stands beside gone astray on all rows it was thrown away."""
+    truth, seen = random_records("transient", 7005), []
+    decomposed = final_model._decomposed
+
+    def first_diverges(records, trial):
+        seen.append((trial.observer_order, trial.ridge))
+        return None if seen[-1] == seen[0] else decomposed(records, trial)
+
+    monkeypatch.setattr(final_model, "_decomposed", first_diverges)
+    result = identified(truth)
+    assert len(set(seen)) > 1
+    assert len(result.modes.system) == truth.poles.size
+    assert_told_right(result, truth)

@@ -12,7 +12,7 @@ from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.excitation import between_lines, line_doubt, standing_out
-from modal.verdict.probability import peak_doubt
+from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
 from okid.record import Record
 
 
@@ -151,14 +151,14 @@ def test_a_resonance_stands_out_as_its_curve_says_and_noise_does_not():
 
 def test_a_weak_mode_on_the_flank_of_a_strong_one_is_heard_in_its_direction():
     rng = np.random.default_rng(3)
-    strong, weak = shaken(rng, 20.0, 0.01, 100_000), 0.1 * shaken(rng, 20.6, 0.01, 100_000)
+    strong, weak = shaken(rng, 20.0, 0.01, 100_000), 0.1 * shaken(rng, 20.5, 0.01, 100_000)
     outputs = np.outer(strong, [1.0, 0.5]) + np.outer(weak, [0.5, -1.0])
     outputs += 0.01 * rng.standard_normal(outputs.shape)
     model = ModalModel(modes=(pole_at(20.6, 0.01, [0.5, -1.0]),), dt=0.01, indicator_caution=0.1)
     (height,) = standing_out(model, [Record([], outputs, 0.01)])
     assert height > 4.0
     (single,) = standing_out(
-        ModalModel(modes=(pole_at(20.6, 0.01, [1.0]),), dt=0.01, indicator_caution=0.1),
+        ModalModel(modes=(pole_at(20.5, 0.01, [1.0]),), dt=0.01, indicator_caution=0.1),
         [Record([], outputs[:, :1], 0.01)],
     )
     assert single < 1.0
@@ -192,3 +192,16 @@ def test_the_edge_of_a_filter_is_no_mode(seed):
     result = identify(Record([], scipy.signal.sosfilt(steep, motion, axis=0), 0.01))
     np.testing.assert_allclose([mode.frequency for mode in result.modes.system], [8.0, 22.0], rtol=0.01)
     assert any(mode.reason.startswith("no peak stands") for mode in result.modes)
+
+
+def test_two_modes_side_by_side_that_one_sensor_hears_stand_out_together():
+    """Each lies on the other's side, 2.5 half-widths off: with that alone for its side neither would be a peak."""
+    rng = np.random.default_rng(6)
+    outputs = shaken(rng, 20.0, 0.01, 100_000) + shaken(rng, 20.5, 0.01, 100_000)
+    poles = (pole_at(20.0, 0.01, [1.0]), pole_at(20.5, 0.01, [1.0]))
+    record = [Record([], outputs + 0.01 * rng.standard_normal(outputs.size), 0.01)]
+    assert (standing_out(ModalModel(modes=poles, dt=0.01, indicator_caution=0.1), record) > LEAST_HEIGHT).all()
+    noise = [Record([], rng.standard_normal(100_000), 0.01)]
+    assert standing_out(ModalModel(modes=poles, dt=0.01, indicator_caution=0.1), noise) == pytest.approx(
+        [1.0, 1.0], rel=0.3
+    )
