@@ -194,7 +194,7 @@ def _strongest_of_observer(records: Sequence[Record]) -> tuple[complex, ComplexA
         return None
     left = OutputError(
         records=tuple(replace(one, outputs=np.nan_to_num(one.outputs)) for one in records),
-        rows=tuple(~np.isnan(one.outputs).any(axis=1) for one in records),
+        rows=tuple(one.complete_rows() for one in records),
         blocks=blocks_of(records, []),
     )
     candidates = starting_parameters(found, left)
