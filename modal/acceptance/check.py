@@ -27,7 +27,7 @@ from modal.acceptance.test_file import AcceptanceLimit, Range, Specification
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode
-from modal.wording.numbers import MOST_NAMED, fit_text, hertz
+from modal.wording.text import MOST_NAMED, fit_text, hertz
 from okid.display import Displayed
 
 LEVEL = 0.95

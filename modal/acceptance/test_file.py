@@ -42,9 +42,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
 from modal.geometry.sensors import quoted
-from modal.wording.names import shorten, visible
+from modal.wording.text import shorten
 from okid.display import Displayed
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import InvalidDataError, UnreadableFileError, visible
 
 if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry

@@ -25,10 +25,9 @@ from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.report.pages import environment, inline
 from modal.report.pictures import drawn
 from modal.sections.provenance import installed_version
-from modal.wording.names import shorten, visible
-from modal.wording.numbers import listed
+from modal.wording.text import listed, shorten
 from okid.display import Displayed
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import InvalidDataError, UnreadableFileError, visible
 
 MODE_TABLE, RECORD_TABLE, MODE_CSV = "modes.parquet", "records.parquet", "modes.csv"
 PLACES = "records"

@@ -27,8 +27,8 @@ from modal.report.folder import write_folder
 from modal.report.machine import csv_text
 from modal.report.writing import keep_result
 from modal.sections.provenance import installed_version
-from modal.wording.names import shorten, visible
-from okid.errors import IdentificationError, InvalidDataError
+from modal.wording.text import shorten
+from okid.errors import IdentificationError, InvalidDataError, visible
 from okid.readers import read_records
 from okid.readers.dispatch import READERS
 from okid.record import InputHold, Record

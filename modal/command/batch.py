@@ -25,7 +25,7 @@ from modal.command.options import (
     whole_or_auto,
 )
 from modal.command.terminal import Screen, listing, plain, progress_bar, show_paths
-from modal.wording.names import shorten
+from modal.wording.text import shorten
 from okid.errors import InvalidDataError
 
 __all__ = ["EXAMPLES", "batch"]

@@ -19,8 +19,7 @@ from modal.command.terminal import Screen, listing, plain, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
-from modal.wording.names import shorten
-from modal.wording.numbers import whole_percent
+from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
 from okid.record import Record
 

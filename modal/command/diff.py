@@ -14,7 +14,7 @@ from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift, read_result
 from modal.report.comparison import refuse_existing_comparison, write_comparison
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz
 
 __all__ = ["EXAMPLES", "diff", "show_difference"]
 

@@ -37,7 +37,7 @@ from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
 from modal.sections.discrepancy_values import effect_text, found_value, interval_text, times_text
 from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
-from modal.wording.numbers import listed
+from modal.wording.text import listed
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
 

@@ -10,8 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from modal.preparation.kind import GivenKind
-from modal.wording.names import visible
-from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError
+from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, visible
 from okid.readers.guard import first_line
 from okid.record import InputHold
 

@@ -48,8 +48,8 @@ from modal.report.folder import refuse_names, standing
 from modal.report.pdf import NoBrowserError, find_browser, write_pdf
 from modal.report.writing import refuse_existing
 from modal.sections.provenance import Provenance, fingerprints
-from modal.wording.names import shorten, visible
-from okid.errors import IdentificationWarning, InvalidDataError
+from modal.wording.text import shorten
+from okid.errors import IdentificationWarning, InvalidDataError, visible
 from okid.frequency_response import FrequencyResponse
 from okid.readers import read_described
 from okid.readers.response import holds_responses, read_response

@@ -31,8 +31,8 @@ from modal.modes.mode import Mode, numbered
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
 from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
-from modal.wording.names import shorten, visible
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz, shorten
+from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.quality import DataQuality

@@ -21,8 +21,7 @@ from modal.recording.live import estimate_recording, live_recording, log_estimat
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
 from modal.tracking.tracks import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
-from modal.wording.names import shorten
-from modal.wording.numbers import listed
+from modal.wording.text import listed, shorten
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.readers.dispatch import READERS, read_table

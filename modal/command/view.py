@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from modal.command.options import Traceback, complain, examples, faults
-from modal.wording.names import shorten, visible
-from okid.errors import InvalidDataError, UnreadableFileError
+from modal.wording.text import shorten
+from okid.errors import InvalidDataError, UnreadableFileError, visible
 
 __all__ = ["EXAMPLES", "find_viewer", "open_recording", "recording_of", "view"]
 

@@ -38,7 +38,7 @@ from modal.comparison.shifts import (
 )
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
-from modal.wording.numbers import fit_text
+from modal.wording.text import fit_text
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 

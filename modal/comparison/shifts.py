@@ -32,10 +32,10 @@ from modal.identification.result import Identification, load, read_part
 from modal.identification.words import trust_of
 from modal.modes.mode import Choice, Mode
 from modal.modes.shape_comparison import assurance
-from modal.wording.names import shorten, visible
+from modal.wording.text import shorten
 from okid.arrays import ComplexArray, FloatArray
 from okid.display import Displayed
-from okid.errors import UnreadableFileError
+from okid.errors import UnreadableFileError, visible
 
 PART = "summary"
 """Name of a summary in the file of a result."""

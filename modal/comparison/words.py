@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import Shift
 from modal.modes.mode import Mode
-from modal.wording.names import shorten, visible
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz, shorten
+from okid.errors import visible
 
 
 def comparison_headline(comparison: Comparison) -> str:

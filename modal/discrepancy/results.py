@@ -16,7 +16,7 @@ from modal.simulation.plant import MASS
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
-from modal.wording.numbers import listed, percent, times_floor_text
+from modal.wording.text import listed, percent, times_floor_text
 from okid.arrays import FloatArray
 from okid.display import Displayed
 from okid.record import Record

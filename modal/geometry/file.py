@@ -29,8 +29,8 @@ import numpy as np
 
 from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, dof_of, node_numbers
 from modal.geometry.uff import read_uff_geometry
-from modal.wording.names import shorten, visible
-from okid.errors import InvalidDataError, UnreadableFileError
+from modal.wording.text import shorten
+from okid.errors import InvalidDataError, UnreadableFileError, visible
 from okid.readers.guard import check_file, first_line
 
 MOST_TEXT: Final = 1 << 24

@@ -24,9 +24,9 @@ import numpy as np
 
 from modal.geometry.sensors import Dof, Geometry, Motions, Sensor, dof_of, motion_of
 from modal.modes.mode import Mode
-from modal.wording.names import shorten, visible
+from modal.wording.text import shorten
 from okid.arrays import ComplexArray, FloatArray
-from okid.errors import InvalidDataError
+from okid.errors import InvalidDataError, visible
 from okid.readers.units import convert_unit
 
 SPACING: Final = 0.7

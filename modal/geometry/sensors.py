@@ -32,10 +32,10 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.wording.names import shorten, visible
+from modal.wording.text import shorten
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import Displayed
-from okid.errors import InvalidDataError
+from okid.errors import InvalidDataError, visible
 
 Motion = Literal["along", "about"]
 """What a sensor sees: translation along its direction, or rotation about it."""

@@ -22,9 +22,9 @@ from typing import BinaryIO, Final, Literal
 import numpy as np
 
 from modal.geometry.sensors import MOST_NODES, Geometry
-from modal.wording.names import shorten, visible
+from modal.wording.text import shorten
 from okid.arrays import FloatArray
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import InvalidDataError, UnreadableFileError, visible
 
 
 def whole_numbers(line: str, at_least: int = 0) -> list[int]:

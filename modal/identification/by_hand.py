@@ -18,7 +18,7 @@ from modal.estimation.fits import fit_of, model_runs
 from modal.identification.result import Identification
 from modal.modes.modal_form import discrete_poles, modal_basis
 from modal.modes.mode import Choice, Fit, Mode, numbered
-from modal.wording.numbers import fit_text, listed
+from modal.wording.text import fit_text, listed
 from okid.errors import InvalidDataError
 
 __all__ = ["with_modes"]

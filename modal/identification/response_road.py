@@ -29,7 +29,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
-from modal.wording.numbers import LEAST_FIT, counted, hertz
+from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.frequency_response import (

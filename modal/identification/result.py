@@ -26,7 +26,7 @@ from era.realisation import Realisation
 from modal.modes.mode import Choice, Fit, ModalModel, Uncertainty, numbered
 from modal.preparation.kind import RecordKind
 from modal.verdict.stabilisation import StabilisationPoint
-from modal.wording.numbers import fit_text
+from modal.wording.text import fit_text
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError

@@ -28,8 +28,7 @@ from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
-from modal.wording.names import shorten
-from modal.wording.numbers import (
+from modal.wording.text import (
     GOOD_FIT,
     LEAST_FIT,
     NINETY_FIVE,
@@ -38,6 +37,7 @@ from modal.wording.numbers import (
     percent,
     ratio_text,
     reproduced,
+    shorten,
     with_interval,
 )
 from okid.arrays import FloatArray

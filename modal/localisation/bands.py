@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from modal.wording.numbers import number
+from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import Record
 

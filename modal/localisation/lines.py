@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from modal.localisation.gap import BEYOND_CHANCE
-from modal.wording.numbers import Statement, percent
+from modal.wording.text import Statement, percent
 from okid.arrays import BoolArray, ComplexArray, FloatArray, whole_number
 from okid.record import Record
 from okid.rows import as_records

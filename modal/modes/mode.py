@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 import scipy
 
-from modal.wording.numbers import NINETY_FIVE, ratio_text, with_interval
+from modal.wording.text import NINETY_FIVE, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError

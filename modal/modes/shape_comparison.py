@@ -36,7 +36,7 @@ import numpy.typing as npt
 from modal.modes.modal_form import discrete_poles, largest_component
 from modal.modes.mode import ModalModel, Mode
 from modal.modes.response_synthesis import continuous_residue
-from modal.wording.numbers import NINETY_FIVE
+from modal.wording.text import NINETY_FIVE
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError

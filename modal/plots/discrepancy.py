@@ -21,8 +21,7 @@ from modal.sections.discrepancy_values import (
     times_floor,
     times_text,
 )
-from modal.wording.names import plot_label
-from modal.wording.numbers import NINETY_FIVE
+from modal.wording.text import NINETY_FIVE, plot_label
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from modal.plots.layout import INCH, Chart, Key, grid_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
-from modal.wording.names import plot_label
-from modal.wording.numbers import fit_text, hertz
+from modal.wording.text import fit_text, hertz, plot_label
 from okid.arrays import FloatArray
 from okid.record import Record
 from okid.residuals import ResidualCheck

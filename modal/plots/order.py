@@ -11,7 +11,7 @@ from modal.plots.layout import Chart, Key, grid_of
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.verdict.stabilisation import StabilisationPoint
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -9,7 +9,7 @@ from modal.modes.response_synthesis import MeasuredFrf, frf
 from modal.plots.layout import Chart, Key, grid_of, row_of
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
-from modal.wording.names import plot_label
+from modal.wording.text import plot_label
 from okid.arrays import ComplexArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record

@@ -15,8 +15,7 @@ from modal.geometry.sensors import Geometry
 from modal.modes.mode import Mode
 from modal.plots.layout import Chart, grid_of, row_of
 from modal.plots.panels import STYLE, Panel, Role, text_width
-from modal.wording.names import plot_label
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz, plot_label
 from okid.arrays import ComplexArray, FloatArray
 
 MOST_SEGMENTS: Final = 3000

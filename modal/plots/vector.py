@@ -15,8 +15,8 @@ import numpy as np
 
 from modal.plots.layout import Chart, Key
 from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, runs, text_width
-from modal.wording.names import visible
 from okid.arrays import FloatArray
+from okid.errors import visible
 
 _DASHES = {"": "", "dashed": "4 3", "dotted": "1 2.2"}
 _ARROW = 7.0

@@ -40,7 +40,7 @@ from modal.preparation.channel import (
     spoken,
     where_found,
 )
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal.wording.names import shorten
+from modal.wording.text import shorten
 from okid.arrays import CHUNK_VALUES, FloatArray
 from okid.display import Displayed
 from okid.record import Record

@@ -22,7 +22,7 @@ from modal.preparation.amplitude import (
 from modal.preparation.channel import LEVELS, Channel, Finding, channels_of, named, spoken
 from modal.preparation.kind import KindFound, acts, rings_down
 from modal.preparation.samples import sharp_samples, spike_findings, spikes_of, without_spikes
-from modal.wording.numbers import counted, percent
+from modal.wording.text import counted, percent
 from okid.arrays import BoolArray
 from okid.errors import InsufficientDataError
 from okid.gram import lag_gram

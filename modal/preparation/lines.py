@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.modes.mode import Choice
-from modal.wording.numbers import counted, hertz, listed, percent
+from modal.wording.text import counted, hertz, listed, percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -31,7 +31,7 @@ from modal.preparation.channel import (
     when,
     where_found,
 )
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of, usable_rows

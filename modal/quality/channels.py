@@ -49,7 +49,7 @@ from modal.preparation.drift import (
     without_drift,
 )
 from modal.quality.coherence import best_pulse, predicted_outputs
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

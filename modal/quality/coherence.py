@@ -19,7 +19,7 @@ import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
 from modal.preparation.channel import FITTED_ROWS, HARDLY, MOSTLY, NEARLY_ALL, NOTABLE, Finding, Level, named, spoken
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
 from okid.gram import lag_gram

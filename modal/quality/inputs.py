@@ -14,7 +14,7 @@ import numpy as np
 from modal.modes.response_synthesis import MeasuredFrf
 from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, ROUNDING, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation

@@ -22,9 +22,9 @@ from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
 from modal.recording.figure import drawable
 from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
-from modal.wording.names import escape_markdown, shorten, visible
+from modal.wording.text import escape_markdown, shorten
 from okid.arrays import ComplexArray, FloatArray
-from okid.errors import InsufficientDataError
+from okid.errors import InsufficientDataError, visible
 from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
 

@@ -15,7 +15,7 @@ from modal.report.folder import Existing, refuse_names, write_folder
 from modal.report.machine import as_json
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version
-from modal.wording.numbers import fit_text, hertz, ratio_text
+from modal.wording.text import fit_text, hertz, ratio_text
 
 __all__ = [
     "COMPARISON_SCHEMA",

@@ -32,9 +32,9 @@ from modal.sections.discrepancy_values import (
 )
 from modal.sections.provenance import Provenance, installed_version
 from modal.simulation.plant import MASS
-from modal.wording.names import shorten, visible
-from modal.wording.numbers import MOST_NAMED, exact_percent, number
+from modal.wording.text import MOST_NAMED, exact_percent, number, shorten
 from okid.arrays import FloatArray
+from okid.errors import visible
 
 __all__ = ["diagnosis_html", "diagnosis_markdown", "draw_diagnosis", "equations_of"]
 

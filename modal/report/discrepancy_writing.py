@@ -19,8 +19,7 @@ from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis
 from modal.sections.provenance import Provenance, installed_version
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
-from modal.wording.names import csv_cell
-from modal.wording.numbers import NINETY_FIVE
+from modal.wording.text import NINETY_FIVE, csv_cell
 
 __all__ = [
     "DIAGNOSIS_SCHEMA",

@@ -28,7 +28,7 @@ from modal.identification.words import trust_of
 from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.preparation.kind import RecordKind
 from modal.sections.provenance import Provenance, SourceFile, installed_version
-from modal.wording.names import csv_cell
+from modal.wording.text import csv_cell
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit

@@ -35,9 +35,9 @@ from modal.sections.validation import (
 )
 from modal.sections.words import INDICATORS, limits_class, limits_sentence, limits_short, shown
 from modal.verdict.judgement import LEAST_PART
-from modal.wording.names import escape_markdown, visible
-from modal.wording.numbers import fit_text, hertz, ratio_text, reproduced, whole_percent
+from modal.wording.text import escape_markdown, fit_text, hertz, ratio_text, reproduced, whole_percent
 from okid.arrays import ComplexArray, FloatArray
+from okid.errors import visible
 from okid.record import InputHold
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from modal.plots.results import (
 )
 from modal.plots.vector import Notes, chart_text, svg_text
 from modal.quality import check_quality
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 

@@ -15,7 +15,7 @@ from modal.effects.effect import InputEffect
 from modal.localisation.gap import Gap, measure_gap
 from modal.localisation.levels import LevelMode, LevelModes
 from modal.simulation.assembly import MOST
-from modal.wording.numbers import number
+from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import Record
 

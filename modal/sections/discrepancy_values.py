@@ -15,7 +15,7 @@ from modal.discrepancy.results import (
     masses_text,
 )
 from modal.effects.catalogue import effect_name
-from modal.wording.numbers import NINETY_FIVE, listed, number
+from modal.wording.text import NINETY_FIVE, listed, number
 
 NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root

@@ -33,7 +33,7 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
-from modal.wording.numbers import MOST_NAMED, exact_percent, listed, number, percent
+from modal.wording.text import MOST_NAMED, exact_percent, listed, number, percent
 
 COULD_HIDE = "What the data could still hide: "
 UPPER_LIMIT = 0.3

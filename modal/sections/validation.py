@@ -9,7 +9,7 @@ import numpy as np
 
 from modal.identification.result import Identification
 from modal.sections.provenance import Provenance
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, whole_percent
+from modal.wording.text import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, whole_percent
 
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.verdict.judgement import FOUND_AGAIN
-from modal.wording.names import shorten, visible
-from modal.wording.numbers import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz
+from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, shorten
+from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome

@@ -40,7 +40,7 @@ from modal.simulation.plant import LinearParameter, Plant, Port
 from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.structural_plant import place_name, structural_plant
-from modal.wording.names import shorten
+from modal.wording.text import shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of

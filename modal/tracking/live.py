@@ -35,7 +35,7 @@ from era.balanced import realise
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.modes.shape_comparison import EVEN, assurance, pair_greatest_first
-from modal.wording.numbers import listed
+from modal.wording.text import listed
 from okid.arrays import FloatArray, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, UnreadableFileError

@@ -32,8 +32,7 @@ from modal.report.pages import environment, inline
 from modal.report.pictures import drawn
 from modal.sections.provenance import installed_version
 from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, find_changes
-from modal.wording.names import shorten
-from modal.wording.numbers import NINETY_FIVE, hertz, listed
+from modal.wording.text import NINETY_FIVE, hertz, listed, shorten
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
 from okid.display import Displayed
 from okid.errors import InvalidDataError

@@ -19,7 +19,7 @@ import scipy
 from era.state_recursion import PoleRecursion
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
-from modal.wording.numbers import hertz, percent
+from modal.wording.text import hertz, percent
 from okid.arrays import FloatArray
 from okid.record import Record
 

@@ -26,7 +26,7 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
 from modal.verdict.probability import LEAST_HEIGHT, RESOLVED
-from modal.wording.numbers import counted, hertz, listed
+from modal.wording.text import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -6,7 +6,7 @@ import numpy as np
 
 from modal.localisation.evidence import Location
 from modal.localisation.levels import LevelMode, LevelModes
-from modal.wording.numbers import Statement
+from modal.wording.text import Statement
 
 LEVELS = np.array([0.127, 0.4, 1.0])
 

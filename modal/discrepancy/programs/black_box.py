@@ -50,7 +50,7 @@ from modal.simulation.tolerances import NEAR_FLOOR
 from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model
 from modal.structure.plant_model import PlantModel
-from modal.wording.numbers import times_floor_text
+from modal.wording.text import times_floor_text
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.record import Record

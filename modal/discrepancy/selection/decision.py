@@ -65,7 +65,7 @@ from modal.simulation.assembly import Assembly, EffectPlacement
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
 from modal.simulation.trajectory import Sensitivity
 from modal.structure.placed import possible_places
-from modal.wording.numbers import listed, number, percent, times_floor_text
+from modal.wording.text import listed, number, percent, times_floor_text
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.display import Displayed
 from okid.record import Record

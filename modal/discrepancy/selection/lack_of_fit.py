@@ -40,7 +40,7 @@ from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
 from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.arrays import TINY, BoolArray, FloatArray
 
 N_SPLINES = 7

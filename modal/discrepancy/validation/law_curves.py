@@ -51,7 +51,7 @@ from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
 from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source
-from modal.wording.numbers import NINETY_FIVE
+from modal.wording.text import NINETY_FIVE
 from okid.arrays import FloatArray
 
 N_GRID = 201

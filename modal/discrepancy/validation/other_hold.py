@@ -21,7 +21,7 @@ from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, UNLIKELY
-from modal.wording.numbers import number
+from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
 

@@ -33,7 +33,7 @@ from modal.preparation.faults import spoiled_channels
 from modal.simulation.plant import Plant, with_masses
 from modal.structure.given import returned_model
 from modal.structure.reciprocity import INTERNAL_FORCE
-from modal.wording.numbers import listed, number, quantity, times_floor_text
+from modal.wording.text import listed, number, quantity, times_floor_text
 from okid.arrays import FloatArray
 from okid.readers.units import unit_error
 from okid.record import Record

@@ -19,7 +19,7 @@ from modal.recording.plan import SHOWN_INPUTS, SHOWN_OUTPUTS, DataPlan, Plan, ce
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import choices_text, fit_page_text, log_table
 from modal.sections.words import modes_headline
-from modal.wording.numbers import fit_text
+from modal.wording.text import fit_text
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

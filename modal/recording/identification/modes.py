@@ -33,7 +33,7 @@ from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
 from modal.sections.words import remark_of
-from modal.wording.numbers import NINETY_FIVE, hertz, ratio_text, with_interval
+from modal.wording.text import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
 from okid.frequency_response import FrequencyResponse
 from okid.record import Record

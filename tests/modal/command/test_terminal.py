@@ -9,7 +9,7 @@ from rich.console import Console
 from modal.command.terminal import MOST_NOISE, say_beforehand, show_comparison, show_files, show_result
 from modal.examples.demo import ModeComparison
 from modal.report.writing import ReportFiles
-from modal.wording.numbers import hertz
+from modal.wording.text import hertz
 
 
 def printed(show, *arguments, **options):

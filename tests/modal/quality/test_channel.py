@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from modal.preparation.channel import channels_of, named, when
-from modal.wording.numbers import percent
+from modal.wording.text import percent
 from okid.record import Record
 from okid.scaling import channel_scaling
 

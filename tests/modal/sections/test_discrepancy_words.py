@@ -16,7 +16,7 @@ from modal.sections.discrepancy_values import (
     size_text,
     value_text,
 )
-from modal.wording.numbers import exact_percent
+from modal.wording.text import exact_percent
 
 
 def with_first(diagnosis, **changes):

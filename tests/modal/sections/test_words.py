@@ -16,7 +16,7 @@ from modal.identification.words import (
     trust_of,
 )
 from modal.sections.words import data_sentences, fit_word, modes_headline, next_sentences
-from modal.wording.numbers import fit_text, hertz, ratio_text, with_interval
+from modal.wording.text import fit_text, hertz, ratio_text, with_interval
 
 
 def with_fit(result, fit):

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modal.wording.names import csv_cell, escape_markdown, plot_label, shorten, visible
-from okid.errors import InvalidDataError
+from modal.wording.text import csv_cell, escape_markdown, plot_label, shorten
+from okid.errors import InvalidDataError, visible
 
 RIGHT_TO_LEFT_OVERRIDE = "\N{RIGHT-TO-LEFT OVERRIDE}"
 
