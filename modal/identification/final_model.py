@@ -162,7 +162,7 @@ def _with_observer(
     What grew mode by mode came from no observer, so the first of the others' that can be recovered will do.
     """
     for one in (trial, *others) if trial.grew else (trial,):
-        own = replace(trial, observer_order=one.observer_order, ridge=one.ridge)
+        own = trial if one is trial else replace(trial, observer_order=one.observer_order, ridge=one.ridge)
         observer = (own.observer_order, own.ridge)
         if observer not in done:
             done[observer] = _decomposed(records, own)

@@ -125,7 +125,7 @@ def explain_search(found: Search, *, wanted: Trial) -> tuple[Choice, ...]:
     if chosen.grew:
         least = min(trial.error for trial in observed)
         of_observers = (
-            f"free run on held-out rows: fit {1.0 - least:.3f}, less than that of the model, which grew by itself"
+            f"free run on held-out rows: fit {1.0 - least:.3f}, less than that of the model, which grew mode by mode"
         )
     choices = [
         Choice(
