@@ -23,7 +23,7 @@ from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
 from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
-from modal.estimation.modal_states import NONE, ModalParameters, blocks_of
+from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
@@ -182,35 +182,36 @@ def with_weak_mode(
     if struck:
         found = _strongest_answer([np.nan_to_num(error) for error in errors], [one.inputs for one in data.records])
     else:
-        several = [replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True)]
-        found = _strongest_of_observer(several)
-    return None if found is None else step_at(_joined(step.parameters, *found), data, held_out=held_out)
+        several = tuple(replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True))
+        found = _strongest_of_observer(several, data, held_out)
+    return None if found is None else step_at(_joined(step.parameters, found), data, held_out=held_out)
 
 
-def _strongest_of_observer(records: Sequence[Record]) -> tuple[complex, ComplexArray] | None:
-    """The pole and the participations that take most of the errors, of those that OKID and ERA find in them."""
+def _strongest_of_observer(records: tuple[Record, ...], data: OutputError, held_out: int) -> ModalParameters | None:
+    """The pole that takes most of the errors, of those that OKID and ERA find in them."""
     found = _model_of_error(records)
     if found is None:
         return None
-    left = OutputError(
-        records=tuple(replace(one, outputs=np.nan_to_num(one.outputs)) for one in records),
-        rows=tuple(one.complete_rows() for one in records),
-        blocks=blocks_of(records, []),
-    )
-    candidates = starting_parameters(found, left)
+    several = tuple(replace(one, outputs=np.nan_to_num(one.outputs)) for one in records)
+    left = OutputError(records=several, rows=data.rows, blocks=data.blocks)
+    candidates = starting_parameters(found, left, held_out=held_out)
     if candidates is None:
         return None
-    all_of_them = candidates.parameters
-    vibrating = np.flatnonzero(all_of_them.is_pair & (np.abs(all_of_them.poles) < LARGEST_POLE))
-    nothing = replace(
-        all_of_them, poles=all_of_them.poles[:0], is_pair=all_of_them.is_pair[:0], inputs=all_of_them.inputs[:0],
-        states=all_of_them.states[:, :0],
-    )  # fmt: skip
-    alone = [(complex(all_of_them.poles[i]), all_of_them.inputs[i]) for i in vibrating.tolist()]
-    return min(alone, key=lambda one: step_at(_joined(nothing, *one), left).error, default=None)
+    every = candidates.parameters
+    vibrating = np.flatnonzero(every.is_pair & (np.abs(every.poles) < LARGEST_POLE))
+    alone = [
+        ModalParameters(
+            poles=every.poles[[i]],
+            is_pair=every.is_pair[[i]],
+            inputs=every.inputs[[i]],
+            states=every.states[:, [i]],
+        )
+        for i in vibrating.tolist()
+    ]
+    return min(alone, key=lambda one: step_at(one, left, held_out=held_out).error, default=None)
 
 
-def _model_of_error(records: Sequence[Record]) -> Realisation | None:
+def _model_of_error(records: tuple[Record, ...]) -> Realisation | None:
     scaling = channel_scaling(records)
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)
@@ -236,10 +237,8 @@ def _model_of_error(records: Sequence[Record]) -> Realisation | None:
     )
 
 
-def _strongest_answer(
-    errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
-) -> tuple[complex, ComplexArray] | None:
-    """The pole whose answer to one of the inputs takes most of the errors, and that input; None where chance does so.
+def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> ModalParameters | None:
+    """The pole whose answer to one of the inputs takes most of the errors, from rest; None where chance does so.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
     energy that is that of u's own:
@@ -281,7 +280,12 @@ def _strongest_answer(
     n_looked = n_decays * longest * len(own)
     if n_looked * scipy.special.gammaincc(power.size, best[0]) >= CHANCE:
         return None
-    return best[1], (np.arange(len(own)) == best[2]).astype(np.complex128)
+    return ModalParameters(
+        poles=np.array([best[1]]),
+        is_pair=np.ones(1, dtype=np.bool_),
+        inputs=(np.arange(len(own)) == best[2]).astype(np.complex128)[np.newaxis],
+        states=np.zeros((len(errors), 1), dtype=np.complex128),
+    )
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
@@ -306,11 +310,10 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
     return errors
 
 
-def _joined(first: ModalParameters, pole: complex, inputs: ComplexArray) -> ModalParameters:
-    """The parameters and one pole more, which the inputs drive from rest."""
+def _joined(first: ModalParameters, second: ModalParameters) -> ModalParameters:
     return ModalParameters(
-        poles=np.append(first.poles, pole),
-        is_pair=np.append(first.is_pair, True),
-        inputs=np.vstack([first.inputs, inputs]),
-        states=np.hstack([first.states, np.zeros((len(first.states), 1))]),
+        poles=np.concatenate([first.poles, second.poles]),
+        is_pair=np.concatenate([first.is_pair, second.is_pair]),
+        inputs=np.vstack([first.inputs, second.inputs]),
+        states=np.hstack([first.states, second.states]),
     )
