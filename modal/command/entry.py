@@ -39,7 +39,8 @@ def main() -> None:
         os.environ.pop("COLUMNS", None)
     refused = _not_to_load(sys.argv[1:])
     if refused:
-        sys.stderr.write(f"modal-report: {refused}\n")
+        if sys.stderr is not None:  # closed by the shell
+            sys.stderr.write(f"modal-report: {refused}\n")
         sys.exit(2)
     from modal.command.main import leave
 

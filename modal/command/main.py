@@ -5,9 +5,12 @@ or a gap that no effect is proved to explain) or a limit of acceptance is not su
 input, one sentence on stderr, nothing written; 3 a fault of ours; 130 stopped.
 """
 
+import atexit
+import contextlib
+import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -35,7 +38,19 @@ def leave() -> None:
         sys.unraisablehook = lambda _met: None
     number = status(sys.argv[1:])
     Requests.ignore()
-    sys.exit(number)
+    _end(number)
+
+
+def _end(number: int) -> NoReturn:
+    """End the process with what Python does at its end, without the finalisers of its libraries.
+
+    The readers' threads (pyarrow) may still run then, and where they do, these abort a process that has done its work.
+    """
+    atexit._run_exitfuncs()  # noqa: SLF001 - there is no public way to run them and no more
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # gone, closed, or None from the start
+            stream.flush()
+    os._exit(number)
 
 
 def status(arguments: list[str]) -> int:
