@@ -41,7 +41,7 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of
-from okid.readers.guard import check_file, check_memory, first_line, optional_package, sound_archive
+from okid.readers.guard import check_file, check_memory, foreign, optional_package, sound_archive
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -514,14 +514,8 @@ def read_shapes(path: str | Path) -> Shapes:
         raise UnreadableFileError(
             f"{path.name} is of type {path.suffix or 'none'}; shapes are read from {', '.join(readers)}."
         )
-    try:
+    with foreign(path, "set of shapes"):
         return readers[path.suffix.lower()](path)
-    except UnreadableFileError:
-        raise
-    except Exception as error:  # numpy, csv, pyuff and our own checks meet bytes that are not what they say
-        raise UnreadableFileError(
-            f"{path.name} holds no set of shapes ({first_line(error)}); export it again."
-        ) from error
 
 
 def _read_csv(path: Path) -> Shapes:

@@ -123,6 +123,30 @@ def test_a_file_without_shapes_is_told_in_one_sentence(tmp_path, content):
             modal.read_shapes(path)
 
 
+def test_a_shape_without_end_is_refused_by_us_and_not_warned_of_by_the_reader(tmp_path):
+    """One of 10 000 damaged files: the library multiplies before we look, and numpy said so on stderr."""
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "shapes.uff"
+    one = pyuff.prepare_55(
+        model_type=1,
+        analysis_type=3,
+        data_ch=3,
+        spec_data_type=8,
+        data_type=5,
+        load_case=1,
+        mode_n=1,
+        eig=-0.1 + 6j,
+        modal_a=0.5 + 0.5j,
+        modal_b=0.5 + 0.5j,
+        node_nums=np.array([1]),
+        **{f"r{axis}": np.array([12345.0 + 12345.0j]) for axis in (1, 2, 3)},
+    )
+    pyuff.UFF(str(path)).write_sets([one], "overwrite")
+    path.write_text(path.read_text().replace("1.23450e+04", "        inf"))
+    with pytest.raises(UnreadableFileError, match="must be finite numbers"):
+        modal.read_shapes(path)
+
+
 def test_the_table_of_modes_has_a_row_a_mode_and_its_shape():
     model = chain_model(UNITS)
     table = model.to_table()
