@@ -8,9 +8,8 @@ Where a refinement starts: the modal form of a realisation, and the initial stat
 Weak modes that a refined model leaves over: found in its error, added, refined together with the others.
 
 An observer of the whole record sees a mode that is far below the others only with the noise of the reduction on top;
-the error of a refined model holds that mode and the noise, and nothing else. OKID and ERA on the inputs and the error
-give its pole, or, of what is struck, the answer that takes most of the error; it is added, and the refinement of all
-poles together decides, on held-out rows, whether it stays.
+the error of a refined model holds that mode and the noise, and nothing else. The answer to the inputs that takes most
+of the error is added, and the refinement of all poles together decides, on held-out rows, whether it stays.
 """
 
 from collections.abc import Sequence
@@ -21,17 +20,12 @@ import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
-from modal.estimation.free_run import ModalForm, ModalRecursion, initial_state
+from modal.estimation.free_run import ModalForm, ModalRecursion, begins_at_rest, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.errors import IdentificationError
-from okid.gram import lag_gram
-from okid.least_squares import solve
-from okid.record import Record
-from okid.scaling import ChannelScaling, channel_scaling
+from okid.scaling import ChannelScaling
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
@@ -120,10 +114,7 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
         participations=basis.inputs / size[:, np.newaxis],
         feedthrough=realisation.D,
     )
-    training = [rows.copy() for rows in data.rows]
-    for block in data.blocks:
-        if block.label == held_out:
-            training[block.record][block.rows] = False
+    training = _training_rows(data, held_out)
     states = [initial_state(form, record, rows) for record, rows in zip(data.records, training, strict=True)]
     start = ModalParameters(
         poles=form.poles,
@@ -134,23 +125,27 @@ def starting_parameters(realisation: Realisation, data: OutputError, *, held_out
     return step_at(start, data, held_out=held_out)
 
 
+def _training_rows(data: OutputError, held_out: int) -> list[BoolArray]:
+    """(n_samples,) a record, True where a row counts and is not held out."""
+    training = [rows.copy() for rows in data.rows]
+    for block in data.blocks:
+        if block.label == held_out:
+            training[block.record][block.rows] = False
+    return training
+
+
 def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
     return np.where(is_pair, values, values.real).astype(np.complex128)
 
 
-CANDIDATE_ORDER = 8
-"""Give the model of the error so many states: the strongest of its poles is taken."""
-LONGEST_OBSERVER = 64
-ROWS_AN_UNKNOWN = 8
-"""Ask for so many rows for each unknown of that observer."""
-LARGEST_POLE = 0.9999
-N_LAGS = 200
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
 CHANCE = 0.01
 """Add no pole whose answer white noise would take for one so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
+MOST_LAGS = 1 << 14
+"""Look for no pole that rings for longer [samples]: one that does is found as one that rings so long, and refined."""
 
 
 def nothing_yet(data: OutputError) -> RefinementStep:
@@ -165,9 +160,7 @@ def nothing_yet(data: OutputError) -> RefinementStep:
     return step_at(nothing, data)
 
 
-def with_weak_mode(
-    step: RefinementStep, data: OutputError, *, held_out: int = NONE, struck: bool = False
-) -> RefinementStep | None:
+def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
     Args:
@@ -175,70 +168,38 @@ def with_weak_mode(
         data: that it was fitted to.
         held_out: rows with this label are not looked at, unless rows take turns, which leaves no past without a gap:
             they help to find a mode, then, not to keep it.
-        struck: the inputs act in short events, whose answers are over before an observer has seen enough of them.
     """
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
-    errors = errors_of(step, data, held_out=seen)
-    if struck:
-        found = _strongest_answer([np.nan_to_num(error) for error in errors], [one.inputs for one in data.records])
-    else:
-        several = tuple(replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True))
-        found = _strongest_of_observer(several, data, held_out)
-    return None if found is None else step_at(_joined(step.parameters, found), data, held_out=held_out)
-
-
-def _strongest_of_observer(records: tuple[Record, ...], data: OutputError, held_out: int) -> ModalParameters | None:
-    """The pole that takes most of the errors, of those that OKID and ERA find in them."""
-    found = _model_of_error(records)
+    errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
+    found = _strongest_answer(errors, [record.inputs for record in data.records])
     if found is None:
         return None
-    several = tuple(replace(one, outputs=np.nan_to_num(one.outputs)) for one in records)
-    left = OutputError(records=several, rows=data.rows, blocks=data.blocks)
-    candidates = starting_parameters(found, left, held_out=held_out)
-    if candidates is None:
-        return None
-    every = candidates.parameters
-    vibrating = np.flatnonzero(every.is_pair & (np.abs(every.poles) < LARGEST_POLE))
-    alone = [
-        ModalParameters(
-            poles=every.poles[[i]],
-            is_pair=every.is_pair[[i]],
-            inputs=every.inputs[[i]],
-            states=every.states[:, [i]],
-        )
-        for i in vibrating.tolist()
-    ]
-    return min(alone, key=lambda one: step_at(one, left, held_out=held_out).error, default=None)
-
-
-def _model_of_error(records: tuple[Record, ...]) -> Realisation | None:
-    scaling = channel_scaling(records)
-    n_channels = records[0].n_inputs + records[0].n_outputs
-    n_samples = sum(record.n_samples for record in records)
-    longest = max(1, min(LONGEST_OBSERVER, n_samples // (ROWS_AN_UNKNOWN * n_channels)))
-    try:
-        gram = lag_gram(records, longest, scaling=scaling)
-        coefficients = solve(gram, FIRST_RIDGE)
-    except IdentificationError:
-        return None
-    found = decompose_coefficients(coefficients, N_LAGS, records[0].dt, CANDIDATE_ORDER)
-    if found is None:
-        return None
-    order = min(CANDIDATE_ORDER, found.rank, found.max_order)
-    model = corner(found, order)
-    while model is not None and np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
-        order -= 1
-        model = corner(found, order) if order > 0 else None
-    if model is None:
-        return None
-    out = scaling.output_scale[:, np.newaxis]
-    return Realisation(
-        model.A, model.B / scaling.input_scale, model.C * out, model.D * out / scaling.input_scale, model.dt
+    pole, acting = found
+    n_records, n_inputs = len(errors), data.records[0].n_inputs
+    from_rest = ModalParameters(
+        poles=np.array([pole]),
+        is_pair=np.ones(1, dtype=np.bool_),
+        inputs=(np.arange(n_inputs) == acting).astype(np.complex128)[np.newaxis],
+        states=np.zeros((n_records, 1), dtype=np.complex128),
     )
+    left = tuple(replace(record, outputs=error) for record, error in zip(data.records, errors, strict=True))
+    alone = step_at(from_rest, replace(data, records=left), held_out=held_out)
+    form = ModalForm(
+        poles=from_rest.poles,
+        weights=np.ones(1),
+        shapes=alone.linear.shapes,
+        participations=from_rest.inputs,
+        feedthrough=np.zeros((left[0].n_outputs, n_inputs)),
+    )
+    states = from_rest.states.copy()
+    for i, rows in enumerate(_training_rows(data, held_out)):
+        if not begins_at_rest(data.records[i], 2):
+            states[i] = initial_state(form, left[i], rows)
+    return step_at(_joined(step.parameters, replace(from_rest, states=states)), data, held_out=held_out)
 
 
-def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> ModalParameters | None:
-    """The pole whose answer to one of the inputs takes most of the errors, from rest; None where chance does so.
+def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> tuple[complex, int] | None:
+    """The pole, and the input, whose answer from rest takes most of the errors; None where chance does so.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
     energy that is that of u's own:
@@ -246,46 +207,53 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
         sum e(k) x*(k) = sum over m > 0 of r(m) (lambda*)^(m-1),   r(m) = sum e(k+m) u(k)
         sum |x(k)|^2 = (rho(0) + 2 Re sum over l > 0 of rho(l) lambda^l) / (1 - |lambda|^2)
 
-    so one FFT tells the gain, 2 |sum e x*|^2 / sum |x|^2, of all frequencies at one decay. Over the power of an error
-    that is white it is distributed as chi^2 of two, and the largest of M is beyond g as often as M times one
+    so one FFT a decay tells the gain |sum e x*|^2 / sum |x|^2 of all frequencies. Of white errors of unit power it is
+    distributed as a sum of unit exponentials, one an output, and the largest of M is beyond g as often as M times one
     (Bonferroni).
     """
     power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)
     if not power.any():
         return None
     errors = [error / np.sqrt(np.where(power > 0.0, power, 1.0)) for error in errors]
-    longest = max(len(error) for error in errors)
-    length = scipy.fft.next_fast_len(2 * longest, real=True)
-    into, out = (np.stack([np.fft.rfft(one, length, axis=0) for one in each]) for each in (inputs, errors))
-    cross = np.fft.irfft(np.einsum("rkj,rko->jok", into.conj(), out), length)[..., 1:longest]
-    own = np.fft.irfft((np.abs(into) ** 2).sum(axis=0), length, axis=0).T[:, :longest]
-    lags, angle = np.arange(longest - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
-    n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * longest)))
+    n_lags = min(max(len(error) for error in errors), MOST_LAGS)
+    cross, own = _correlations(errors, inputs, n_lags)
+    length = scipy.fft.next_fast_len(2 * n_lags, real=True)
+    lags, angle = np.arange(n_lags - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
+    n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * n_lags)))
     least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
     best: tuple[float, complex, int] = (0.0, 0j, 0)
-    for decay in np.geomspace(1.0 / longest, FASTEST, n_decays):
+    for decay in np.geomspace(1.0 / n_lags, FASTEST, n_decays):
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
         fading = np.exp(-decay * lags)
-        product = np.fft.rfft(cross * fading, length)[..., there]
-        energy = (
-            own[:, :1]
-            + 2.0
-            * np.exp(-decay)
-            * (np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-1j * angle[there])).real
-        )
+        product = np.fft.rfft(cross[..., 1:] * fading, length)[..., there]
+        turned = np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-decay - 1j * angle[there])
+        energy = own[:, :1] + 2.0 * turned.real
         gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, least)
         j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
         if there.size and gains[j, k] > best[0]:
             best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
-    n_looked = n_decays * longest * len(own)
+    n_looked = n_decays * n_lags * len(own)
     if n_looked * scipy.special.gammaincc(power.size, best[0]) >= CHANCE:
         return None
-    return ModalParameters(
-        poles=np.array([best[1]]),
-        is_pair=np.ones(1, dtype=np.bool_),
-        inputs=(np.arange(len(own)) == best[2]).astype(np.complex128)[np.newaxis],
-        states=np.zeros((len(errors), 1), dtype=np.complex128),
-    )
+    return best[1], best[2]
+
+
+def _correlations(
+    errors: Sequence[FloatArray], inputs: Sequence[FloatArray], n_lags: int
+) -> tuple[FloatArray, FloatArray]:
+    """(n_inputs, n_outputs, n_lags) r and (n_inputs, n_lags) rho, summed stretch by stretch (overlap-save)."""
+    length = scipy.fft.next_fast_len(4 * n_lags, real=True)
+    hop = length - n_lags + 1
+    n_inputs, n_outputs = inputs[0].shape[1], errors[0].shape[1]
+    cross = np.zeros((n_inputs, n_outputs, length // 2 + 1), dtype=np.complex128)
+    own = np.zeros((n_inputs, length // 2 + 1), dtype=np.complex128)
+    for error, given in zip(errors, inputs, strict=True):
+        for first in range(0, len(error), hop):
+            acting = np.fft.rfft(given[first : first + hop], length, axis=0).T
+            later, answer = (np.fft.rfft(one[first : first + length], length, axis=0).T for one in (given, error))
+            own += acting.conj() * later
+            cross += acting.conj()[:, np.newaxis] * answer
+    return np.fft.irfft(cross, length)[..., :n_lags], np.fft.irfft(own, length)[:, :n_lags]
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:

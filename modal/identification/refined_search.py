@@ -160,7 +160,7 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
     step: RefinementStep | None = nothing_yet(shop.data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
-        step = None if step is None else with_weak_mode(step, shop.data, struck=True)
+        step = None if step is None else with_weak_mode(step, shop.data)
         if step is None:
             break
         step = refine(step, shop.data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
@@ -400,7 +400,7 @@ def refined_model(
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     for _ in range(weak_modes):
-        larger = with_weak_mode(last, data, struck=by == "rows")
+        larger = with_weak_mode(last, data)
         last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)
