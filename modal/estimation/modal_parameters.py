@@ -212,7 +212,7 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
     (Bonferroni).
     """
     power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)
-    if not power.any():
+    if not power.any() or not any(one.any() for one in inputs):
         return None
     errors = [error / np.sqrt(np.where(power > 0.0, power, 1.0)) for error in errors]
     n_lags = min(max(len(error) for error in errors), MOST_LAGS)

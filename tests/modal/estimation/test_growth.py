@@ -69,8 +69,12 @@ def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
     )
 
 
-def test_nothing_is_added_where_no_row_counts(case):
+def test_nothing_is_added_where_nothing_acts_or_no_row_counts(case):
     _, data, step = case
+    for n_inputs in (0, 1):
+        still = Record(np.zeros((4000, n_inputs)), data.records[0].outputs, data.records[0].dt)
+        alone = OutputError(records=(still,), rows=data.rows, blocks=data.blocks)
+        assert with_weak_mode(nothing_yet(alone), alone) is None
     none = OutputError(records=data.records, rows=(np.zeros(4000, dtype=bool),), blocks=data.blocks)
     assert with_weak_mode(step, none) is None
 
