@@ -144,6 +144,8 @@ CHANCE = 0.01
 """Add no pole whose answer white noise would take for one so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
+LONGEST_MEMORY = 3
+"""Take the noise that is left for an autoregression of at most this order."""
 MOST_LAGS = 1 << 14
 """Look for no pole that rings for longer [samples]: one that does is found as one that rings so long, and refined."""
 
@@ -171,35 +173,65 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
     """
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
     errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
-    found = _strongest_answer(errors, [record.inputs for record in data.records])
-    if found is None:
+    inputs = [record.inputs for record in data.records]
+    if not all(any(one.any() for one in each) for each in (errors, inputs)):
         return None
-    pole, acting = found
-    n_records, n_inputs = len(errors), data.records[0].n_inputs
+    left = replace(
+        data, records=tuple(replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True))
+    )
+    n_lags = min(max(len(error) for error in errors), MOST_LAGS)
+    cross, own = _correlations(errors, inputs, n_lags)
+    length = scipy.fft.next_fast_len(2 * n_lags, real=True)
+    noise = np.array([1.0 / np.abs(np.fft.rfft(one, length)) ** 2 for one in _whitening(errors)])
+    flat = np.broadcast_to(noise.mean(axis=1, keepdims=True), noise.shape)
+    best, largest = None, 0.0
+    for level in (flat, noise):
+        found = _answer_alone(*_strongest_answer(cross, own, level), data, left, held_out)
+        after = [np.nan_to_num(error) for error in errors_of(found, left, held_out=seen)]
+        white = _whitening(after)
+        gain = 0.5 * (_energy(errors, white) - _energy(after, white))
+        if gain > largest:
+            best, largest = found, gain
+    n_looked = _decays(n_lags).size * n_lags * len(own)
+    if best is None:
+        return None
+    n_fitted = len(noise) + int(best.parameters.states.any(axis=1).sum())  # complex: a shape, and what starts
+    if n_looked * scipy.special.gammaincc(n_fitted, largest) >= CHANCE:
+        return None
+    return step_at(_joined(step.parameters, best.parameters), data, held_out=held_out)
+
+
+def _answer_alone(pole: complex, acting: int, data: OutputError, left: OutputError, held_out: int) -> RefinementStep:
+    """The model of this one pole of what is left, with the start that each record asks for."""
+    n_records, n_inputs = len(data.records), data.records[0].n_inputs
     from_rest = ModalParameters(
         poles=np.array([pole]),
         is_pair=np.ones(1, dtype=np.bool_),
         inputs=(np.arange(n_inputs) == acting).astype(np.complex128)[np.newaxis],
         states=np.zeros((n_records, 1), dtype=np.complex128),
     )
-    left = tuple(replace(record, outputs=error) for record, error in zip(data.records, errors, strict=True))
-    alone = step_at(from_rest, replace(data, records=left), held_out=held_out)
+    alone = step_at(from_rest, left, held_out=held_out)
     form = ModalForm(
         poles=from_rest.poles,
         weights=np.ones(1),
         shapes=alone.linear.shapes,
         participations=from_rest.inputs,
-        feedthrough=np.zeros((left[0].n_outputs, n_inputs)),
+        feedthrough=np.zeros((left.records[0].n_outputs, n_inputs)),
     )
     states = from_rest.states.copy()
     for i, rows in enumerate(_training_rows(data, held_out)):
         if not begins_at_rest(data.records[i], 2):
-            states[i] = initial_state(form, left[i], rows)
-    return step_at(_joined(step.parameters, replace(from_rest, states=states)), data, held_out=held_out)
+            states[i] = initial_state(form, left.records[i], rows)
+    return step_at(replace(from_rest, states=states), left, held_out=held_out) if states.any() else alone
 
 
-def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> tuple[complex, int] | None:
-    """The pole, and the input, whose answer from rest takes most of the errors; None where chance does so.
+def _decays(n_lags: int) -> FloatArray:
+    """(n_decays,) a sample, at which a pole is looked for."""
+    return np.geomspace(1.0 / n_lags, FASTEST, max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * n_lags))))
+
+
+def _strongest_answer(cross: FloatArray, own: FloatArray, noise: FloatArray) -> tuple[complex, int]:
+    """The pole, and the input, whose answer from rest takes most of the errors, weighed by the noise at its frequency.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
     energy that is that of u's own:
@@ -207,35 +239,53 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
         sum e(k) x*(k) = sum over m > 0 of r(m) (lambda*)^(m-1),   r(m) = sum e(k+m) u(k)
         sum |x(k)|^2 = (rho(0) + 2 Re sum over l > 0 of rho(l) lambda^l) / (1 - |lambda|^2)
 
-    so one FFT a decay tells the gain |sum e x*|^2 / sum |x|^2 of all frequencies. Of white errors of unit power it is
-    distributed as a sum of unit exponentials, one an output, and the largest of M is beyond g as often as M times one
-    (Bonferroni).
+    so one FFT a decay tells the gain |sum e x*|^2 / sum |x|^2 of all frequencies. Over the power of the noise there it
+    is distributed as a sum of unit exponentials, one an output, and the largest of M is beyond g as often as M times
+    one (Bonferroni).
     """
-    power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)
-    if not power.any() or not any(one.any() for one in inputs):
-        return None
-    errors = [error / np.sqrt(np.where(power > 0.0, power, 1.0)) for error in errors]
-    n_lags = min(max(len(error) for error in errors), MOST_LAGS)
-    cross, own = _correlations(errors, inputs, n_lags)
+    n_lags = own.shape[1]
     length = scipy.fft.next_fast_len(2 * n_lags, real=True)
     lags, angle = np.arange(n_lags - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
-    n_decays = max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * n_lags)))
     least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
-    best: tuple[float, complex, int] = (0.0, 0j, 0)
-    for decay in np.geomspace(1.0 / n_lags, FASTEST, n_decays):
+    best: tuple[float, complex, int] = (-1.0, 0j, 0)
+    for decay in _decays(n_lags):
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
         fading = np.exp(-decay * lags)
         product = np.fft.rfft(cross[..., 1:] * fading, length)[..., there]
         turned = np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-decay - 1j * angle[there])
         energy = own[:, :1] + 2.0 * turned.real
-        gains = (np.abs(product) ** 2).sum(axis=1) * -np.expm1(-2.0 * decay) / np.maximum(energy, least)
+        gains = (np.abs(product) ** 2 / noise[:, there]).sum(axis=1) * -np.expm1(-2.0 * decay)
+        gains /= np.maximum(energy, least)
         j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
         if there.size and gains[j, k] > best[0]:
             best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
-    n_looked = n_decays * n_lags * len(own)
-    if n_looked * scipy.special.gammaincc(power.size, best[0]) >= CHANCE:
-        return None
     return best[1], best[2]
+
+
+def _whitening(errors: Sequence[FloatArray]) -> list[FloatArray]:
+    """The filter of each output that leaves white noise of unit power: an autoregression of its errors, by BIC."""
+    n_rows = sum(len(error) for error in errors)
+    filters = []
+    for output in range(errors[0].shape[1]):
+        each = [error[:, output] for error in errors]
+        r = np.array(
+            [sum(float(one[lag:] @ one[: len(one) - lag]) for one in each) for lag in range(LONGEST_MEMORY + 1)]
+        )
+        r[0] += TINY + np.finfo(np.float64).eps * r[0]
+        tails = [scipy.linalg.solve_toeplitz(r[:order], -r[1 : order + 1]) for order in range(1, LONGEST_MEMORY + 1)]
+        candidates = [np.ones(1), *(np.r_[1.0, tail] for tail in tails)]
+        power = [max(float(one @ r[: one.size]), TINY) / n_rows for one in candidates]
+        best = np.argmin([n_rows * np.log(left) + order * np.log(n_rows) for order, left in enumerate(power)])
+        filters.append(candidates[best] / np.sqrt(power[best]))
+    return filters
+
+
+def _energy(errors: Sequence[FloatArray], filters: Sequence[FloatArray]) -> float:
+    return float(
+        sum(
+            np.square(np.convolve(error[:, o], one, "valid")).sum() for error in errors for o, one in enumerate(filters)
+        )
+    )
 
 
 def _correlations(
