@@ -185,8 +185,8 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
     noise = np.array([1.0 / np.abs(np.fft.rfft(one, length)) ** 2 for one in _whitening(errors)])
     flat = np.broadcast_to(noise.mean(axis=1, keepdims=True), noise.shape)
     best, largest = None, 0.0
-    for level in (flat, noise):
-        found = _answer_alone(*_strongest_answer(cross, own, level), data, left, held_out)
+    for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat, noise))):
+        found = _answer_alone(pole, acting, data, left, held_out)
         after = [np.nan_to_num(error) for error in errors_of(found, left, held_out=seen)]
         white = _whitening(after)
         gain = 0.5 * (_energy(errors, white) - _energy(after, white))
@@ -230,8 +230,8 @@ def _decays(n_lags: int) -> FloatArray:
     return np.geomspace(1.0 / n_lags, FASTEST, max(2, round(DECAYS_A_DECADE * np.log10(FASTEST * n_lags))))
 
 
-def _strongest_answer(cross: FloatArray, own: FloatArray, noise: FloatArray) -> tuple[complex, int]:
-    """The pole, and the input, whose answer from rest takes most of the errors, weighed by the noise at its frequency.
+def _strongest_answers(cross: FloatArray, own: FloatArray, levels: Sequence[FloatArray]) -> list[tuple[complex, int]]:
+    """The pole, and the input, whose answer from rest takes most of the errors over each level of noise.
 
     A state driven by u has the product with an error e that is the one-sided transform of their correlation, and the
     energy that is that of u's own:
@@ -247,19 +247,21 @@ def _strongest_answer(cross: FloatArray, own: FloatArray, noise: FloatArray) -> 
     length = scipy.fft.next_fast_len(2 * n_lags, real=True)
     lags, angle = np.arange(n_lags - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
     least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
-    best: tuple[float, complex, int] = (-1.0, 0j, 0)
+    best: list[tuple[float, complex, int]] = [(-1.0, 0j, 0) for _ in levels]
     for decay in _decays(n_lags):
         there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
+        if not there.size:
+            continue
         fading = np.exp(-decay * lags)
-        product = np.fft.rfft(cross[..., 1:] * fading, length)[..., there]
+        squares = np.abs(np.fft.rfft(cross[..., 1:] * fading, length)[..., there]) ** 2
         turned = np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-decay - 1j * angle[there])
-        energy = own[:, :1] + 2.0 * turned.real
-        gains = (np.abs(product) ** 2 / noise[:, there]).sum(axis=1) * -np.expm1(-2.0 * decay)
-        gains /= np.maximum(energy, least)
-        j, k = np.unravel_index(int(gains.argmax()), gains.shape) if there.size else (0, 0)
-        if there.size and gains[j, k] > best[0]:
-            best = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
-    return best[1], best[2]
+        energy = np.maximum(own[:, :1] + 2.0 * turned.real, least) / -np.expm1(-2.0 * decay)
+        for i, level in enumerate(levels):
+            gains = (squares / level[:, there]).sum(axis=1) / energy
+            j, k = np.unravel_index(int(gains.argmax()), gains.shape)
+            if gains[j, k] > best[i][0]:
+                best[i] = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
+    return [(pole, acting) for _, pole, acting in best]
 
 
 def _whitening(errors: Sequence[FloatArray]) -> list[FloatArray]:
