@@ -246,8 +246,9 @@ def _strongest_answer(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
         sum e(k) x*(k) = sum over m > 0 of r(m) (lambda*)^(m-1),   r(m) = sum e(k+m) u(k)
         sum |x(k)|^2 = (rho(0) + 2 Re sum over l > 0 of rho(l) lambda^l) / (1 - |lambda|^2)
 
-    so one FFT tells the gain, 2 |sum e x*|^2 / sum |x|^2, of all frequencies at one decay. Over the power of an error
-    that is white it is distributed as chi^2 of two, and the largest of M is beyond g as often as M times one
+    so one FFT tells the gain, the sum over the outputs of |sum e x*|^2 / sum |x|^2, of all frequencies at one decay.
+    Of errors that are white and of unit power twice the gain is about chi^2 of two an output, so it is beyond g as
+    often as Q(n_outputs, g), the upper incomplete gamma function; the largest of M is at most M times as often
     (Bonferroni).
     """
     power = np.sum([np.square(error).sum(axis=0) for error in errors], axis=0) / sum(len(error) for error in errors)

@@ -327,6 +327,35 @@ def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:
     return power
 
 
+def ringing(model: ModalModel, records: Sequence[Record]) -> FloatArray:
+    """(n_modes,) power that the inputs leave in each mode when they end, over what they would if nothing cancelled.
+
+    With d(k) = participation' u(k) and K the last row in which anything acts, |sum d(k) lambda^(K-k)|^2 over
+    sum |d(k) lambda^(K-k)|^2, of the record where it is largest: the spectral density of the inputs at the pole itself,
+    in units of its mean. A blow has zeros in its spectrum, and a pole on one of them answers while the blow lasts,
+    whatever happens then, and is over with it.
+
+    Example:
+        >>> blow = np.r_[1.0, 1.0, np.zeros(98)]  # nothing at half the sampling rate
+        >>> modes = tuple(Mode(pole=-0.1 + 2j * np.pi * f, kind="oscillatory", frequency=f, damping_ratio=0.1 / f / 6.3,
+        ...                    shape=np.ones(1), participation=np.ones(1)) for f in (10.0, 49.999))
+        >>> model = ModalModel(modes=modes, dt=0.01, indicator_caution=0.1)
+        >>> ringing(model, [Record(blow, np.ones(100), 0.01)]).round(3).tolist()
+        [1.809, 0.0]
+    """
+    poles, _ = discrete_poles(model.modes, model.dt)
+    found = np.zeros(len(model))
+    for record in records:
+        inputs = np.nan_to_num(record.inputs)
+        acting = np.flatnonzero(inputs.any(axis=1))
+        drive = inputs[acting] @ np.array([mode.participation for mode in model.modes]).T
+        with np.errstate(under="ignore"):
+            left = drive * poles ** (acting.max(initial=0) - acting)[:, np.newaxis]
+        whole = np.square(np.abs(left)).sum(axis=0)
+        found = np.maximum(found, np.square(np.abs(left.sum(axis=0))) / np.maximum(whole, np.finfo(float).tiny))
+    return found
+
+
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
     """Why a mode may be no answer to the input, in words; empty where there is no doubt.
 

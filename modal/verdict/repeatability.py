@@ -109,7 +109,8 @@ def repeat(
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
-    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in ((_most(model_order),) * grows + (model_order,))]
+    sizes = (_most(model_order), model_order) if grows else (model_order,)
+    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
