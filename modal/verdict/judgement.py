@@ -259,7 +259,7 @@ def judge(
     primary = _primary(model.modes, reference, r, reruns.n_steps)
     n_states = sum(2 if mode.kind in ("oscillatory", "unstable") and mode.pole.imag else 1 for mode in model.modes)
     modes = []
-    made_of = None if ringing is None or gain is None else sums_of_stronger(model, gain)
+    made_of = ("",) * len(model) if ringing is None or gain is None else sums_of_stronger(model, gain)
     for i, mode in enumerate(model.modes):
         numbers = {group: float(values[i]) for group, values in parts.items()}
         own_gain = np.nan if gain is None else float(gain[i])
@@ -273,7 +273,7 @@ def judge(
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
             *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
-            *(() if ringing is None or made_of is None else free_doubt(mode, float(ringing[i]), made_of[i])),
+            *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
             *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),
