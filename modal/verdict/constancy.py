@@ -50,7 +50,9 @@ PARENTS = 8
 PRODUCT = 0.1
 """Take for a product what has at most this share of the power of each mode that it is a product of."""
 NEARER = 0.01
-"""Believe in a product whose pole lies nearer to a sum of poles than chance puts one of so many."""
+"""Believe in a product whose pole lies nearer to a sum of poles than chance puts this share of them,"""
+FURTHEST = 4.0
+"""and that is no further from it than so many stated deviations: chance puts one in three thousand there."""
 DECADES = 2.0
 """Expect a decay rate anywhere within so many decades."""
 
@@ -240,8 +242,14 @@ def _sum_of(mode: Mode, parents: Sequence[Mode], dt: float) -> str:
         sums = sums.real + 1j * np.abs((sums.imag + half) % (2.0 * half) - half)  # what is too fast is folded back
         distance = np.abs(mode.pole - sums)
         chance = np.pi * distance.min() ** 2 / (half * -sums.real * np.log(10.0) * DECADES)
-        if chance.sum() < NEARER:
-            nearest = terms[distance.argmin()]
+        nearest = terms[distance.argmin()]
+        deviation = np.sqrt(_variance(mode) + sum(_variance(parents[k % n]) for k in nearest))
+        if chance.sum() < NEARER and not distance.min() > FURTHEST * deviation:  # nan where none is stated
             shown = [("- " if k >= n else "+ ") + f"{parents[k % n].frequency:.3g}" for k in sorted(nearest.tolist())]
             return " ".join(shown).removeprefix("+ ")
     return ""
+
+
+def _variance(mode: Mode) -> float:
+    """Of each part of a pole [1/s^2]: a pole is known as well along the real axis as along the imaginary one."""
+    return 2.0 * np.pi**2 * (mode.frequency_std**2 + (mode.frequency * mode.damping_ratio_std) ** 2)
