@@ -160,7 +160,8 @@ def test_sums_and_differences_that_clipping_makes_are_no_modes():
 def struck(crest, *, noise=1e-3, seed=0, angle=0.25):
     """What a blow makes ring, noisy, cut off at so much of its peak."""
     k = np.arange(3000)
-    ringing = np.exp(-0.12 * angle * k) * np.sin(angle * k) + noise * np.random.default_rng(seed).standard_normal(k.size)
+    rng = np.random.default_rng(seed)
+    ringing = np.exp(-0.12 * angle * k) * np.sin(angle * k) + noise * rng.standard_normal(k.size)
     return np.minimum(np.r_[np.zeros(100), ringing], crest * ringing.max())
 
 
