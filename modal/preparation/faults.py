@@ -245,7 +245,7 @@ def _looked(records: Sequence[Record]) -> Iterator[tuple[Channel, float, tuple[B
         resolution = resolution_of(channel)
         yield channel, resolution, sharp
         if channel.role == "input":
-            own = sharp_samples(channel, resolution)
+            own = sharp_samples(channel)
             sharp = tuple(mask | more for mask, more in zip(sharp, own, strict=True))
 
 

@@ -166,3 +166,21 @@ def test_the_high_pass_of_the_sensors_is_no_mode():
     assert filters
     assert all(mode.verdict == "doubtful" and "does not come back" in mode.reason for mode in filters)
     assert_told_right(result, truth)
+
+
+def test_a_blow_of_one_sample_that_accelerometers_show_at_once():
+    """Its row is no spike, and held out nothing would tell how the outputs answer in it."""
+    rng, dt = np.random.default_rng(1), 0.001
+    force = np.r_[np.zeros(300), 1.0, np.zeros(1699)]
+    frequencies, dampings = np.array([40.0, 110.0, 190.0]), np.array([0.02, 0.015, 0.01])
+    poles = 2.0 * np.pi * frequencies * (-dampings + 1j * np.sqrt(1.0 - dampings**2))
+    answers = [scipy.signal.lfilter([0.0, 1.0], [1.0, -np.exp(pole * dt)], 1j * force).real for pole in poles]
+    ringing = np.array(answers).T @ rng.standard_normal((3, 2))
+    noise = 0.003 * np.abs(ringing).max(axis=0)
+    outputs = ringing + np.outer(force, 3.0 * np.abs(ringing).max(axis=0)) + noise * rng.standard_normal(ringing.shape)
+    result = modal.identify(Record(force, outputs, dt))
+    assert not result.warnings
+    assert result.input_delay == (0,)
+    for mode, frequency in zip(result.modes.system, frequencies, strict=True):
+        assert abs(mode.frequency - frequency) < 5 * mode.frequency_std < 0.01 * frequency
+    assert result.fit.mean > np.mean(result.fit.whole) - 0.01
