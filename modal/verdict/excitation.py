@@ -344,11 +344,13 @@ def ringing(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         [1.809, 0.0]
     """
     poles, _ = discrete_poles(model.modes, model.dt)
+    poles = poles / np.maximum(1.0, np.abs(poles))  # what grows is no mode, and would grow beyond all numbers
+    participations = np.array([mode.participation for mode in model.modes]).reshape(len(model), records[0].n_inputs)
     found = np.zeros(len(model))
     for record in records:
         inputs = np.nan_to_num(record.inputs)
         acting = np.flatnonzero(inputs.any(axis=1))
-        drive = inputs[acting] @ np.array([mode.participation for mode in model.modes]).T
+        drive = inputs[acting] @ participations.T
         with np.errstate(under="ignore"):
             left = drive * poles ** (acting.max(initial=0) - acting)[:, np.newaxis]
         whole = np.square(np.abs(left)).sum(axis=0)
