@@ -102,7 +102,8 @@ def driven_gain(
             for total, values in ((with_it, rest), (without, rest + part / output_scale)):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
-        gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], np.finfo(float).tiny)
+        least = np.finfo(float).eps * with_it[driven] + np.finfo(float).tiny  # nothing without: nothing is gained
+        gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], least)
     return gains
 
 
