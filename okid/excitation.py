@@ -150,13 +150,20 @@ def _inputs_scaling(scaling: ChannelScaling) -> ChannelScaling:
 
 
 def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -> FloatArray:
-    """Power spectral density (arbitrary unit) of one scaled input: Hann windows, half overlapped, averaged."""
+    """Power spectral density (arbitrary unit) of one scaled input: Hann windows, half overlapped, averaged.
+
+    An input that rests most of the time rests before and after its record, too: a blow at an end is seen whole.
+    """
     longest = max(record.n_samples for record in records)
     length = int(np.clip(1 << max(3, (longest // 4).bit_length() - 1), 8, 1024))
     window = np.hanning(length + 2)[1:-1]
     density = np.zeros(length // 2 + 1)
     for record in records:
         values = (record.inputs[:_ROW_LIMIT, channel] - scaling.input_mean[channel]) / scaling.input_scale[channel]
+        known = values[~np.isnan(values)]
+        rest = np.median(known) if known.size else np.nan
+        if np.count_nonzero(values == rest) > values.size / 2:
+            values = np.pad(values - rest, length // 2)
         for start, stop in runs_of(~np.isnan(values)):
             if stop - start < length:
                 continue

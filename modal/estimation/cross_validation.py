@@ -202,6 +202,8 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
     stretches = stretches_of(records, by)
     scaled = moving_inputs([whole[one.record].samples(one.first, one.last) for one in stretches])
     complete = [records[one.record].complete_rows()[one.first : one.last] for one in stretches]
+    if by == "rows":
+        complete = [there & ~alone for there, alone in zip(complete, _alone(scaled, stretches), strict=True)]
     counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
     held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted)
     return Ground(
@@ -225,9 +227,16 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
     )
 
 
-def _blocks(rows: BoolArray, n_records: int, by: Folds) -> list[tuple[int, int]]:
-    """Where the errors of held-out rows are kept apart: runs of them, or parts of the record where they take turns."""
-    return parts_of(rows.size, n_records) if by == "rows" else runs_of(rows)
+def _alone(scaled: Sequence[Record], stretches: Sequence[Stretch]) -> list[BoolArray]:
+    """(n_rows,) a stretch, True where an input acts whose rows have one turn: held out, nothing tells what it does."""
+    alone = [np.zeros(record.n_samples, dtype=np.bool_) for record in scaled]
+    for j in range(scaled[0].n_inputs):
+        acts = [np.flatnonzero(record.inputs[:, j]) for record in scaled]
+        turns = np.concatenate([(own + one.first) % N_TURNS for own, one in zip(acts, stretches, strict=True)])
+        if np.unique(turns).size == 1:
+            for mask, own in zip(alone, acts, strict=True):
+                mask[own] = True
+    return alone
 
 
 def scaled_record(record: Record, scaling: ChannelScaling) -> Record:

@@ -140,8 +140,6 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
 
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
-CHANCE = 0.01
-"""Add no pole whose answer white noise would take for one so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
 LONGEST_MEMORY = 3
@@ -162,7 +160,9 @@ def nothing_yet(data: OutputError) -> RefinementStep:
     return step_at(nothing, data)
 
 
-def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> RefinementStep | None:
+def with_weak_mode(
+    step: RefinementStep, data: OutputError, *, held_out: int = NONE, chance: float = np.inf
+) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
     Args:
@@ -170,6 +170,8 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
         data: that it was fitted to.
         held_out: rows with this label are not looked at, unless rows take turns, which leaves no past without a gap:
             they help to find a mode, then, not to keep it.
+        chance: none is added that noise would be taken for more often, at any frequency and decay looked at; any is
+            unless given, for held-out rows to judge.
     """
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
     errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
@@ -196,7 +198,7 @@ def with_weak_mode(step: RefinementStep, data: OutputError, *, held_out: int = N
     if best is None:
         return None
     n_fitted = len(noise) + int(best.parameters.states.any(axis=1).sum())  # complex: a shape, and what starts
-    if n_looked * scipy.special.gammaincc(n_fitted, largest) >= CHANCE:
+    if n_looked * scipy.special.gammaincc(n_fitted, largest) >= chance:
         return None
     return step_at(_joined(step.parameters, best.parameters), data, held_out=held_out)
 

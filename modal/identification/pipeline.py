@@ -44,7 +44,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, driven_gain, standing_out
+from modal.verdict.excitation import between_lines, driven_gain, ringing, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -311,6 +311,7 @@ def _identified(
         )
         if kind.kind == "driven"
         else None,
+        ringing=ringing(unjudged, prepared) if kind.kind in ("transient", "decay") else None,
         rings_down=kind.kind == "decay",
         clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names, steady=not unsteady)
         if kind.kind == "ambient"

@@ -3,7 +3,8 @@
 **Clipped.** Among the sixteen outermost values that occur, the outermost itself occurs five times as often as any of
 the others, and the channel comes back to it several times from below all sixteen. The crest of a sine on a converter's
 grid occurs 2.4 times as often as the next level; a channel that settles comes once; one that rests there does so most
-of the time.
+of the time. The answer to a blow may come once, too: an output is clipped then where the outermost value alone occurs
+several times, the others lie so far apart that chance does not make them equal, and the record goes on.
 
 **Coarse.** Rounding to levels a distance q apart adds noise of standard deviation q / sqrt(12) (Widrow's model, good
 from about q = one standard deviation of the signal downwards).
@@ -65,6 +66,9 @@ MORE_OFTEN = 5
 
 FEWEST_VISITS = 3
 """Call a channel clipped that comes to its limit so often; one that settles there comes once."""
+
+FAR_APART = 100
+"""Values that lie so many of the closest distances apart are equal by chance once in a hundred."""
 
 BAD_NOISE = 0.3
 """Call rounding noise bad from so many standard deviations of the channel: about one level a standard deviation."""
@@ -261,7 +265,10 @@ def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:
 def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:
     """Number of clipped samples and where, None where that end is not clipped."""
     values, counts = _outermost(channel, sign)
-    if values.size < OUTERMOST or counts[0] < MORE_OFTEN * counts[1:].max() or counts[0] > MOSTLY * channel.n_samples:
+    if values.size < OUTERMOST or counts[0] > MOSTLY * channel.n_samples:
+        return None
+    alone = counts[0] >= FEWEST_VISITS and _stands_alone(channel, values, counts)
+    if counts[0] < MORE_OFTEN * counts[1:].max() and not alone:
         return None
     if _n_levels(channel) < 2 * OUTERMOST:  # a switch or a coarse converter
         return None
@@ -271,8 +278,18 @@ def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:
         height = sign * part
         at_limit = height >= values[0] - ROUNDING * channel.extent
         visits += _visits(at_limit, height < values[-1])
+        alone = alone and not at_limit[-1:].any()
         spans += [channel.span(number, start, stop) for start, stop in runs_of(at_limit)[:MOST_SPANS]]
-    return (int(counts[0]), spans[:MOST_SPANS]) if visits >= FEWEST_VISITS else None
+    return (int(counts[0]), spans[:MOST_SPANS]) if alone or visits >= FEWEST_VISITS else None
+
+
+def _stands_alone(channel: Channel, values: FloatArray, counts: np.ndarray) -> bool:
+    """Whether an output has no other of its outermost values twice, and these are far apart."""
+    if channel.role != "output" or counts[1:].max() > 1:
+        return False
+    gaps = np.diff(np.unique(np.concatenate(channel.parts)))
+    gaps = gaps[gaps > ROUNDING * channel.extent]
+    return bool(np.diff(values[1:]).mean() <= -FAR_APART * gaps.min(initial=np.inf))
 
 
 def _outermost(channel: Channel, sign: float) -> tuple[FloatArray, np.ndarray]:

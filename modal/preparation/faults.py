@@ -120,6 +120,8 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
         gram = lag_gram(records, max(1, min(PAST, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
     except InsufficientDataError:
         return tuple(records), ()
+    if gram.n_rows <= 2 * q * gram.order:  # so much is missing that the past of hardly a row is whole
+        return tuple(records), ()
     level = gram.matrix[1:, 0] / gram.n_rows
     covariance = gram.matrix[1:, 1:] / gram.n_rows - np.outer(level, level)
     foretold = np.linalg.lstsq(covariance[q:, q:], covariance[q:, :q], rcond=FINEST**3)[0].T @ covariance[q:, :q]
@@ -245,7 +247,7 @@ def _looked(records: Sequence[Record]) -> Iterator[tuple[Channel, float, tuple[B
         resolution = resolution_of(channel)
         yield channel, resolution, sharp
         if channel.role == "input":
-            own = sharp_samples(channel, resolution)
+            own = sharp_samples(channel)
             sharp = tuple(mask | more for mask, more in zip(sharp, own, strict=True))
 
 

@@ -36,7 +36,8 @@ ENOUGH = 20
 N_PARTS = 10
 """Look for the quietest of so many parts of a record."""
 NO_QUIETER = 2.0
-"""Believe in rest where the rows before the blow move no more than this many times what the quietest part does,"""
+"""Believe in rest where the rows before the blow move no more than this many times what the quietest part does, or than
+so few rows of its noise do by chance,"""
 NEGLIGIBLE = 0.01
 """or no more than this share of what the blow makes, a ten-thousandth of its power,"""
 CHANCE = 1e-3
@@ -206,8 +207,11 @@ def _rests(record: Record, first: int) -> bool:
     parts = record.outputs[: n_rows * (record.n_samples // n_rows)].reshape(-1, n_rows, record.n_outputs)
     there = np.isfinite(parts).any(axis=1)
     floor = np.sqrt(np.where(there, variance(parts, axis=1), np.inf).min(axis=0))
-    least = np.maximum(NO_QUIETER * floor, NEGLIGIBLE * np.sqrt(variance(record.outputs, axis=0)))
     n_before = np.maximum(np.isfinite(before).sum(axis=0), 1)
+    by_chance = np.sqrt(scipy.special.chdtri(n_before, CHANCE / record.n_outputs) / n_before)  # of few rows
+    least = np.maximum(
+        np.maximum(NO_QUIETER, by_chance) * floor, NEGLIGIBLE * np.sqrt(variance(record.outputs, axis=0))
+    )
     if (np.sqrt(np.nansum(np.square(before), axis=0) / n_before) > least).any():
         return False
     return first < ENOUGH or _looks_white(before)

@@ -139,12 +139,15 @@ def _level(channel: Channel, share: float, largest: float) -> Level:
     return "doubtful" if share >= SPOILED or largest >= channel.std else "note"
 
 
-def sharp_samples(channel: Channel, resolution: float) -> tuple[BoolArray, ...]:
-    """(n_samples,) a record, True where the channel is off the curve through its neighbours, spike or not."""
+def sharp_samples(channel: Channel) -> tuple[BoolArray, ...]:
+    """(n_samples,) a record, True where the channel is off the curve through its neighbours, spike or not.
+
+    However coarse it is: a blow of one sample has two values, and one step of an input acts as any other.
+    """
     masks = []
     for part in channel.parts:
         off = np.abs(_off_curve(part))
-        limit = _limit(off, channel, resolution, MOSTLY)  # the median, for steps and hits are looked for
+        limit = _limit(off, channel, np.nan, MOSTLY)  # the median, for steps and hits are looked for
         masks.append(np.asarray(off > limit, dtype=np.bool_))
     return tuple(masks)
 

@@ -175,7 +175,7 @@ def _channel_findings(
     if channel.role == "input":
         known.lines.append(lines)
         known.steady.append(is_steady(channel))
-        sharp = sharp_samples(channel, resolution)
+        sharp = sharp_samples(channel)
         known.sharp = tuple(mask | more for mask, more in zip(known.sharp, sharp, strict=True))
     return found
 

@@ -8,10 +8,15 @@ with T the derivative of the mode's answer to the inputs by decay rate and angul
 is the change of that pole there (one Gauss-Newton step). A line through the changes of all blocks, over time or over
 the logarithm of the mode's level, is beyond chance when its slope exceeds what the scatter of the blocks about it
 explains, whatever the colour of the noise.
+
+What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
+ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
+fits them as well as modes, and so does every part of it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 import scipy
@@ -39,6 +44,17 @@ wind and traffic stay within it, and chance does over a hundred samples."""
 
 QUARTILES = (0.25, 0.75)
 """Compare the mode where time or level are at these quantiles of the blocks."""
+
+PARENTS = 8
+"""Look at sums of so many of the strongest modes: products of strong ones are what stands out."""
+PRODUCT = 0.1
+"""Take for a product what has at most this share of the power of each mode that it is a product of."""
+NEARER = 0.01
+"""Believe in a product whose pole lies nearer to a sum of poles than chance puts this share of them,"""
+FURTHEST = 4.0
+"""and that is no further from it than so many stated deviations: chance puts one in three thousand there."""
+DECADES = 2.0
+"""Expect a decay rate anywhere within so many decades."""
 
 
 def changing_modes(
@@ -176,3 +192,64 @@ def unsteady_drive(records: Sequence[Record], left: Sequence[FloatArray]) -> tup
         "peaks may be the event's; give the input, or a stretch of ambient motion."
     )
     return (sentence,)
+
+
+def sums_of_stronger(model: ModalModel, gain: FloatArray) -> tuple[str, ...]:
+    """For each mode of what rings down the sum of two or three stronger ones that its pole is, "" where it is none.
+
+    Poles spread evenly over the frequencies, and over the logarithm of decay, lie as near to any of the sums s as d by
+    chance this often:
+
+        sum over s of pi d^2 / (pi / dt  |Re s| ln 10^DECADES)
+
+    A sum with a mode and its own conjugate turns as the third does: that is told by other means.
+
+    Args:
+        model: modes of records that ring down.
+        gain: (n_modes,) as `modal.verdict.excitation.driven_gain`.
+
+    Example:
+        >>> modes = tuple(
+        ...     Mode(pole=s, kind="oscillatory", frequency=abs(s) / 2 / np.pi, damping_ratio=-s.real / abs(s),
+        ...          shape=np.ones(1), participation=np.ones(1))
+        ...     for s in (-0.5 + 40j, -0.7 + 97j, -1.2 + 57.01j, -1.2 + 62.0j)
+        ... )
+        >>> model = ModalModel(modes=modes, dt=0.01, indicator_caution=0.1)
+        >>> sums_of_stronger(model, np.array([0.99, 0.99, 0.5, 0.5]))
+        ('', '', '15.4 - 6.37', '')
+    """
+    power = np.nan_to_num(gain / np.maximum(1.0 - gain, np.finfo(float).eps))
+    order = np.argsort(-power, kind="stable")
+    vibrating = [i for i in order.tolist() if model.modes[i].kind == "oscillatory" and model.modes[i].pole.real < 0.0]
+    words = [""] * len(model)
+    for i, mode in enumerate(model.modes):
+        parents = [j for j in vibrating[:PARENTS] if power[i] <= PRODUCT * power[j]]
+        if mode.kind in ("oscillatory", "real") and parents:
+            words[i] = _sum_of(mode, [model.modes[j] for j in parents], model.dt)
+    return tuple(words)
+
+
+def _sum_of(mode: Mode, parents: Sequence[Mode], dt: float) -> str:
+    """The sum of two or three poles of the parents that the mode's pole is, in words; "" where it is none."""
+    n, half = len(parents), np.pi / dt
+    both = np.array([parent.pole for parent in parents] + [parent.pole.conjugate() for parent in parents])
+    for count in (2, 3):
+        terms = np.array(list(combinations_with_replacement(range(2 * n), count)))
+        against = (terms[:, :, np.newaxis] == terms[:, np.newaxis] + n).any(axis=(1, 2))
+        sums = both[terms].sum(axis=1)
+        kept = (sums.imag >= 0.0) & ~(against & (count > 2))
+        terms, sums = terms[kept], sums[kept]
+        sums = sums.real + 1j * np.abs((sums.imag + half) % (2.0 * half) - half)  # what is too fast is folded back
+        distance = np.abs(mode.pole - sums)
+        chance = np.pi * distance.min() ** 2 / (half * -sums.real * np.log(10.0) * DECADES)
+        nearest = terms[distance.argmin()]
+        deviation = np.sqrt(_variance(mode) + sum(_variance(parents[k % n]) for k in nearest))
+        if chance.sum() < NEARER and not distance.min() > FURTHEST * deviation:  # nan where none is stated
+            shown = [("- " if k >= n else "+ ") + f"{parents[k % n].frequency:.3g}" for k in sorted(nearest.tolist())]
+            return " ".join(shown).removeprefix("+ ")
+    return ""
+
+
+def _variance(mode: Mode) -> float:
+    """Of each part of a pole [1/s^2]: a pole is known as well along the real axis as along the imaginary one."""
+    return 2.0 * np.pi**2 * (mode.frequency_std**2 + (mode.frequency * mode.damping_ratio_std) ** 2)

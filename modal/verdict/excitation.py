@@ -102,7 +102,8 @@ def driven_gain(
             for total, values in ((with_it, rest), (without, rest + part / output_scale)):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
-        gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], np.finfo(float).tiny)
+        least = np.finfo(float).eps * with_it[driven] + np.finfo(float).tiny  # nothing without: nothing is gained
+        gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], least)
     return gains
 
 
@@ -325,6 +326,37 @@ def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:
         return None
     power: ComplexArray = rows.T @ rows.conj() / len(rows)
     return power
+
+
+def ringing(model: ModalModel, records: Sequence[Record]) -> FloatArray:
+    """(n_modes,) power that the inputs leave in each mode when they end, over what they would if nothing cancelled.
+
+    With d(k) = participation' u(k) and K the last row in which anything acts, |sum d(k) lambda^(K-k)|^2 over
+    sum |d(k) lambda^(K-k)|^2, of the record where it is largest: the spectral density of the inputs at the pole itself,
+    in units of its mean. A blow has zeros in its spectrum, and a pole on one of them answers while the blow lasts,
+    whatever happens then, and is over with it.
+
+    Example:
+        >>> blow = np.r_[1.0, 1.0, np.zeros(98)]  # nothing at half the sampling rate
+        >>> modes = tuple(Mode(pole=-0.1 + 2j * np.pi * f, kind="oscillatory", frequency=f, damping_ratio=0.1 / f / 6.3,
+        ...                    shape=np.ones(1), participation=np.ones(1)) for f in (10.0, 49.999))
+        >>> model = ModalModel(modes=modes, dt=0.01, indicator_caution=0.1)
+        >>> ringing(model, [Record(blow, np.ones(100), 0.01)]).round(3).tolist()
+        [1.809, 0.0]
+    """
+    poles, _ = discrete_poles(model.modes, model.dt)
+    poles = poles / np.maximum(1.0, np.abs(poles))  # what grows is no mode, and would grow beyond all numbers
+    participations = np.array([mode.participation for mode in model.modes]).reshape(len(model), records[0].n_inputs)
+    found = np.zeros(len(model))
+    for record in records:
+        inputs = np.nan_to_num(record.inputs)
+        acting = np.flatnonzero(inputs.any(axis=1))
+        drive = inputs[acting] @ participations.T
+        with np.errstate(under="ignore"):
+            left = drive * poles ** (acting.max(initial=0) - acting)[:, np.newaxis]
+        whole = np.square(np.abs(left)).sum(axis=0)
+        found = np.maximum(found, np.square(np.abs(left.sum(axis=0))) / np.maximum(whole, np.finfo(float).tiny))
+    return found
 
 
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:

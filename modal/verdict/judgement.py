@@ -35,6 +35,7 @@ from modal.modes.shape_comparison import (
     pulses,
     repeatability,
 )
+from modal.verdict.constancy import sums_of_stronger
 from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     clipping_doubt,
@@ -45,6 +46,7 @@ from modal.verdict.probability import (
     edge_doubt,
     excitation_doubt,
     f_ratio,
+    free_doubt,
     peak_doubt,
     poor_fit_doubt,
     probability,
@@ -197,6 +199,7 @@ def judge(
     chance: FloatArray | None = None,
     clipped: FloatArray | None = None,
     height: FloatArray | None = None,
+    ringing: FloatArray | None = None,
     rings_down: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
@@ -230,6 +233,8 @@ def judge(
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
         height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.excitation`); None
             where unknown.
+        ringing: (n_modes,) what the inputs leave in each mode when they end (`modal.verdict.excitation`); None where
+            the records are no answers to blows or releases.
         rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:
@@ -254,6 +259,7 @@ def judge(
     primary = _primary(model.modes, reference, r, reruns.n_steps)
     n_states = sum(2 if mode.kind in ("oscillatory", "unstable") and mode.pole.imag else 1 for mode in model.modes)
     modes = []
+    made_of = ("",) * len(model) if ringing is None or gain is None else sums_of_stronger(model, gain)
     for i, mode in enumerate(model.modes):
         numbers = {group: float(values[i]) for group, values in parts.items()}
         own_gain = np.nan if gain is None else float(gain[i])
@@ -267,6 +273,7 @@ def judge(
             *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
             *edge_doubt(mode, edge),
             *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
+            *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
             *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),

@@ -194,6 +194,37 @@ def unanswered_doubt(mode: Mode, chance: float) -> tuple[str, ...]:
     return (f"nothing follows the inputs at {mode.frequency:.4g} Hz beyond chance: noise, leakage or a disturbance",)
 
 
+RINGS = 1e-6
+"""Doubt a mode in which a blow leaves less of its power: 60 dB, as where inputs do not move."""
+COMES_BACK = 0.5
+"""Doubt a mode of what rings down from this damping ratio on: within one period it falls to less than 3 %."""
+
+
+def free_doubt(mode: Mode, ringing: float, made_of: str) -> tuple[str, ...]:
+    """What follows a blow or a release and is no ringing of a structure, or that of two modes at once.
+
+    Args:
+        mode: of what rings down.
+        ringing: see `modal.verdict.excitation.ringing`.
+        made_of: see `modal.verdict.constancy.sums_of_stronger`.
+
+    Example:
+        >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
+        ...             shape=np.ones(1), participation=np.ones(1))
+        >>> free_doubt(mode, 1.0, "2.1 - 0.66")
+        ('its pole is a sum of stronger ones (2.1 - 0.66 Hz): what is not quite linear makes it',)
+    """
+    doubts = []
+    if not ringing >= RINGS:
+        doubts.append(f"the blow has nothing at {mode.frequency:.4g} Hz: what seems to answer is over when it ends")
+    if mode.damping_ratio > COMES_BACK and mode.kind in ("oscillatory", "real"):
+        share = f"damping {100 * mode.damping_ratio:.0f} %"
+        doubts.append(f"{share}: does not come back once; filters of sensors and amplifiers answer so, too")
+    if made_of:
+        doubts.append(f"its pole is a sum of stronger ones ({made_of} Hz): what is not quite linear makes it")
+    return tuple(doubts)
+
+
 FEWEST_TURNS = 2.0
 """Doubt a pole of a decay that turns less often within the record, where another turns more often: a drifting sensor
 makes a half-wave or two."""

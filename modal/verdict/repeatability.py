@@ -1,8 +1,9 @@
 """The same identification made again with a small change each time, for the verdict: which modes are found again?
 
-Two halves of the rows (interleaved blocks), one other observer order and ridge, and model orders around the chosen one
-from the same decomposition. The Gram matrices of the two halves add up to the whole, so a half costs one factorisation
-and one SVD.
+Two halves of the rows, one other observer order and ridge, and model orders around the chosen one from the same
+decomposition. The Gram matrices of the two halves add up to the whole, so a half costs one factorisation and one SVD.
+Halves are interleaved blocks, or pairs of rows that take turns: every second row alone is explained by the negative of
+a pole as well, and a mode would be lost to its alias.
 """
 
 from collections.abc import Sequence
@@ -70,7 +71,7 @@ def repeat(
         model_order: of the model.
         decomposition: that the model was cut from; gives the other model orders.
         refinement_steps: of the model.
-        folds: halves of interleaved "blocks", or every second of the "rows".
+        folds: halves of interleaved "blocks", or every second pair of the "rows".
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
@@ -82,8 +83,9 @@ def repeat(
         return _canonical_reruns(records, scaling, past, model_order)
     whole = lag_gram(records, observer_order, scaling=scaling)
     if folds == "rows":
-        first_half = tuple(np.arange(record.n_samples) % 2 == 0 for record in records)
-        one = turn_gram(records, observer_order, scaling=scaling, n_turns=2, turn=0)
+        first_half = tuple(np.arange(record.n_samples) % 4 < 2 for record in records)
+        pairs = (turn_gram(records, observer_order, scaling=scaling, n_turns=4, turn=turn) for turn in (0, 1))
+        one = next(pairs) + next(pairs)
     else:
         first_half = tuple(_every_second_block(record.n_samples) for record in records)
         one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
@@ -93,7 +95,7 @@ def repeat(
     runs = []
     second_half = tuple(~rows for rows in first_half)
     if folds == "rows":
-        blocks = blocks_by_turns(records, 2)
+        blocks = tuple(replace(block, label=block.label // 2) for block in blocks_by_turns(records, 4))
     else:
         blocks = blocks_of(records, [[runs_of(rows) for rows in half] for half in (first_half, second_half)])
     again = _refinement(records, scaling, blocks, refinement_steps)
@@ -109,17 +111,19 @@ def repeat(
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
-    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in ((_most(model_order),) * grows + (model_order,))]
+    sizes = (_most(model_order), model_order) if grows else (model_order,)
+    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
         modes = extract_modes(_refined(models, again, grown_to=model_order if grows else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grows else largest)
-    for n in _nearest(model_order, others) if grows else others:
+    for n, count in _nearest(model_order, others) if grows else [(n, 1) for n in others]:
         start = realise_from(decomposition, min(_most(n), largest) if grows else n)
         modes = extract_modes(_refined((start,), again, grown_to=n if grows else 0))
-        runs.append(Rerun(label=f"order {n}", change="lower order" if n < model_order else "higher order", modes=modes))
+        change: Change = "lower order" if n < model_order else "higher order"
+        runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
         runs=tuple(runs),
         n_steps=decomposition.n_block_rows + decomposition.n_block_columns,
@@ -252,9 +256,18 @@ def _other_orders(model_order: int, largest: int) -> list[int]:
     return others if others and others[-1] > model_order else []
 
 
-def _nearest(model_order: int, others: Sequence[int]) -> list[int]:
-    """The order below and the one above: what grows finds the same modes on its way to any other, at their price."""
-    return [*[n for n in others if n < model_order][-1:], *[n for n in others if n > model_order][:1]]
+def _nearest(model_order: int, others: Sequence[int]) -> list[tuple[int, int]]:
+    """The order below and the one above, and how many of the others each stands for.
+
+    What grows finds the same modes on its way to any other, at their price. They count alike all the same: a lower
+    order must lose a mode, and against one other run that would be half of what is asked of the weakest.
+
+    Example:
+        >>> _nearest(10, [8, 12, 14])
+        [(8, 1), (12, 2)]
+    """
+    below, above = [n for n in others if n < model_order], [n for n in others if n > model_order]
+    return [(side[near], len(side)) for side, near in ((below, -1), (above, 0)) if side]
 
 
 def _model(gram: LagGram, ridge: float, scaling: ChannelScaling, dt: float, order: int) -> Realisation | None:

@@ -97,3 +97,11 @@ def test_bands_beyond_the_fourth_are_counted(n_bands, words):
     (text,) = [one for one in check_excitation(Record(force, force, 0.005), order=5).messages if "moves in" in one]
     assert ("narrower" in text) is (words is not None)
     assert words is None or words in text
+
+
+@pytest.mark.parametrize("row", [0, 1, 500, 998, 999])
+def test_a_blow_moves_everywhere_wherever_in_the_record_it_falls(row):
+    """At its ends no window saw it, and what was left was the mean that had been taken off."""
+    force = np.zeros(1000)
+    force[row] = 1.0
+    assert check_excitation(Record(force - force.mean(), np.cos(np.arange(1000.0)), 0.01), order=5).excited_share == 1.0

@@ -1,5 +1,7 @@
 """Weak modes in what a refined model leaves, on systems of tests/reference."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -8,7 +10,7 @@ from systems import modal_system, simulate
 from era.realisation import Realisation
 from modal.estimation.modal_parameters import errors_of, nothing_yet, starting_parameters, with_weak_mode
 from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import OutputError, refine
+from modal.estimation.output_error import OutputError, refine, step_at
 from okid.record import Record
 
 
@@ -113,7 +115,7 @@ def test_nothing_is_added_to_white_noise(case):
         noise = np.random.default_rng(seed).standard_normal((4000, 2))
         record = Record(data.records[0].inputs, noise, data.records[0].dt)
         alone = OutputError(records=(record,), rows=data.rows, blocks=data.blocks)
-        assert with_weak_mode(nothing_yet(alone), alone) is None
+        assert with_weak_mode(nothing_yet(alone), alone, chance=0.01) is None
 
 
 def red(rng, n_outputs, pole=0.95):
@@ -131,7 +133,7 @@ def test_a_weak_mode_stands_above_the_noise_beside_it_and_not_above_all_of_it():
     for n, noise in enumerate((red(rng, 2), rng.standard_normal((4000, 2)))):
         record = Record(inputs, 0.05 * answer + noise, system.dt)
         data = OutputError(records=(record,), rows=(np.ones(4000, dtype=bool),), blocks=blocks_of((record,), [[[]]]))
-        found = with_weak_mode(nothing_yet(data), data)
+        found = with_weak_mode(nothing_yet(data), data, chance=0.01)
         if n == 0:
             assert abs(np.angle(found.parameters.poles[0]) / (2 * np.pi * system.dt) - 31.0) < 0.3
         else:
@@ -146,7 +148,7 @@ def test_red_noise_is_hardly_taken_for_answers(case):
         noise = red(np.random.default_rng(seed), 2)
         record = Record(data.records[0].inputs, noise, data.records[0].dt)
         alone = OutputError(records=(record,), rows=data.rows, blocks=data.blocks)
-        taken += with_weak_mode(nothing_yet(alone), alone) is not None
+        taken += with_weak_mode(nothing_yet(alone), alone, chance=0.01) is not None
     assert taken <= 2
 
 
@@ -197,3 +199,23 @@ def test_an_input_that_never_moves_hides_no_mode(case):
     found = with_weak_mode(nothing_yet(both), both)
     assert found is not None
     assert found.parameters.poles == with_weak_mode(nothing_yet(data), data).parameters.poles
+
+
+def test_an_added_mode_starts_from_the_state_that_its_records_ask_for(case):
+    """A record that begins in motion: from rest the input alone makes next to nothing of what the weak mode does."""
+    system, data, _ = case
+    rng = np.random.default_rng(3)
+    inputs = rng.standard_normal((1500, 1))
+    start = np.r_[np.zeros(4), 40.0 * np.abs(system.B[:2]).max() * np.array([1.0, -0.5])]
+    outputs = simulate(system, inputs, initial_state=start)
+    free = simulate(system, 0.0 * inputs, initial_state=start)
+    record = Record(inputs, outputs + 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape), system.dt)
+    data = OutputError(records=(record,), rows=(np.ones(1500, dtype=bool),), blocks=blocks_of((record,), [[[]]]))
+    strong = Realisation(system.A[:4, :4], system.B[:4], system.C[:, :4], system.D, system.dt)
+    step = starting_parameters(strong, data)
+    larger = with_weak_mode(step, data)
+    left = larger.error / step.error
+    assert np.square(free).sum() > 0.5 * step.error  # it is most of what the strong modes leave
+    assert left < 0.2
+    resting = replace(larger.parameters, states=np.zeros_like(larger.parameters.states))
+    assert step_at(resting, data).error > 2.0 * larger.error

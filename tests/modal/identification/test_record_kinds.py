@@ -5,6 +5,7 @@ Larger runs with the same generator: `python tests/benchmarks/record_kinds.py`.
 
 import numpy as np
 import pytest
+import scipy
 from field_records import random_records
 
 import modal
@@ -141,3 +142,45 @@ def test_what_grew_needs_none_of_its_observers_recovered(monkeypatch):
     assert len(set(seen)) > 1
     assert len(result.modes.system) == truth.poles.size
     assert_told_right(result, truth)
+
+
+def test_products_of_modes_are_no_modes():
+    """A sensor that is not quite linear shows twice the lowest pole, and its sum with its conjugate at 0 Hz."""
+    truth = random_records("transient", 12003, n_records=1)
+    ((force, outputs),) = truth.records
+    bent = outputs + 0.168 * outputs**2 / np.abs(outputs).max(axis=0)
+    result = modal.identify(Record(force, bent, truth.dt))
+    twice = [mode for mode in result.modes if abs(mode.pole - 2.0 * truth.poles[0]) < 0.02 * abs(truth.poles[0])]
+    assert twice
+    assert all(mode.verdict == "doubtful" and "what is not quite linear makes it" in mode.reason for mode in twice)
+    assert_told_right(result, truth)
+
+
+def test_the_high_pass_of_the_sensors_is_no_mode():
+    truth = random_records("transient", 12004, n_records=1)
+    ((force, outputs),) = truth.records
+    corner = 0.3 * truth.frequencies.min()
+    seen = scipy.signal.lfilter(*scipy.signal.butter(2, 2 * corner * truth.dt, "high"), outputs, axis=0)
+    result = modal.identify(Record(force, seen, truth.dt))
+    filters = [mode for mode in result.modes if abs(mode.frequency - corner) < 0.1 * corner]
+    assert filters
+    assert all(mode.verdict == "doubtful" and "does not come back" in mode.reason for mode in filters)
+    assert_told_right(result, truth)
+
+
+def test_a_blow_of_one_sample_that_accelerometers_show_at_once():
+    """Its row is no spike, and held out nothing would tell how the outputs answer in it."""
+    rng, dt = np.random.default_rng(1), 0.001
+    force = np.r_[np.zeros(300), 1.0, np.zeros(1699)]
+    frequencies, dampings = np.array([40.0, 110.0, 190.0]), np.array([0.02, 0.015, 0.01])
+    poles = 2.0 * np.pi * frequencies * (-dampings + 1j * np.sqrt(1.0 - dampings**2))
+    answers = [scipy.signal.lfilter([0.0, 1.0], [1.0, -np.exp(pole * dt)], 1j * force).real for pole in poles]
+    ringing = np.array(answers).T @ rng.standard_normal((3, 2))
+    noise = 0.003 * np.abs(ringing).max(axis=0)
+    outputs = ringing + np.outer(force, 3.0 * np.abs(ringing).max(axis=0)) + noise * rng.standard_normal(ringing.shape)
+    result = modal.identify(Record(force, outputs, dt))
+    assert not result.warnings
+    assert result.input_delay == (0,)
+    for mode, frequency in zip(result.modes.system, frequencies, strict=True):
+        assert abs(mode.frequency - frequency) < 5 * mode.frequency_std < 0.01 * frequency
+    assert result.fit.mean > np.mean(result.fit.whole) - 0.01

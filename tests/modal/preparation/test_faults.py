@@ -203,6 +203,16 @@ def test_outputs_with_a_sensor_s_noise_stay_the_very_same():
     assert not choices
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_where_no_past_is_whole_nothing_is_foretold(share):
+    """Ten per cent missing in each of five outputs leave no row with 32 whole ones before it: a division by none."""
+    rng = np.random.default_rng(0)
+    outputs = lfilter([1.0], [1.0, -1.6, 0.9], rng.standard_normal((4000, 5)), axis=0)
+    outputs[rng.random(outputs.shape) < share] = np.nan
+    record = Record([], outputs, 0.01)
+    assert no_finer_than_sensors((record,)) == ((record,), ())
+
+
 def test_records_are_looked_over_once(monkeypatch):
     """Ambient ones were three times: for their kind, before the fit, and for what their limits make of the modes."""
     looked, look = [], faults._looked

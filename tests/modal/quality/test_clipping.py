@@ -155,3 +155,24 @@ def test_sums_and_differences_that_clipping_makes_are_no_modes():
     assert len(found) == 4
     assert all(np.abs(frequencies - one).min() < 0.01 * one for one in found)
     assert any("clipping or rounding alone makes" in mode.reason for mode in result.modes)
+
+
+def struck(crest, *, noise=1e-3, seed=0, angle=0.25):
+    """What a blow makes ring, noisy, cut off at so much of its peak."""
+    k = np.arange(3000)
+    rng = np.random.default_rng(seed)
+    ringing = np.exp(-0.12 * angle * k) * np.sin(angle * k) + noise * rng.standard_normal(k.size)
+    return np.minimum(np.r_[np.zeros(100), ringing], crest * ringing.max())
+
+
+@pytest.mark.parametrize("crest", [0.95, 0.8, 0.7])
+def test_a_crest_that_is_cut_off_once_is_clipped(channel_of, crest):
+    (finding,) = clipping_findings(channel_of(struck(crest)), 1)
+    assert finding.spans[0][1] == pytest.approx(1.05, abs=0.05)
+
+
+@pytest.mark.parametrize(("step", "noise", "seed"), [(1e-3, 0.0, 6), (3e-4, 1e-4, 2)])
+def test_a_whole_crest_on_a_grid_is_not_clipped(channel_of, step, noise, seed):
+    """Its outermost level occurs three or four times here, and the next fifteen once."""
+    values = struck(1.0, noise=noise, seed=seed, angle=0.005 * (seed + 1))
+    assert clipping_findings(channel_of(step * np.round(values / step)), 1) == []

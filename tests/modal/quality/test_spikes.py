@@ -95,7 +95,7 @@ def test_a_pulse_of_an_input_out_of_rest_is_a_hit_but_out_of_motion_a_spike(chan
 def test_sharp_samples_are_the_hits(channel_of):
     hammer = 1e-4 * np.random.default_rng(5).standard_normal(4000)
     hammer[[500, 2000]] = 1.0
-    (mask,) = sharp_samples(channel_of(hammer, role="input"), np.nan)
+    (mask,) = sharp_samples(channel_of(hammer, role="input"))
     assert mask[500]
     assert mask[2000]
     assert mask.sum() <= 10
@@ -112,7 +112,7 @@ def test_hits_that_crowd_a_block_are_all_sharp(channel_of):
     hammer = 1e-4 * np.random.default_rng(5).standard_normal(4000)
     places = [1101, 1117, 1122, 1138]
     hammer[places] = 1.0
-    (mask,) = sharp_samples(channel_of(hammer, role="input"), np.nan)
+    (mask,) = sharp_samples(channel_of(hammer, role="input"))
     assert mask[places].all()
 
 

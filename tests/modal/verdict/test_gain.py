@@ -6,7 +6,9 @@ from systems import random_system, simulate
 
 from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
-from modal.verdict.excitation import driven_gain
+from modal.modes.mode import ModalModel, Mode
+from modal.verdict.constancy import sums_of_stronger
+from modal.verdict.excitation import driven_gain, ringing
 from okid.record import Record
 
 
@@ -139,3 +141,35 @@ def test_without_inputs_or_rows_nothing_is_known(case):
     alone = Record([], record.outputs, record.dt)
     assert np.isnan(driven_gain(model, [alone], [record.outputs], output_scale=np.ones(3))).all()
     assert np.isnan(gain_of(realisation, model, record, np.zeros_like(rows))).all()
+
+
+def model_of(*poles):
+    one = {"shape": np.ones(1), "participation": np.ones(1)}
+    modes = [
+        Mode(
+            pole=pole,
+            kind="unstable" if pole.real > 0.0 else "oscillatory",
+            frequency=abs(pole) / (2.0 * np.pi),
+            damping_ratio=-pole.real / abs(pole),
+            **one,
+        )
+        for pole in poles
+    ]
+    return ModalModel(modes=tuple(modes), dt=0.01, indicator_caution=0.1)
+
+
+def test_what_a_blow_leaves_ringing_is_its_spectrum_at_the_pole():
+    force, last = np.zeros(30_000), 700
+    force[696 : last + 1] = [1.0, 3.0, 4.0, 3.0, 1.0]
+    poles = np.array([-1.0 + 60.0j, -3.0 + 209.0j, -0.1 + 300.0j, 4.0 + 50.0j])
+    found = ringing(model_of(*poles), [Record(force, force, 0.01), Record(0.0 * force, force, 0.01)])
+    for pole, share in list(zip(poles, found, strict=True))[:3]:
+        left = [force[k] * np.exp(pole * 0.01 * (last - k)) for k in range(696, last + 1)]
+        assert share == pytest.approx(abs(sum(left)) ** 2 / sum(abs(part) ** 2 for part in left))
+    assert np.isfinite(found).all()  # what grows, too
+
+
+def test_of_no_mode_there_is_nothing_to_say():
+    record = Record(np.eye(1, 100).ravel(), np.ones(100), 0.01)
+    assert ringing(model_of(), [record]).shape == (0,)
+    assert sums_of_stronger(model_of(), np.empty(0)) == ()

@@ -21,7 +21,7 @@ def a_record(seed, n_samples=1500, *, noise=0.03):
     return system, Record(inputs, with_noise(rng, outputs, noise), system.dt).detrended()
 
 
-def repeated(records, *, observer_order=20, ridge=1e-4, model_order=4):
+def repeated(records, *, observer_order=20, ridge=1e-4, model_order=4, **options):
     observer = fit_observer(records, order=observer_order, ridge=ridge)
     markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
     return repeat(
@@ -30,6 +30,7 @@ def repeated(records, *, observer_order=20, ridge=1e-4, model_order=4):
         ridge=ridge,
         model_order=model_order,
         decomposition=decompose(markov, max_order=24),
+        **options,
     )
 
 
@@ -107,3 +108,19 @@ def test_the_other_observer_has_the_order_and_the_ridge_of_its_label():
     found = np.array([mode.pole for mode in run.modes])
     # the rerun starts six rows later, as the whole record's observer does
     assert np.abs(found - poles(0.09)).max() < 0.2 * np.abs(found - poles(0.03)).max()
+
+
+def test_what_grew_is_found_again_in_what_the_others_leave():
+    """A short observer asked for all modes at once gives a pole of noise for the weak one."""
+    rng = np.random.default_rng(5)
+    both = {"frequencies": [5.0, 21.0, 33.0], "damping_ratios": [0.03, 0.02, 0.01], "mode_sizes": [1.0, 1.0, 0.03]}
+    system = modal_system(rng, **both, n_inputs=1, n_outputs=2)
+    inputs = rng.standard_normal((3000, 1))
+    record = Record(inputs, with_noise(rng, simulate(system, inputs), 0.2), system.dt).detrended()
+    found = {}
+    for grows in (False, True):
+        runs = repeated([record], observer_order=10, ridge=1e-3, model_order=6, refinement_steps=8, grows=grows).runs
+        (again,) = [run.modes for run in runs if run.change == "observer"]
+        found[grows] = min(abs(mode.frequency - 33.0) for mode in again)
+    assert found[True] < 0.1
+    assert found[False] > 1.0
