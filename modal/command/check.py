@@ -14,16 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
-from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources, sizes
-from modal.command.terminal import Screen, listing, plain, say_beforehand
+from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
+from modal.command.terminal import Screen, listing, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
 from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
 from okid.record import Record
-
-__all__ = ["EXAMPLES", "carry_out_check", "check", "quality_json", "show_quality"]
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
 _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}

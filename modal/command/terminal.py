@@ -37,23 +37,6 @@ from okid.errors import visible
 if TYPE_CHECKING:
     from modal.quality import DataQuality
 
-__all__ = [
-    "Progress",
-    "Screen",
-    "listing",
-    "live_view",
-    "plain",
-    "plain_streams",
-    "progress_bar",
-    "say_beforehand",
-    "show_comparison",
-    "show_files",
-    "show_limits",
-    "show_paths",
-    "show_result",
-    "time_left_text",
-]
-
 LONGEST_NAME = 80
 """Shorten the name of a limit, which is a stranger's text, to so many letters."""
 

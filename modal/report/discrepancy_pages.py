@@ -36,8 +36,6 @@ from modal.wording.text import MOST_NAMED, exact_percent, number, shorten
 from okid.arrays import FloatArray
 from okid.errors import visible
 
-__all__ = ["diagnosis_html", "diagnosis_markdown", "draw_diagnosis", "equations_of"]
-
 STATUS_WORDS = {"named": "named", "unresolved": "not settled", "none": "nothing missing"}
 MOST_HYPOTHESES = 20
 """Listed in the page; the JSON file has all."""

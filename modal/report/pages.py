@@ -44,17 +44,6 @@ if TYPE_CHECKING:
     import jinja2
     from markupsafe import Markup
 
-__all__ = [
-    "environment",
-    "hold_text",
-    "html_text",
-    "inline",
-    "markdown_text",
-    "moving_shapes",
-    "page_script",
-    "placement_of",
-]
-
 MOST_MOVING = 24
 """Modes that can be chosen."""
 

@@ -36,17 +36,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
 
-__all__ = [
-    "NOTHING_BESIDES",
-    "Picture",
-    "Setting",
-    "draw_pictures",
-    "drawn",
-    "readable",
-    "response_pictures",
-    "setting_of",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture:

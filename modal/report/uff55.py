@@ -31,8 +31,6 @@ from okid.errors import InvalidDataError
 if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
 
-__all__ = ["Form", "NodePlan", "dataset", "geometry_datasets", "node_labels", "node_plan", "real_shape", "uff55_text"]
-
 _MOST_DIGITS = 9
 _NODES_A_LINE = 8
 

@@ -21,18 +21,6 @@ from okid.readers.guard import check_channel_count, check_memory, foreign, optio
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
-__all__ = [
-    "UniversalFile",
-    "label_of",
-    "open_uff",
-    "place_of",
-    "read_uff",
-    "states_si",
-    "text_of",
-    "unit_of",
-    "write_response",
-]
-
 MEMORY_A_BYTE = 8.0
 TIME_RESPONSE = 1
 ABSCISSA_TIME = 17
