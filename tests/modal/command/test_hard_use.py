@@ -179,7 +179,7 @@ def test_what_libraries_do_at_the_end_changes_no_exit_status(data):
 @pytest.mark.parametrize(("arguments", "status"), [(["nothing.csv"], 2), (["a.csv", "--inputs", "force"], 0)])
 def test_a_log_without_room_changes_no_exit_status(data, arguments, status):
     """What is said beforehand of long work was the end of it, and 1 says that there is a result."""
-    script = f"import modal.command.terminal as terminal; terminal.LONG = -1.0; {COMMAND[-1]}"
+    script = f"import modal.command.terminal as terminal; terminal.Shown.LONG = -1.0; {COMMAND[-1]}"
     with Path("/dev/full").open("w") as full:
         run = subprocess.run(
             [*COMMAND[:-1], script, "check", *arguments],
@@ -324,10 +324,10 @@ def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, mo
     choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
     run = ["run", "a.csv", "--inputs", "force", "-o", "out", *choices]
     for arguments, memory in ((run, 0.6), (["check", "a.csv"], 0.3)):
-        monkeypatch.setattr("modal.command.terminal.LONG", 60.0)
+        monkeypatch.setattr("modal.command.terminal.Shown.LONG", 60.0)
         status(arguments)
         assert capsys.readouterr().err == ""
-        monkeypatch.setattr("modal.command.terminal.LONG", 0.0)
+        monkeypatch.setattr("modal.command.terminal.Shown.LONG", 0.0)
         status([*arguments, *["--overwrite"] * (arguments[0] == "run")])
         said = capsys.readouterr().err
         assert said == f"400 samples of 2 channels: expect 1 min of one processor and up to {memory} GiB of memory.\n"

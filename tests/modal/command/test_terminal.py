@@ -12,7 +12,7 @@ from rich.console import Console
 from modal.command.gap import show_diagnosis, show_diagnosis_files
 from modal.command.stopping import Requests
 from modal.command.terminal import (
-    MOST_NOISE,
+    Shown,
     progress_bar,
     say_beforehand,
     show_comparison,
@@ -58,11 +58,13 @@ def test_six_modes_with_their_files_take_at_most_25_lines_of_80_letters(identifi
 def test_noise_poles_are_one_line(make_result, identification):
     noise = identification.modes.modes[4]
     modes = type(identification.modes)(
-        modes=(*identification.modes.modes[:3], *[noise] * (MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
+        modes=(*identification.modes.modes[:3], *[noise] * (Shown.MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
     )
     text = printed(show_result, make_result(modes=modes))
-    named = ", ".join([f"{hertz(noise.frequency)} Hz"] * MOST_NOISE)
-    assert f"Taken for noise: {MOST_NOISE + 2} poles ({named}, 2 more); the report says why." in " ".join(text.split())
+    named = ", ".join([f"{hertz(noise.frequency)} Hz"] * Shown.MOST_NOISE)
+    assert f"Taken for noise: {Shown.MOST_NOISE + 2} poles ({named}, 2 more); the report says why." in " ".join(
+        text.split()
+    )
 
 
 def test_what_is_a_warning_is_not_printed_again(make_result, identification):

@@ -11,7 +11,7 @@ from modal.geometry.placement import placed
 from modal.geometry.scene import scene_of
 from modal.geometry.sensors import Geometry, Sensor
 from modal.plots.panels import Segments, text_width
-from modal.plots.shapes import MOST_SEGMENTS
+from modal.plots.shapes import ShapeLimits
 from okid.errors import InvalidDataError
 
 NAMES = ("2X+", "3X+", "4Y-")
@@ -122,7 +122,7 @@ def test_of_thousands_of_lines_a_bounded_number_is_drawn(modes):
         lines=(tuple(range(n)),),
     )
     figure = plots.mode_shapes(modes[:1], output_names=("5Z+", "6Z+", "800Z+"), geometry=many)
-    assert all(len(part) <= MOST_SEGMENTS for part in deflected(figure))
+    assert all(len(part) <= ShapeLimits.MOST_SEGMENTS for part in deflected(figure))
 
 
 def test_a_mast_is_drawn_no_taller_than_a_page_shows_it():

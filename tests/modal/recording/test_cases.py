@@ -10,7 +10,7 @@ from page_reader import views
 from modal.recording import save_recording
 from modal.recording.plan import gather, planned
 from modal.recording.stream import GLOBAL_AXIS, blueprint
-from modal.recording.tables import LONGEST_SENTENCE, bullets
+from modal.recording.tables import WordLimits, bullets
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -250,5 +250,5 @@ def test_a_long_sentence_is_not_cut_in_its_middle():
 def test_a_hostile_one_is_bounded_and_harmless():
     (text,) = bullets(["<script>" + "x" * 10_000])
     assert "<script>" not in text
-    assert len(text) < LONGEST_SENTENCE + 100
+    assert len(text) < WordLimits.LONGEST_SENTENCE + 100
     assert bullets([]) == []

@@ -17,7 +17,7 @@ from modal.plots.results import synthesised_alone
 from modal.report import pages, pictures
 from modal.report.machine import json_text
 from modal.report.pages import SWING, html_text, markdown_text, moving_shapes
-from modal.report.pictures import MOST_ASSURED, MOST_SHAPES, Setting, draw_pictures, response_pictures, setting_of
+from modal.report.pictures import PictureLimits, Setting, draw_pictures, response_pictures, setting_of
 from modal.sections.provenance import Provenance
 
 
@@ -129,9 +129,9 @@ def test_sticks_are_seen_from_the_side_and_a_geometry_obliquely(identification, 
 
 
 def test_large_structures_have_fewer_modes_and_then_none(identification, tower, monkeypatch):
-    monkeypatch.setattr(pages, "MOST_DEFLECTIONS", 8)
+    monkeypatch.setattr(pages.PageLimits, "MOST_DEFLECTIONS", 8)
     assert len(json.loads(moving_shapes(identification, Setting(geometry=tower)))["modes"]) == 2
-    monkeypatch.setattr(pages, "MOST_NODES", 3)
+    monkeypatch.setattr(pages.PageLimits, "MOST_NODES", 3)
     assert moving_shapes(identification, Setting(geometry=tower)) == ""
 
 
@@ -186,8 +186,7 @@ def test_the_words_follow_what_is_drawn(believed):
 
 
 def test_only_the_strongest_pairs_of_many_are_drawn(believed, monkeypatch):
-    for place in ("modal.report.pictures", "modal.plots.results"):
-        monkeypatch.setattr(f"{place}.MOST_SHOWN", 2)
+    monkeypatch.setattr("modal.plots.results.ResultLimits.MOST_SHOWN", 2)
     assert "The 2 strongest of 3 are shown." in response_pictures(believed)["responses"].caption
 
 
@@ -211,8 +210,8 @@ def test_the_page_stays_within_its_budget(large):
     pictures = draw_pictures(large)
     page = html_text(large, Provenance(), pictures)
     assert len(page.encode()) < BUDGET
-    assert f"The first {MOST_SHAPES} of {N_MODES} modes." in pictures["shapes"].caption
-    assert f"The first {MOST_ASSURED} of {N_MODES} modes." in pictures["assurance"].caption
+    assert f"The first {PictureLimits.MOST_SHAPES} of {N_MODES} modes." in pictures["shapes"].caption
+    assert f"The first {PictureLimits.MOST_ASSURED} of {N_MODES} modes." in pictures["assurance"].caption
     assert "are drawn, those of every second order or fewer" in pictures["stabilisation"].caption
     assert f"The 6 strongest of {4 * N_OUTPUTS} are shown" in pictures["responses"].caption
     assert page.count("other orders 1.00") == 2 * N_MODES  # the reason of every mode, once
