@@ -146,22 +146,6 @@ def geometry_of_table(mapping: Mapping[str, Any], where: str) -> Geometry:
     return replace(without_sensors, sensors=tuple(made))
 
 
-def with_dofs(geometry: Geometry, dofs: Mapping[str, str], where: str) -> Geometry:
-    """The geometry with a sensor for each channel whose node and axis are stated, such as `{"acc_top": "3X+"}`.
-
-    Args:
-        geometry: that has these nodes.
-        dofs: name of the degree of freedom by channel.
-        where: what to call the source in an error.
-
-    Raises:
-        InvalidDataError: a name that states no node and axis, an unknown node, or a channel that has a sensor already.
-    """
-    find = _finder(geometry.node_names, where)
-    made = tuple(_sensor(channel, dof, geometry, find, where) for channel, dof in dofs.items())
-    return replace(geometry, sensors=geometry.sensors + made)
-
-
 def _finder(names: Sequence[str], where: str) -> Callable[[Any, str], int]:
     numbers = node_numbers(names)
 

@@ -1,4 +1,4 @@
-"""What the model was tested against, what its intervals mean and rest on, and the set-up of the test, in words."""
+"""The words for what a model was tested against, what its intervals mean and rest on, and how the test was set up."""
 
 import math
 import shlex

@@ -12,7 +12,7 @@ from textbook_modal import textbook_era
 import modal
 from era.balanced import realise
 from era.realisation import HankelFactors, Realisation
-from modal.modes.extraction import aliased_frequency, extract_modes
+from modal.modes.extraction import extract_modes
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.markov import MarkovParameters
 
@@ -161,12 +161,7 @@ def test_37_hz_sampled_at_50_hz_appears_at_13_hz_with_more_damping():
     )
     assert mode.frequency == pytest.approx(13.0, abs=0.02)
     assert mode.damping_ratio == pytest.approx(0.028, abs=5e-4)
-    assert mode.pole.imag / (2 * np.pi) == pytest.approx(aliased_frequency(damped / (2 * np.pi), 0.02), rel=1e-9)
-
-
-@pytest.mark.parametrize(("frequency", "seen"), [(13.0, 13.0), (37.0, 13.0), (63.0, 13.0), (50.0, 0.0), (25.0, 25.0)])
-def test_aliases_fold_about_multiples_of_the_sampling_frequency(frequency, seen):
-    assert aliased_frequency(frequency, 0.02) == pytest.approx(seen, abs=1e-12)
+    assert mode.pole.imag / (2 * np.pi) == pytest.approx(50 - damped / (2 * np.pi), rel=1e-9)
 
 
 def test_defective_poles_do_not_crash_and_are_said_to_coincide():
