@@ -27,7 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, dof_of, node_numbers
+from modal.geometry.sensors import Geometry, GeometryLimits, Sensor, dof_of, node_numbers
 from modal.geometry.uff import read_uff_geometry
 from modal.wording.text import shorten
 from okid.errors import InvalidDataError, UnreadableFileError, visible
@@ -122,9 +122,9 @@ def geometry_of_table(mapping: Mapping[str, Any], where: str) -> Geometry:
     nodes = mapping.get("nodes")
     if not isinstance(nodes, Mapping) or not nodes:
         raise InvalidDataError(f"the geometry in {where} needs a table [nodes] with lines such as 1 = [0, 0, 350].")
-    if len(nodes) > MOST_NODES:
+    if len(nodes) > GeometryLimits.MOST_NODES:
         raise InvalidDataError(
-            f"the geometry in {where} has {len(nodes)} nodes, and may have {MOST_NODES}; keep fewer."
+            f"the geometry in {where} has {len(nodes)} nodes, and may have {GeometryLimits.MOST_NODES}; keep fewer."
         )
     names = tuple(str(name) for name in nodes)
     positions = [_three_numbers(place, f"node {_quoted(name)} in {where}") for name, place in nodes.items()]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.geometry.sensors import MOST_NODES, Dof, Geometry, Sensor, dof_of, motion_of
+from modal.geometry.sensors import Dof, Geometry, GeometryLimits, Sensor, dof_of, motion_of
 from okid.errors import InvalidDataError
 
 
@@ -175,8 +175,8 @@ def test_sensors_without_a_direction_are_refused():
 
 
 def test_too_many_nodes_are_refused():
-    with pytest.raises(InvalidDataError, match=str(MOST_NODES)):
-        line(MOST_NODES + 1)
+    with pytest.raises(InvalidDataError, match=str(GeometryLimits.MOST_NODES)):
+        line(GeometryLimits.MOST_NODES + 1)
 
 
 def test_a_shape_needs_one_component_an_output():
