@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -277,24 +277,19 @@ def _smeared(modes: ModalModel, past: Sequence[LiveEstimate], time: float, span:
     return tuple(texts)
 
 
-class Growing:
-    """How a file that grows is looked at."""
-
-    POLL: Final = 0.02
-    """Look into the file again after so many seconds: a tenth of what a reader notices."""
-    HEAD_BYTES: Final = 1 << 16
-    """Tell the layout of a text table from so many bytes of its beginning."""
-    FEWEST_ROWS: Final = 20
-    """Wait for so many rows before the layout and the time step are told."""
-    SEEN_BYTES: Final = 64
-    """Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
-    LARGEST: Final = 1e150
-    """Count a cell beyond this as missing: sums of its square are no numbers."""
-
-
+POLL = 0.02
+"""Look into the file again after so many seconds: a tenth of what a reader notices."""
 OFF_GRID = 0.5
 """End a block where a stamp is off the grid by so many time steps: a row is missing, or the clock was set."""
+HEAD_BYTES = 1 << 16
+"""Tell the layout of a text table from so many bytes of its beginning."""
+FEWEST_ROWS = 20
+"""Wait for so many rows before the layout and the time step are told."""
+SEEN_BYTES = 64
+"""Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
 _BEGINS_AS_A_ROW = re.compile(rb"[\s\0\"'+.,;|-]*(\d|nan|inf|$)", re.IGNORECASE)
+LARGEST = 1e150
+"""Count a cell beyond this as missing: sums of its square are no numbers."""
 
 
 def growing_blocks(
@@ -370,18 +365,17 @@ def _pieces(
             last = time.monotonic()
             waiting.append(fresh)
         complete = stop() or time.monotonic() - last > patience
-        begun = begun or sum(map(len, waiting)) >= Growing.FEWEST_ROWS
+        begun = begun or sum(map(len, waiting)) >= FEWEST_ROWS
         if begun:
             yield waiting, complete
             waiting = []
         elif complete and not stop():
             raise InvalidDataError(
-                f"{name} has not grown for {patience:.3g} s and holds fewer than the "
-                f"{Growing.FEWEST_ROWS} rows that tell its "
+                f"{name} has not grown for {patience:.3g} s and holds fewer than the {FEWEST_ROWS} rows that tell its "
                 "layout and time step; write more, or give a longer --patience."
             )
         if not len(fresh) and not complete:
-            time.sleep(Growing.POLL)
+            time.sleep(POLL)
 
 
 def _runs(
@@ -419,7 +413,7 @@ class _Missing:
 
     def left(self, table: Table, values: FloatArray) -> FloatArray:
         """The rows that have a time, without cells that are no measurement; behind each its number in the file."""
-        wild = ~np.isnan(values) & ~(np.abs(values) <= Growing.LARGEST)
+        wild = ~np.isnan(values) & ~(np.abs(values) <= LARGEST)
         for row, k in np.argwhere(wild)[:1]:
             what = f"row {self._n_rows + row + 1} of {self._name} holds {values[row, k]:g} in {table.names[k]!r}"
             self._say("cells that are no measurement", what, int(wild.sum()))
@@ -490,7 +484,7 @@ class _Growing:
 
     def _take(self, data: bytes) -> None:
         self._at += len(data)
-        self._last = (self._last + data[-Growing.SEEN_BYTES :])[-Growing.SEEN_BYTES :]
+        self._last = (self._last + data[-SEEN_BYTES:])[-SEEN_BYTES:]
 
 
 class _Text(_Growing):
@@ -510,12 +504,12 @@ class _Text(_Growing):
     def rows(self) -> FloatArray:
         data = self._behind()
         whole = data[: data.rfind(b"\n") + 1]
-        if not whole.strip() or (not self._head and whole.count(b"\n") < Growing.FEWEST_ROWS):
+        if not whole.strip() or (not self._head and whole.count(b"\n") < FEWEST_ROWS):
             return np.empty((0, 0))
         if self._head:
             values = self._more(whole.splitlines(keepends=True), self._n_lines)
         else:
-            self._head = whole[: whole.find(b"\n", min(Growing.HEAD_BYTES, len(whole) - 1)) + 1]
+            self._head = whole[: whole.find(b"\n", min(HEAD_BYTES, len(whole) - 1)) + 1]
             self._table = table_of_text(whole, self._path)
             values = self._table.values
         self._take(whole)
@@ -583,7 +577,7 @@ def _step(table: Table, dt: float | None) -> float:
         return time_step(dt)
     if stamps is None:
         raise InvalidDataError(f"{table.path.name} has no time column, so the time step must be given: --dt SECONDS.")
-    stamps = stamps[np.abs(stamps) <= Growing.LARGEST]
+    stamps = stamps[np.abs(stamps) <= LARGEST]
     if len(stamps) < 2:
         raise InvalidDataError(f"{table.path.name} has no times in its first rows; correct them, or give --dt SECONDS.")
     return time_step(float(np.median(np.diff(stamps))))
