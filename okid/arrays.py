@@ -1,15 +1,9 @@
-"""Array checks shared by the frozen types: shape, finiteness, read-only.
+"""Checks of arrays, of single numbers and of stages that every part takes, and one BLAS thread while we work.
 
 An array is kept as a view where nobody else can write to it (a memory map opened for reading, an array that is already
-read-only all the way down), and copied otherwise, so that a frozen type is frozen in fact.
-
-Checks of single numbers that every stage takes: counts, orders, time steps.
-
-They take what a caller may hold (Python or numpy, 3 or 3.0) and refuse the rest in one sentence, whatever its type.
-
-A stage that is given the result of the wrong stage says which one it takes.
-
-One BLAS thread while we work.
+read-only all the way down), and copied otherwise, so that a frozen type is frozen in fact. Counts, orders and time
+steps are taken as a caller may hold them (Python or numpy, 3 or 3.0), the rest is refused in one sentence; so is the
+result of the wrong stage.
 """
 
 import math

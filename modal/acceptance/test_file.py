@@ -38,7 +38,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
 from modal.geometry.sensors import quoted
@@ -64,14 +64,17 @@ KEYS = {
 }
 """What each kind of limit may say beside its name."""
 
-LONGEST_NAME = 200
-"""Refuse the name of a limit, a channel or a sensor with more letters: it stands in a table."""
 
-LONGEST_TEXT = 2000
-"""Refuse a longer text: a report is asked to show it."""
+class FileLimits:
+    """What a test file may hold."""
 
-MOST_LIMITS = 1000
-"""Refuse a file with more limits: each is a row of the report."""
+    LONGEST_NAME: Final = 200
+    """Refuse the name of a limit, a channel or a sensor with more letters: it stands in a table."""
+    LONGEST_TEXT: Final = 2000
+    """Refuse a longer text: a report is asked to show it."""
+    MOST_LIMITS: Final = 1000
+    """Refuse a file with more limits: each is a row of the report."""
+
 
 _RATIO = "a damping ratio is a share: write 2 % as 0.02"
 
@@ -142,7 +145,7 @@ class TomlTable:
         """Whether the table has the key."""
         return key in self.values
 
-    def text(self, key: str, *, longest: int = LONGEST_TEXT) -> str:
+    def text(self, key: str, *, longest: int = FileLimits.LONGEST_TEXT) -> str:
         """A text, "" where there is none; a serial number may be written as a number."""
         value = self.values.get(key, "")
         if isinstance(value, bool) or not isinstance(value, str | int | float):
@@ -259,15 +262,15 @@ def limits_of(table: TomlTable) -> tuple[AcceptanceLimit, ...]:
         0.9
     """
     tables = table.tables("limits", "limit")
-    if len(tables) > MOST_LIMITS:
-        raise InvalidDataError(f"{table.where} has {len(tables)} limits, at most {MOST_LIMITS} are weighed.")
+    if len(tables) > FileLimits.MOST_LIMITS:
+        raise InvalidDataError(f"{table.where} has {len(tables)} limits, at most {FileLimits.MOST_LIMITS} are weighed.")
     return tuple(map(_limit, tables))
 
 
 def _limit(table: TomlTable) -> AcceptanceLimit:
     kind = table.word("kind", tuple(KEYS))
     table.refuse_others(("kind", "name", *KEYS[kind]))
-    name = table.text("name", longest=LONGEST_NAME)
+    name = table.text("name", longest=FileLimits.LONGEST_NAME)
     if kind == "trust":
         word = table.word("at_least", ("carried", "with care"))
         return AcceptanceLimit(kind=kind, name=name, trust="carried" if word == "carried" else "with care")
@@ -383,7 +386,7 @@ def _parsed(path: Path) -> dict[str, object]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        words = shorten(visible(str(error).rstrip(".")), LONGEST_NAME)
+        words = shorten(visible(str(error).rstrip(".")), FileLimits.LONGEST_NAME)
         raise UnreadableFileError(f"{name} is no TOML ({words}); mend that line.") from error
 
 
@@ -408,7 +411,7 @@ def _sensors(table: TomlTable) -> tuple[SensorNote, ...]:
     notes = []
     for one in table.tables("sensors", "sensor"):
         one.refuse_others(_SENSOR_KEYS)
-        texts = {key: one.text(key, longest=LONGEST_NAME) for key in _SENSOR_KEYS if key != "calibrated"}
+        texts = {key: one.text(key, longest=FileLimits.LONGEST_NAME) for key in _SENSOR_KEYS if key != "calibrated"}
         if not texts["channel"]:
             raise InvalidDataError(f"{one.where} needs channel, the name of its column in the measured file; add it.")
         notes.append(SensorNote(**texts, calibrated=one.day("calibrated")))

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -34,10 +34,17 @@ PLACES = "records"
 """Folder of the folders of all records."""
 OUTPUTS = b"outputs"
 """Name of the list of channels in the description of the column "shape"."""
-SHORT = 0.9
-"""Name a record that is shorter than this share of the usual length: its file may be cut off."""
-ROWS_AT_ONCE = 500
-"""Write the modes of so many records at once: some ten megabytes."""
+
+
+class TableLimits:
+    """How tables and pages of many records are written."""
+
+    SHORT: Final = 0.9
+    """Name a record that is shorter than this share of the usual length: its file may be cut off."""
+    ROWS_AT_ONCE: Final = 500
+    """Write the modes of so many records at once: some ten megabytes."""
+    MOST_LISTED: Final = 200
+    """List so many records that failed or differ; records.parquet has all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -121,14 +128,18 @@ def with_oddities(outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
     outputs = Counter(one.outputs for one in done).most_common(1)[0][0]
     lengths = np.array([one.n_samples for one in done])
     middle = int(np.median(lengths))
-    length = middle if np.mean((lengths >= SHORT * middle) & (SHORT * lengths <= middle)) > 0.5 else 0
+    length = (
+        middle
+        if np.mean((lengths >= TableLimits.SHORT * middle) & (TableLimits.SHORT * lengths <= middle)) > 0.5
+        else 0
+    )
     usual = replace(next(one for one in done if _step(one) == step), inputs=inputs, outputs=outputs, n_samples=length)
     return tuple(replace(one, message=_oddity(one, usual)) if one.status == "done" else one for one in outcomes)
 
 
 def _oddity(one: Outcome, usual: Outcome) -> str:
     differs = [] if _step(one) == _step(usual) else [f"time step {_step(one)} (most: {_step(usual)})"]
-    if one.n_samples < SHORT * usual.n_samples:
+    if one.n_samples < TableLimits.SHORT * usual.n_samples:
         differs.append(f"{one.n_samples} samples (most: {usual.n_samples}), so its file may be cut off")
     for role, own, common in (("input", one.inputs, usual.inputs), ("output", one.outputs, usual.outputs)):
         dead = [name for name in common if name in one.left_out]
@@ -175,10 +186,10 @@ def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Pa
         pq.ParquetWriter(part, schema) as writer,
         pa_csv.CSVWriter(plain, without_shape) as lines,
     ):
-        for first in range(0, len(done), ROWS_AT_ONCE):
+        for first in range(0, len(done), TableLimits.ROWS_AT_ONCE):
             rows = [
                 row
-                for one, place in done[first : first + ROWS_AT_ONCE]
+                for one, place in done[first : first + TableLimits.ROWS_AT_ONCE]
                 for row in _mode_rows(one, read_result(place / RESULT), channels)
             ]
             table = pa.Table.from_pylist(rows, schema=schema)
@@ -263,8 +274,6 @@ def part_file(target: Path) -> Iterator[Path]:
 
 
 PAGE = "batch.html"
-MOST_LISTED = 200
-"""List so many records that failed or differ; records.parquet has all."""
 
 
 def batch_headline(outcomes: Sequence[Outcome]) -> str:
@@ -349,8 +358,8 @@ def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
             ),
             first_looks=first_looks(outcomes),
             pictures={"frequencies": inline(drawn(chart, "frequencies", _caption(label)))} if done else {},
-            rows=[(one.record, one.status, one.message) for one in told[:MOST_LISTED]],
-            n_more=max(0, len(told) - MOST_LISTED),
+            rows=[(one.record, one.status, one.message) for one in told[: TableLimits.MOST_LISTED]],
+            n_more=max(0, len(told) - TableLimits.MOST_LISTED),
             version=installed_version(),
         )
     )

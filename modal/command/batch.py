@@ -28,8 +28,6 @@ from modal.command.terminal import Screen, listing, plain, progress_bar, show_pa
 from modal.wording.text import shorten
 from okid.errors import InvalidDataError
 
-__all__ = ["EXAMPLES", "batch"]
-
 EXAMPLES = examples(
     "a folder: batch runs --inputs force -o result",
     "a year of a bridge, on four processes: batch 'year/*.mat' -o result --workers 4",

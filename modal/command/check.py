@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
@@ -14,8 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
-from modal.command.run import FileSource, own_warnings, progress_bar, refuse_sources, sizes
-from modal.command.terminal import Screen, listing, plain, say_beforehand
+from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
+from modal.command.terminal import Screen, listing, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
@@ -23,21 +23,21 @@ from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["EXAMPLES", "carry_out_check", "check", "quality_json", "show_quality"]
-
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
 _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
-LONGEST_NAME = 28
-"""Shorten the name of a channel to so many letters in the table."""
 
-WIDE = 100
-"""Show mean and extremes of each channel where a line has so many letters."""
 
-LEAST_FOUND = 18
-"""Keep so many letters for a channel and for what was found in it, so that both fit into 80."""
+class TableSize:
+    """How much of a check a terminal shows."""
 
-MOST_CHANNELS = 40
-"""Show so many channels; of more, those without a finding are left out first."""
+    LONGEST_NAME: Final = 28
+    """Shorten the name of a channel to so many letters in the table."""
+    WIDE: Final = 100
+    """Show mean and extremes of each channel where a line has so many letters."""
+    LEAST_FOUND: Final = 18
+    """Keep so many letters for a channel and for what was found in it, so that both fit into 80."""
+    MOST_CHANNELS: Final = 40
+    """Show so many channels; of more, those without a finding are left out first."""
 
 
 def show_quality(
@@ -78,19 +78,19 @@ def _size(records: Sequence[Record]) -> str:
 
 
 def _shown(channels: Sequence[ChannelQuality]) -> list[ChannelQuality]:
-    if len(channels) <= MOST_CHANNELS:
+    if len(channels) <= TableSize.MOST_CHANNELS:
         return list(channels)
     worst_first = sorted(channels, key=lambda channel: (channel.level == "good", not channel.findings))
-    kept = {channel.name for channel in worst_first[:MOST_CHANNELS]}
+    kept = {channel.name for channel in worst_first[: TableSize.MOST_CHANNELS]}
     return [channel for channel in channels if channel.name in kept]
 
 
 def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
     """One row a channel, first what was found; on a narrow screen without the mean and the extremes."""
-    wide = width >= WIDE
+    wide = width >= TableSize.WIDE
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("channel", no_wrap=True)
-    table.add_column("found", ratio=1, min_width=LEAST_FOUND)
+    table.add_column("found", ratio=1, min_width=TableSize.LEAST_FOUND)
     table.add_column("", no_wrap=True)
     for heading in ("mean", "std", "least", "greatest") if wide else ("std",):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -101,7 +101,7 @@ def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
         numbers = channel.statistics
         values = (numbers.mean, numbers.std, numbers.smallest, numbers.largest) if wide else (numbers.std,)
         table.add_row(
-            plain(shorten(channel.name, LONGEST_NAME if wide else LEAST_FOUND)),
+            plain(shorten(channel.name, TableSize.LONGEST_NAME if wide else TableSize.LEAST_FOUND)),
             _what(channel),
             plain(channel.role, "bright_black"),
             *(plain(_number(x)) for x in values),

@@ -12,8 +12,6 @@ from modal.examples.demo import compare_with_truth, demo_geometry, demo_truth
 from modal.examples.files import write_files
 from modal.sections.provenance import Provenance
 
-__all__ = ["EXAMPLES", "demo"]
-
 EXAMPLES = examples(
     "report, recording and all: demo -o demo",
     "and look at it: view demo",

@@ -16,8 +16,6 @@ from modal.comparison.shifts import Shift, read_result
 from modal.report.comparison import refuse_existing_comparison, write_comparison
 from modal.wording.text import hertz
 
-__all__ = ["EXAMPLES", "diff", "show_difference"]
-
 _ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
 _COLOURS = {
     "beyond chance": "bold red",

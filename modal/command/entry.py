@@ -8,8 +8,6 @@ from typing import Any
 
 from modal.command.stopping import Requests
 
-__all__ = ["main"]
-
 LEAST_ADDRESSES, WITH_RECORDING = 2**30, 3 * 2**30
 """Begin nothing where less may be mapped [bytes]: BLAS and the viewer's library wait for ever for memory, or abort."""
 

@@ -17,13 +17,12 @@ from modal.command.run import (
     Pdf,
     Reading,
     own_warnings,
-    progress_bar,
     refuse_other_report,
     refuse_pdf,
     refuse_sources,
     sizes,
 )
-from modal.command.terminal import Screen, listing, plain, say_beforehand, show_paths
+from modal.command.terminal import Screen, listing, plain, progress_bar, say_beforehand, show_paths
 from modal.discrepancy.diagnosis import diagnose, expected_diagnosis_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
@@ -40,8 +39,6 @@ from modal.structure.model_file import read_model
 from modal.wording.text import listed
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record
-
-__all__ = ["EXAMPLES", "GapJob", "carry_out_gap", "gap", "show_diagnosis", "show_diagnosis_files"]
 
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
 _STAGES = {"before": "red", "linear": "yellow", "after": "green"}

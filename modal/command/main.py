@@ -21,8 +21,6 @@ from modal.command.terminal import plain_streams
 from modal.report.folder import clear_away
 from modal.sections.provenance import installed_version
 
-__all__ = ["leave", "status"]
-
 app = typer.Typer(
     add_completion=True,
     no_args_is_help=True,

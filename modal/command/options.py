@@ -14,25 +14,6 @@ from okid.errors import IdentificationError, InsufficientDataError, InvalidDataE
 from okid.readers.guard import first_line
 from okid.record import InputHold
 
-__all__ = [
-    "Dt",
-    "Hold",
-    "Inputs",
-    "Kind",
-    "Outputs",
-    "Overwrite",
-    "Traceback",
-    "complain",
-    "examples",
-    "faults",
-    "folder_path",
-    "name_list",
-    "number_or_auto",
-    "plain_name",
-    "spread_files",
-    "whole_or_auto",
-]
-
 Inputs = Annotated[
     list[str] | None,
     typer.Option(metavar="NAMES", help="Names of the inputs, with commas between; output only unless given."),

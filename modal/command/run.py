@@ -33,7 +33,7 @@ from modal.command.options import (
     plain_name,
     whole_or_auto,
 )
-from modal.command.terminal import Progress, Screen, live_view, progress_bar, say_beforehand, show_files, show_result
+from modal.command.terminal import Screen, live_view, progress_bar, say_beforehand, show_files, show_result
 from modal.examples.demo import demo_record
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry
@@ -54,27 +54,6 @@ from okid.frequency_response import FrequencyResponse
 from okid.readers import read_described
 from okid.readers.response import holds_responses, read_response
 from okid.record import InputHold, Record
-
-__all__ = [
-    "EXAMPLES",
-    "FileSource",
-    "Finished",
-    "Job",
-    "Progress",
-    "Reading",
-    "carry_out",
-    "exit_status",
-    "own_warnings",
-    "progress_bar",
-    "read_demo",
-    "read_setup",
-    "refuse_other_report",
-    "refuse_pdf",
-    "refuse_sources",
-    "run",
-    "sizes",
-    "unknown_sensors",
-]
 
 
 def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:

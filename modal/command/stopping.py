@@ -10,8 +10,6 @@ import signal
 from collections.abc import Callable
 from types import FrameType
 
-__all__ = ["STOPPED", "Requests"]
-
 STOPPED = 130
 """Exit status of shells for a program that Ctrl-C stopped."""
 

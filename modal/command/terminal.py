@@ -14,7 +14,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskProgressColumn, TextColumn
@@ -37,28 +37,21 @@ from okid.errors import visible
 if TYPE_CHECKING:
     from modal.quality import DataQuality
 
-__all__ = [
-    "Progress",
-    "Screen",
-    "listing",
-    "live_view",
-    "plain",
-    "plain_streams",
-    "progress_bar",
-    "say_beforehand",
-    "show_comparison",
-    "show_files",
-    "show_limits",
-    "show_paths",
-    "show_result",
-    "time_left_text",
-]
 
-LONGEST_NAME = 80
-"""Shorten the name of a limit, which is a stranger's text, to so many letters."""
+class Shown:
+    """How much a terminal shows, and from when on."""
 
-MOST_NOISE = 5
-"""Name so many noise poles; the report has all."""
+    LONGEST_NAME: Final = 80
+    """Shorten the name of a limit, which is a stranger's text, to so many letters."""
+    MOST_NOISE: Final = 5
+    """Name so many noise poles; the report has all."""
+    LEAST_SHARE: Final = 0.05
+    """Say nothing of the time left before this share of the work: the start says little about the rest."""
+    LONG: Final = 60.0
+    """Say beforehand what work may take that may last longer [s]."""
+    LEAST_SECONDS: Final = 1.5
+    """Say nothing of it before this time either."""
+
 
 _COLOURS = {"system": "green", "doubtful": "yellow", "noise": "bright_black"}
 _STATES = {"met": "green", "not met": "bold red", "cannot be told": "yellow"}
@@ -136,7 +129,7 @@ def show_result(
         console.print(_mode_table(believed))
     noise = [f"{hertz(mode.frequency)} Hz" for mode in result.modes if mode.verdict == "noise"]
     if noise:
-        named = noise[:MOST_NOISE] + [f"{len(noise) - MOST_NOISE} more"] * (len(noise) > MOST_NOISE)
+        named = noise[: Shown.MOST_NOISE] + [f"{len(noise) - Shown.MOST_NOISE} more"] * (len(noise) > Shown.MOST_NOISE)
         poles = "one pole" if len(noise) == 1 else f"{len(noise)} poles"
         console.print(plain(f"Taken for noise: {poles} ({', '.join(named)}); the report says why.", "bright_black"))
     show_limits(console, limits)
@@ -160,7 +153,7 @@ def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:
 
 
 def _limit_text(outcome: LimitOutcome) -> str:
-    text = f"{shorten(outcome.what, LONGEST_NAME)}: wanted {outcome.required}; found {outcome.found}"
+    text = f"{shorten(outcome.what, Shown.LONGEST_NAME)}: wanted {outcome.required}; found {outcome.found}"
     return f"{text} ({outcome.reason})" if outcome.reason else text
 
 
@@ -262,15 +255,6 @@ def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[Any]:
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of all work that is behind."""
 
-LEAST_SHARE = 0.05
-"""Say nothing of the time left before this share of the work: the start says little about the rest."""
-
-LONG = 60.0
-"""Say beforehand what work may take that may last longer [s]."""
-
-LEAST_SECONDS = 1.5
-"""Say nothing of it before this time either."""
-
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
@@ -300,7 +284,7 @@ def say_beforehand(n_samples: int, n_channels: int, seconds: tuple[float, float]
         n_bytes: of memory, most.
     """
     least, most = (math.ceil(bound / 60.0) for bound in seconds)
-    if seconds[1] < LONG:
+    if seconds[1] < Shown.LONG:
         return
     time = f"{least} to {most}" if 1 < least < most else f"up to {most}" if least < most else f"{most}"
     memory = f"{n_bytes / 2**30:.1f} GiB of memory"
@@ -319,7 +303,7 @@ def time_left_text(share: float, elapsed: float) -> str:
         >>> time_left_text(0.25, 20.0), time_left_text(0.5, 200.0), time_left_text(0.01, 9.0)
         ('about 60 s left', 'about 3 min left', '')
     """
-    if not (LEAST_SHARE <= share < 1.0 and elapsed >= LEAST_SECONDS):
+    if not (Shown.LEAST_SHARE <= share < 1.0 and elapsed >= Shown.LEAST_SECONDS):
         return ""
     left = elapsed * (1.0 - share) / share
     if left < 90:

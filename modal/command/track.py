@@ -30,8 +30,6 @@ from okid.readers.table import Table
 from okid.readers.text import read_text, table_of_text
 from okid.record import Record
 
-__all__ = ["EXAMPLES", "LIVE_EXAMPLES", "live", "track"]
-
 EXAMPLES = examples(
     "what batch wrote: track year_result",
     "with a table of temperatures, one row a record: track year_result --causes weather.csv",

@@ -14,8 +14,6 @@ from modal.command.options import Traceback, complain, examples, faults
 from modal.wording.text import shorten
 from okid.errors import InvalidDataError, UnreadableFileError, visible
 
-__all__ = ["EXAMPLES", "find_viewer", "open_recording", "recording_of", "view"]
-
 RECORDING = "recording.rrd"
 LONGEST = 200
 """Shorten a path to so many letters in a sentence."""

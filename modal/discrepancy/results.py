@@ -213,11 +213,6 @@ class LawCurve(Displayed):
     force_unit: str
 
     @property
-    def force_std(self) -> FloatArray:
-        """(n,) standard deviation of the force, `deviation`."""
-        return self.deviation
-
-    @property
     def unit(self) -> str:
         """Unit of the force."""
         return self.force_unit

@@ -27,7 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.geometry.sensors import MOST_NODES, Geometry, Sensor, dof_of, node_numbers
+from modal.geometry.sensors import Geometry, GeometryLimits, Sensor, dof_of, node_numbers
 from modal.geometry.uff import read_uff_geometry
 from modal.wording.text import shorten
 from okid.errors import InvalidDataError, UnreadableFileError, visible
@@ -122,9 +122,9 @@ def geometry_of_table(mapping: Mapping[str, Any], where: str) -> Geometry:
     nodes = mapping.get("nodes")
     if not isinstance(nodes, Mapping) or not nodes:
         raise InvalidDataError(f"the geometry in {where} needs a table [nodes] with lines such as 1 = [0, 0, 350].")
-    if len(nodes) > MOST_NODES:
+    if len(nodes) > GeometryLimits.MOST_NODES:
         raise InvalidDataError(
-            f"the geometry in {where} has {len(nodes)} nodes, and may have {MOST_NODES}; keep fewer."
+            f"the geometry in {where} has {len(nodes)} nodes, and may have {GeometryLimits.MOST_NODES}; keep fewer."
         )
     names = tuple(str(name) for name in nodes)
     positions = [_three_numbers(place, f"node {_quoted(name)} in {where}") for name, place in nodes.items()]
@@ -144,22 +144,6 @@ def geometry_of_table(mapping: Mapping[str, Any], where: str) -> Geometry:
         )
     made = [_sensor(str(channel), given, without_sensors, find, where) for channel, given in sensors.items()]
     return replace(without_sensors, sensors=tuple(made))
-
-
-def with_dofs(geometry: Geometry, dofs: Mapping[str, str], where: str) -> Geometry:
-    """The geometry with a sensor for each channel whose node and axis are stated, such as `{"acc_top": "3X+"}`.
-
-    Args:
-        geometry: that has these nodes.
-        dofs: name of the degree of freedom by channel.
-        where: what to call the source in an error.
-
-    Raises:
-        InvalidDataError: a name that states no node and axis, an unknown node, or a channel that has a sensor already.
-    """
-    find = _finder(geometry.node_names, where)
-    made = tuple(_sensor(channel, dof, geometry, find, where) for channel, dof in dofs.items())
-    return replace(geometry, sensors=geometry.sensors + made)
 
 
 def _finder(names: Sequence[str], where: str) -> Callable[[Any, str], int]:

@@ -40,8 +40,21 @@ from okid.errors import InvalidDataError, visible
 Motion = Literal["along", "about"]
 """What a sensor sees: translation along its direction, or rotation about it."""
 
-LONGEST: Final = 200
-"""Take a name of more letters for one that names no degree of freedom."""
+
+class GeometryLimits:
+    """How large a geometry may be."""
+
+    LONGEST: Final = 200
+    """Take a name of more letters for one that names no degree of freedom."""
+    MOST_NODES: Final = 50_000
+    """Refuse a geometry of more nodes: no viewer turns it smoothly."""
+    MOST_PLACES: Final = 400_000
+    """Refuse more places in all lines, surfaces and bodies together."""
+    MOST_SENSORS: Final = 8192
+    """Refuse more sensors."""
+    FURTHEST: Final = 1e9
+    """Refuse a larger coordinate [m]: beyond it, numbers are no positions of one structure."""
+
 
 _AXES: Final = "XYZ"
 _NAME: Final = re.compile(
@@ -82,7 +95,7 @@ def dof_of(name: str) -> Dof | None:
         ('plate:3', 'about')
     """
     text = name.strip()
-    if len(text) > LONGEST:
+    if len(text) > GeometryLimits.LONGEST:
         return None
     found = _NAME.fullmatch(text)
     if found is None:
@@ -225,19 +238,6 @@ def _inverse_above(matrix: FloatArray, least: float) -> FloatArray:
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     kept = values > least
     return np.asarray((right[kept].T / values[kept]) @ left[:, kept].T, dtype=np.float64)
-
-
-MOST_NODES: Final = 50_000
-"""Refuse a geometry of more nodes: no viewer turns it smoothly."""
-
-MOST_PLACES: Final = 400_000
-"""Refuse more places in all lines, surfaces and bodies together."""
-
-MOST_SENSORS: Final = 8192
-"""Refuse more sensors."""
-
-FURTHEST: Final = 1e9
-"""Refuse a larger coordinate [m]: beyond it, numbers are no positions of one structure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -385,9 +385,10 @@ def _check_names(names: tuple[str, ...]) -> None:
         raise InvalidDataError(
             "a geometry needs at least 1 node, but has none; name the nodes and give their positions."
         )
-    if len(names) > MOST_NODES:
+    if len(names) > GeometryLimits.MOST_NODES:
         raise InvalidDataError(
-            f"a geometry may have {MOST_NODES} nodes, but has {len(names)}; keep those that carry sensors and lines."
+            f"a geometry may have {GeometryLimits.MOST_NODES} nodes, but has {len(names)}; keep those "
+            "that carry sensors and lines."
         )
     if not all(str(name).strip() for name in names):
         raise InvalidDataError("every node needs a name of at least one visible letter; number them if they have none.")
@@ -405,11 +406,12 @@ def _positions(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
         raise InvalidDataError(
             f"positions must have shape (n_nodes, 3) = ({len(names)}, 3), but have {positions.shape}; give x, y and z."
         )
-    wrong = np.flatnonzero(~(np.abs(positions) <= FURTHEST).all(axis=1))
+    wrong = np.flatnonzero(~(np.abs(positions) <= GeometryLimits.FURTHEST).all(axis=1))
     if wrong.size:
         shown = ", ".join(f"{value:.6g}" for value in positions[wrong[0]])
         raise InvalidDataError(
-            f"coordinates must be finite and at most {FURTHEST:g} m, but node {quoted(names[wrong[0]])} stands at "
+            f"coordinates must be finite and at most {GeometryLimits.FURTHEST:g} m, but node "
+            f"{quoted(names[wrong[0]])} stands at "
             f"({shown}); correct it."
         )
     return frozen(positions, name="positions")
@@ -427,9 +429,10 @@ def _check_parts(geometry: Geometry) -> None:
                     f"{least[field]}; add nodes or leave it out."
                 )
             _check_indices(part, geometry.n_nodes, f"part {number} of {field}")
-    if total > MOST_PLACES:
+    if total > GeometryLimits.MOST_PLACES:
         raise InvalidDataError(
-            f"lines, surfaces and bodies may have {MOST_PLACES} places together, but have {total}; keep fewer."
+            f"lines, surfaces and bodies may have {GeometryLimits.MOST_PLACES} places together, but "
+            f"have {total}; keep fewer."
         )
     _check_indices(geometry.fixed, geometry.n_nodes, "fixed")
     held = [node for body in geometry.rigid for node in set(body)] + list(set(geometry.fixed))
@@ -450,8 +453,10 @@ def _check_indices(nodes: Sequence[int], n_nodes: int, where: str) -> None:
 
 
 def _check_sensors(geometry: Geometry) -> None:
-    if len(geometry.sensors) > MOST_SENSORS:
-        raise InvalidDataError(f"a geometry may have {MOST_SENSORS} sensors, but has {len(geometry.sensors)}.")
+    if len(geometry.sensors) > GeometryLimits.MOST_SENSORS:
+        raise InvalidDataError(
+            f"a geometry may have {GeometryLimits.MOST_SENSORS} sensors, but has {len(geometry.sensors)}."
+        )
     names: set[str] = set()
     for sensor in geometry.sensors:
         _check_indices([sensor.node], geometry.n_nodes, f"sensor {quoted(sensor.name)}")

@@ -21,7 +21,7 @@ from typing import BinaryIO, Final, Literal
 
 import numpy as np
 
-from modal.geometry.sensors import MOST_NODES, Geometry
+from modal.geometry.sensors import Geometry, GeometryLimits
 from modal.wording.text import shorten
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError, visible
@@ -185,20 +185,20 @@ def _system(label: int, kind: int, origin: FloatArray, axes: FloatArray) -> Coor
     return CoordinateSystem(kind=KINDS[kind], origin=origin, axes=axes)
 
 
-WANTED: Final = (15, 2411, 781, 82, 2412, 18, 2420, 164)
-"""Read these data sets and pass over all others."""
+class GeometrySets:
+    """Data sets that hold a geometry, and how much of them is read."""
 
-LONGEST_LINE: Final = 4096
-"""Refuse a file with a line of so many bytes: universal files have lines of 80, and a hole never ends."""
+    WANTED: Final = (15, 2411, 781, 82, 2412, 18, 2420, 164)
+    """Read these data sets and pass over all others."""
+    LONGEST_LINE: Final = 4096
+    """Refuse a file with a line of so many bytes: universal files have lines of 80, and a hole never ends."""
+    MOST_LINES: Final = 1_000_000
+    """Refuse a file whose data sets of a geometry have more lines."""
+    BEAMS: Final = (11, 21, 22, 23, 24)
+    """Pass over a line for these elements of set 2412: it tells their orientation, before that of their nodes."""
+    SHELLS: Final = range(40, 100)
+    """Take these elements of set 2412 for surfaces."""
 
-MOST_LINES: Final = 1_000_000
-"""Refuse a file whose data sets of a geometry have more lines."""
-
-BEAMS: Final = (11, 21, 22, 23, 24)
-"""Pass over a line for these elements of set 2412: it tells their orientation, before that of their nodes."""
-
-SHELLS: Final = range(40, 100)
-"""Take these elements of set 2412 for surfaces."""
 
 Set = tuple[int, list[str]]
 Node = tuple[FloatArray, int, int]
@@ -265,23 +265,25 @@ def _sets(path: Path, name: str) -> Iterator[Set]:
                         f"data set {kind} of {name} is not closed by the line -1: the file is cut off; copy or export "
                         "it again."
                     )
-                if kind in WANTED:
+                if kind in GeometrySets.WANTED:
                     lines.append(line.decode("latin-1").rstrip("\r\n"))
                     n_lines += 1
-                if n_lines > MOST_LINES:
+                if n_lines > GeometrySets.MOST_LINES:
                     raise UnreadableFileError(
-                        f"{name} describes a geometry in more than {MOST_LINES} lines; export fewer nodes (at most "
-                        f"{MOST_NODES})."
+                        f"{name} describes a geometry in more than {GeometrySets.MOST_LINES} lines; "
+                        "export fewer nodes (at most "
+                        f"{GeometryLimits.MOST_NODES})."
                     )
-            if kind in WANTED:
+            if kind in GeometrySets.WANTED:
                 yield kind, lines
 
 
 def _line(file: BinaryIO, name: str) -> bytes:
-    line = file.readline(LONGEST_LINE)
-    if len(line) == LONGEST_LINE:
+    line = file.readline(GeometrySets.LONGEST_LINE)
+    if len(line) == GeometrySets.LONGEST_LINE:
         raise UnreadableFileError(
-            f"{name} has a line of {LONGEST_LINE} bytes or more; it is damaged or no universal file; export it again."
+            f"{name} has a line of {GeometrySets.LONGEST_LINE} bytes or more; it is damaged or no "
+            "universal file; export it again."
         )
     return line
 
@@ -301,7 +303,7 @@ def _pass_binary(file: BinaryIO, head: bytes, size: int, name: str) -> None:
     if len(fields) < 4 or not all(field.isdigit() for field in fields[:4]) or int(fields[3]) > size:
         raise UnreadableFileError(f"a binary data set of {name} does not state its length; export it again.")
     for _ in range(min(int(fields[2]), 100)):
-        file.readline(LONGEST_LINE)
+        file.readline(GeometrySets.LONGEST_LINE)
     file.seek(int(fields[3]), 1)
 
 
@@ -326,9 +328,10 @@ def _nodes(sets: Sequence[Set]) -> dict[int, Node]:
                 before = found.setdefault(label, node)
                 if not np.allclose(before[0], node[0], rtol=1e-4, atol=0.0, equal_nan=True):
                     raise InvalidDataError(f"node {label} is given twice, at different places; export it once.")
-                if len(found) > MOST_NODES:
+                if len(found) > GeometryLimits.MOST_NODES:
                     raise InvalidDataError(
-                        f"a geometry may have {MOST_NODES} nodes, and this file has more; export those that carry "
+                        f"a geometry may have {GeometryLimits.MOST_NODES} nodes, and this file has "
+                        "more; export those that carry "
                         "sensors and lines."
                     )
     return found
@@ -390,7 +393,7 @@ def _lines(
             for descriptor, nodes in _elements(text):
                 if len(nodes) == 2:
                     lines.append(_known(nodes, index, "an element", name))
-                elif descriptor in SHELLS and len(nodes) > 2:
+                elif descriptor in GeometrySets.SHELLS and len(nodes) > 2:
                     surfaces.append(_known(nodes, index, "an element", name))
     return lines, surfaces
 
@@ -426,7 +429,7 @@ def _elements(text: Sequence[str]) -> Iterator[tuple[int, list[int]]]:
     for head in lines:
         fields = whole_numbers(head, 6)
         descriptor, n_nodes = fields[1], fields[5]
-        if descriptor in BEAMS:
+        if descriptor in GeometrySets.BEAMS:
             next(lines, "")
         nodes: list[int] = []
         while len(nodes) < n_nodes and (line := next(lines, "")):

@@ -1,15 +1,11 @@
-"""Where measurement and simulation disagree, in words: the evidence that a person reads before anything is fitted.
+"""The evidence in words of where measurement and simulation disagree, as a person reads it before anything is fitted.
 
 Each sentence follows from one rule on the numbers of a `Gap`, of `LevelModes` and of `Lines`; where the numbers do not
 carry a sentence it is not said. Nothing here names an effect: the words are those of families of laws.
 
-The sentences of a gap and of modes against level, each from one rule on the numbers.
-
 A mode's pole moves by d omega / omega along the imaginary axis and by d zeta along the real one, both relative to its
 size. Only what is at least half of the larger of the two is said: where a resonance moves by more than its own width
 within one level already, the damping ratio of a linear model of that level says nothing of energy.
-
-What kind of signal the gap is: where in frequency it lies, whether it is one line, whether it follows the model.
 
 A force that belongs to the structure moves with it, so part of the gap is coherent with the simulated output; a
 disturbance from outside is not, whatever its size.

@@ -84,8 +84,6 @@ def _differences(inputs: FloatArray) -> FloatArray:
     return difference.max(axis=1)
 
 
-LineKind = Literal["excited", "odd", "even"]
-
 EXCITED = 1e-3
 """Call a line excited from this power relative to the strongest on (-30 dB)."""
 UNEXCITED = 1e-5

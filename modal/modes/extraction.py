@@ -341,19 +341,3 @@ def remarks(mode: Mode, dt: float) -> tuple[str, ...]:
     if abs(mode.pole.imag) / (2 * np.pi) >= (1 - NYQUIST_MARGIN) * nyquist:
         return (f"within {100 * NYQUIST_MARGIN:.0f} % of the Nyquist frequency {nyquist:.4g} Hz: may be an alias",)
     return ()
-
-
-def aliased_frequency(frequency: float, dt: float) -> float:
-    """Where a (damped) frequency appears when it is sampled: |f - fs round(f / fs)|, fs = 1 / dt.
-
-    The decay rate is not changed by sampling, so the damping ratio is: it is quoted against another frequency.
-
-    Args:
-        frequency: damped frequency |Im s| / (2 pi) [Hz].
-        dt: time step [s].
-
-    Example:
-        >>> aliased_frequency(37.0, 0.02)
-        13.0
-    """
-    return abs(frequency - round(frequency * dt) / dt)

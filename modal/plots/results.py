@@ -165,14 +165,15 @@ def _mark(panel: Panel, mark: Mark, axes: "Axes") -> None:
         axes.add_collection(pieces, autolim=False)
 
 
-MOST_SHOWN = 6
-"""Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
+class ResultLimits:
+    """How much a picture of a result shows."""
 
-DEEPEST = 1e-10
-"""Draw power down to this part of the peak: what lies deeper is the rounding of an empty spectrum."""
-
-PERIODS = 10.0
-"""Show so many periods of the slowest mode in the enlarged part of a time history."""
+    MOST_SHOWN: Final = 6
+    """Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
+    DEEPEST: Final = 1e-10
+    """Draw power down to this part of the peak: what lies deeper is the rounding of an empty spectrum."""
+    PERIODS: Final = 10.0
+    """Show so many periods of the slowest mode in the enlarged part of a time history."""
 
 
 def stabilisation(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
@@ -252,7 +253,7 @@ def gap(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) 
     stages = stages_of(diagnosis)
     if not stages:
         raise InvalidDataError("no model of this diagnosis ran through the held-out records: there is no gap to draw.")
-    return figure_of(gap_histories(stages, outputs=worst_outputs(stages[0].gap, MOST_SHOWN)), axes=axes)
+    return figure_of(gap_histories(stages, outputs=worst_outputs(stages[0].gap, ResultLimits.MOST_SHOWN)), axes=axes)
 
 
 def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
@@ -261,7 +262,7 @@ def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) 
 
     if not diagnosis.laws:
         raise InvalidDataError("this diagnosis found no effect, so there is no law to draw.")
-    return figure_of(laws_found(diagnosis, MOST_SHOWN), axes=axes)
+    return figure_of(laws_found(diagnosis, ResultLimits.MOST_SHOWN), axes=axes)
 
 
 def overview(result: Identification) -> Chart:
@@ -287,7 +288,7 @@ def overview(result: Identification) -> Chart:
         (mean[1], "model", STYLE.thin),
     )
     for power, role, width in lines:
-        level = 10.0 * np.log10(np.maximum(power[seen] / peak, DEEPEST))
+        level = 10.0 * np.log10(np.maximum(power[seen] / peak, ResultLimits.DEEPEST))
         lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
         panel.line(frequency[seen], level, role, width=width, label=role)
     doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
@@ -312,7 +313,7 @@ def fit_chart(result: Identification) -> Chart:
         result.simulated[0],
         outputs=least_fitted(result),
         fits=result.fit.cross_validated,
-        detail=None if slowest is None else PERIODS / slowest,
+        detail=None if slowest is None else ResultLimits.PERIODS / slowest,
     )
 
 
@@ -325,7 +326,7 @@ def measured_responses(result: Identification, measured: MeasuredFrf) -> Chart:
         modes=synthesised_alone(result, measured),
         output_names=record.output_names,
         input_names=record.input_names,
-        n_pairs=MOST_SHOWN,
+        n_pairs=ResultLimits.MOST_SHOWN,
     )
 
 
@@ -351,7 +352,7 @@ def shape_assurance(result: Identification) -> FloatArray:
 def least_fitted(result: Identification) -> list[int]:
     """Indices of the outputs that fit least, in the order of the record."""
     fits = np.nan_to_num(result.fit.cross_validated, nan=-np.inf)
-    return sorted(np.argsort(fits, kind="stable")[:MOST_SHOWN].tolist())
+    return sorted(np.argsort(fits, kind="stable")[: ResultLimits.MOST_SHOWN].tolist())
 
 
 def _with_records(result: Identification) -> None:

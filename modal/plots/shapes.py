@@ -18,9 +18,25 @@ from modal.plots.panels import STYLE, Panel, Role, text_width
 from modal.wording.text import hertz, plot_label
 from okid.arrays import ComplexArray, FloatArray
 
-MOST_SEGMENTS: Final = 3000
-MOST_TRIANGLES: Final = 3000
-"""Draw at most so many lines and triangles in one panel, so that a picture of thousands of nodes stays light."""
+
+class ShapeLimits:
+    """How much of a structure one picture shows."""
+
+    MOST_SEGMENTS: Final = 3000
+    MOST_TRIANGLES: Final = 3000
+    """Draw at most so many lines and triangles in one panel, so that a picture of thousands of nodes stays light."""
+    MOST_COLUMNS: Final = 6
+    MOST_NAMES: Final = 24
+    """Stand so many panels in a row and so many names of outputs beside a stick."""
+    LEAST_IMAGINARY: Final = 0.05
+    """Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
+    MOST_ARROWS: Final = 300
+    MOST_DOTS: Final = 1000
+    MOST_NAMED: Final = 120
+    MOST_LARGE: Final = 40
+    """Show at most so many arrows, dots, names and large dots in one picture."""
+
+
 NAME_SIZE: Final = 7.5
 """Write the names of nodes so large [pt]."""
 
@@ -65,7 +81,7 @@ def draw_lines(
     panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, width: float, opacity: float = 1.0
 ) -> None:
     """The lines of the structure with its nodes at `positions` (n_nodes, 3)."""
-    segments = scene.drawn_segments(MOST_SEGMENTS)
+    segments = scene.drawn_segments(ShapeLimits.MOST_SEGMENTS)
     if len(segments):
         seen = scene.eye.seen(positions)
         panel.segments(seen[segments], role, width=width, opacity=opacity)
@@ -73,7 +89,7 @@ def draw_lines(
 
 def draw_surfaces(panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, opacity: float) -> None:
     """The surfaces of the structure, those behind first."""
-    triangles = scene.triangles[:: -(-len(scene.triangles) // MOST_TRIANGLES) or 1]
+    triangles = scene.triangles[:: -(-len(scene.triangles) // ShapeLimits.MOST_TRIANGLES) or 1]
     if not len(triangles):
         return
     depth = (positions @ scene.eye.towards)[triangles].mean(axis=1)
@@ -114,20 +130,10 @@ def place_labels(
                 break
 
 
-MOST_COLUMNS = 6
-MOST_NAMES = 24
-"""Stand so many panels in a row and so many names of outputs beside a stick."""
-LEAST_IMAGINARY = 0.05
-"""Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
 TALLEST = 4.2
 """Draw at most so tall [in]: a page shows a structure about 3.5 inches tall, and smaller names cannot be read."""
 ARROW = 0.24
 """Draw a sensor's arrow this long, in half the largest extent."""
-MOST_ARROWS = 300
-MOST_DOTS = 1000
-MOST_NAMED = 120
-MOST_LARGE = 40
-"""Show at most so many arrows, dots, names and large dots in one picture."""
 
 
 def mode_shapes(
@@ -196,11 +202,11 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     panel = figure.panels[0]
     draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
     draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)
-    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[:MOST_ARROWS]]
+    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[: ShapeLimits.MOST_ARROWS]]
     panel.segments(ends, "model", arrows=True)
     _draw_points(panel, scene, rest, "measured")
     frame.put(panel)
-    if geometry.n_nodes <= MOST_NAMED:
+    if geometry.n_nodes <= ShapeLimits.MOST_NAMED:
         texts = [plot_label(name, limit=12) for name in geometry.node_names]
         place_labels(panel, frame, scene.eye.seen(rest), texts, size=(width, height))
     return figure
@@ -218,16 +224,21 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
     """Measured nodes as dots, those known to stand still as squares."""
     seen = scene.eye.seen(positions)
     measured = sorted({one.node for one in scene.placement.sensors if one is not None})
-    if len(measured) <= MOST_DOTS:
-        panel.dots(seen[measured, 0], seen[measured, 1], role, dot=STYLE.dot if len(measured) <= MOST_LARGE else 3.5)
+    if len(measured) <= ShapeLimits.MOST_DOTS:
+        panel.dots(
+            seen[measured, 0],
+            seen[measured, 1],
+            role,
+            dot=STYLE.dot if len(measured) <= ShapeLimits.MOST_LARGE else 3.5,
+        )
     fixed = list(scene.placement.geometry.fixed)
-    if 0 < len(fixed) <= MOST_DOTS:
+    if 0 < len(fixed) <= ShapeLimits.MOST_DOTS:
         panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
 
 
 def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
-    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=STYLE.page, height=height)
+    figure = row_of(len(modes), most_columns=ShapeLimits.MOST_COLUMNS, width=STYLE.page, height=height)
     place = np.arange(1, len(output_names) + 1)
     labels = [(float(tick), plot_label(output_names[tick - 1], limit=14)) for tick in place.tolist()]
     for index, (panel, mode) in enumerate(zip(figure.panels, modes, strict=False)):
@@ -237,13 +248,13 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
         panel.polygons([np.concatenate(sides)], mode.verdict, opacity=STYLE.faint)
         panel.line(-shape.real, place, mode.verdict, width=STYLE.thin, opacity=STYLE.half)
         panel.line(shape.real, place, mode.verdict, width=STYLE.thick, dot=STYLE.dot)
-        if np.abs(shape.imag).max() > LEAST_IMAGINARY:
+        if np.abs(shape.imag).max() > ShapeLimits.LEAST_IMAGINARY:
             panel.line(shape.imag, place, "muted", dash="dotted")
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
         panel.x.limits, panel.y.limits = (-1.18, 1.18), (0.4, len(output_names) + 0.6)
         panel.x.ticks = [(-1.0, "−1"), (0.0, "0"), (1.0, "1")]
-        panel.y.ticks = labels[:: -(-len(labels) // MOST_NAMES)]
-        panel.y.labelled, panel.edges = index % MOST_COLUMNS == 0, "below"
+        panel.y.ticks = labels[:: -(-len(labels) // ShapeLimits.MOST_NAMES)]
+        panel.y.labelled, panel.edges = index % ShapeLimits.MOST_COLUMNS == 0, "below"
         panel.x.grid = panel.y.grid = False
     figure.title = plot_label(title, limit=80)
     return figure
@@ -251,7 +262,7 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
 
 def shape_complexity(modes: Sequence[Mode]) -> Chart:
     """Every shape component as a phasor, greatest 1: a real mode lies on one line."""
-    figure = row_of(len(modes), most_columns=MOST_COLUMNS, width=STYLE.page, height=2.1)
+    figure = row_of(len(modes), most_columns=ShapeLimits.MOST_COLUMNS, width=STYLE.page, height=2.1)
     circle = np.exp(2j * np.pi * np.linspace(0, 1, 97))
     for panel, mode in zip(figure.panels, modes, strict=False):
         tips = np.stack([(shape := _best_phase(mode.shape)).real, shape.imag], axis=-1)

@@ -47,17 +47,6 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
-__all__ = [
-    "clipped_samples",
-    "clipping_findings",
-    "constant_findings",
-    "distortion_power",
-    "repeat_findings",
-    "resolution_findings",
-    "resolution_of",
-    "stuck_findings",
-]
-
 OUTERMOST = 16
 """Compare the outermost value of a channel with so many that lie beside it."""
 

@@ -17,8 +17,6 @@ from modal.preparation.kind import acting_rows, find_kind
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
-__all__ = ["FOLLOWS", "Band", "chance_of_following", "coherent_band", "missed_share"]
-
 COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
 COHERENT_POWER = 0.9999

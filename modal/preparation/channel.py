@@ -12,33 +12,6 @@ from okid.display import Displayed
 from okid.record import Record
 from okid.scaling import ChannelScaling
 
-__all__ = [
-    "BLOCK",
-    "FALSE_ALARM",
-    "FEWEST_ROWS",
-    "FITTED_ROWS",
-    "HARDLY",
-    "LEVELS",
-    "MOSTLY",
-    "MOST_ROWS",
-    "MOST_SPANS",
-    "NEARLY_ALL",
-    "NOTABLE",
-    "ROUNDING",
-    "SERIOUS",
-    "SPOILED",
-    "Channel",
-    "Finding",
-    "Level",
-    "Role",
-    "Span",
-    "channels_of",
-    "named",
-    "spoken",
-    "when",
-    "where_found",
-]
-
 FALSE_ALARM = 1e-9
 """Name a sample or a line that chance alone would leave so far off with this probability: a record has up to 1e7."""
 

@@ -30,18 +30,6 @@ from okid.markov import recover_system
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-__all__ = [
-    "InputDelay",
-    "choose_input_delay",
-    "delay_between",
-    "delay_of_phases",
-    "given_input_delay",
-    "late_inputs",
-    "pulse_steps",
-    "with_input_delay",
-    "without_input_delay",
-]
-
 LONGEST_SHARE = 0.1
 """Of the longest record: a delay beyond it is not looked for."""
 RIDGE = 1e-8

@@ -21,23 +21,6 @@ from modal.preparation.quick_model import QuickModel, quick_model
 from okid.arrays import FloatArray
 from okid.record import Record
 
-__all__ = [
-    "CANDIDATES",
-    "SIGNIFICANT",
-    "Drift",
-    "FreedTrials",
-    "choose_drift",
-    "given_drift",
-    "held_out_squares",
-    "integrator_drift",
-    "is_significant",
-    "lasting_share",
-    "slow_functions",
-    "slow_motion",
-    "summed_inputs",
-    "without_drift",
-]
-
 CANDIDATES = (0, 1, 2, 3, 4, 6, 8, 12)
 """Numbers of slow functions besides the constant: a straight line, a parabola, then half-waves over the record."""
 SAMPLES_PER_FUNCTION = 40

@@ -30,9 +30,6 @@ from okid.record import Record
 from okid.rows import as_records
 from okid.scaling import channel_scaling
 
-__all__ = ["Mended", "free_of_clipping", "mended", "no_finer_than_sensors", "spoiled_channels"]
-
-
 FINEST = 1e-4
 """Take no output for finer than this share of its size, 13 bits of what moves: sensors and converters are not."""
 PAST = 32

@@ -22,8 +22,6 @@ from okid.record import Record
 from okid.rows import usable_rows
 from okid.scaling import channel_scaling
 
-__all__ = ["Filling", "fill_where_needed"]
-
 LOOK_BACK = 64
 """Observer order at which whole rows are counted."""
 LEAST_ROWS = 0.75

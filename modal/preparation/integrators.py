@@ -30,8 +30,6 @@ from okid.arrays import FloatArray, whole_number
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = ["Integrators", "choose_integrators", "driven_by_inputs", "given_integrators", "with_integrators"]
-
 MOST = 2
 """Force to position is the most that mechanics asks for."""
 AS_GOOD = 2.0

@@ -22,18 +22,6 @@ from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 
-__all__ = [
-    "GivenKind",
-    "KindFound",
-    "RecordKind",
-    "acting_rows",
-    "acts",
-    "find_kind",
-    "given_kind",
-    "rings_down",
-    "variance",
-]
-
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
 GivenKind = Literal["auto", "driven", "transient", "decay", "ambient", "response"]

@@ -17,8 +17,6 @@ from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
-__all__ = ["MAIN_LOBE", "MachineLines", "blackman_harris", "line_bins", "machine_lines"]
-
 LINE = 300.0
 """Call a frequency a line where its power is so many times the median nearby: chance has 2^-300."""
 MAIN_LOBE = 4

@@ -28,8 +28,6 @@ from okid.markov import MarkovParameters, recover_system
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-__all__ = ["QuickModel", "best_model", "left_alone_and_together", "observer_markov", "observer_order", "quick_model"]
-
 LONGEST_OBSERVER = 128
 """Look back no further than this many samples: longer memories do not decide what preparation asks."""
 MOST_UNKNOWNS = 600

@@ -29,8 +29,6 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
 
-__all__ = ["RELEASED", "Rested", "released", "with_rest"]
-
 ENOUGH = 20
 """Take the level from the rows before the first blow where there are so many, else from the end of the record."""
 N_PARTS = 10

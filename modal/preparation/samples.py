@@ -36,16 +36,6 @@ from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
 
-__all__ = [
-    "gap_findings",
-    "length_findings",
-    "missing_findings",
-    "sharp_samples",
-    "spike_findings",
-    "spikes_of",
-    "without_spikes",
-]
-
 LEFT_OVER = 0.2
 """Ask that the neighbours of a spike lie within this share of it, or a third of the limit, once it is taken out."""
 

@@ -29,8 +29,6 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record, filter_half_length
 from okid.rows import runs_of
 
-__all__ = ["Preparation", "checked_parts", "prepare", "split_at_input_gaps"]
-
 FEWEST_SAMPLES = 40
 """One block that always trains and one for each of three folds."""
 SHORTEST = 50

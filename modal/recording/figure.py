@@ -59,18 +59,22 @@ def _plain(letter: str) -> str:
 
 Colour = tuple[int, int, int]
 
-BACKGROUND: Final[Colour] = (13, 14, 17)
-FRAME: Final[Colour] = (120, 124, 134)
-GRID: Final[Colour] = (38, 41, 48)
-GREY: Final[Colour] = (112, 116, 126)
-PALE: Final[Colour] = (196, 200, 210)
-WHITE: Final[Colour] = (240, 242, 248)
-BLUE: Final[Colour] = (86, 156, 255)  # measured
-DIM_BLUE: Final[Colour] = (58, 88, 140)
-ORANGE: Final[Colour] = (255, 160, 77)  # simulated from the inputs alone
-GREEN: Final[Colour] = (72, 207, 140)  # kept, stable, system
-GOLD: Final[Colour] = (245, 196, 84)  # inputs, choices
-RED: Final[Colour] = (240, 96, 96)  # what is left over
+
+class Palette:
+    """Colours on the dark ground of the viewer, by what they stand for."""
+
+    BACKGROUND: Final[Colour] = (13, 14, 17)
+    FRAME: Final[Colour] = (120, 124, 134)
+    GRID: Final[Colour] = (38, 41, 48)
+    GREY: Final[Colour] = (112, 116, 126)
+    PALE: Final[Colour] = (196, 200, 210)
+    WHITE: Final[Colour] = (240, 242, 248)
+    BLUE: Final[Colour] = (86, 156, 255)  # measured
+    DIM_BLUE: Final[Colour] = (58, 88, 140)
+    ORANGE: Final[Colour] = (255, 160, 77)  # simulated from the inputs alone
+    GREEN: Final[Colour] = (72, 207, 140)  # kept, stable, system
+    GOLD: Final[Colour] = (245, 196, 84)  # inputs, choices
+    RED: Final[Colour] = (240, 96, 96)  # what is left over
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,41 +92,40 @@ class Pane:
     height: float
 
 
-ENLARGED: Final = 2.0
-"""Enlarge a chart so much: a row of words, 10.6 points, is as high as a label of the viewer with its ground."""
+class Drawing:
+    """Sizes of what a chart is made of in the viewer."""
 
-DOTS: Final = 0.7
-"""Draw a dot with a radius of so much of its diameter in print."""
+    ENLARGED: Final = 2.0
+    """Enlarge a chart so much: a row of words, 10.6 points, is as high as a label of the viewer with its ground."""
+    DOTS: Final = 0.7
+    """Draw a dot with a radius of so much of its diameter in print."""
+    STROKE: Final = 6.0
+    """Fill a box with strokes of at most this height, in view units: their ends are round."""
+    LETTER: Final = 7.0
+    """Take a letter of a label as this wide, in view units."""
+    PADDING: Final = 12.0
+    """Leave so much between the words of a label and its ends, in view units."""
+    BUBBLE: Final = 19.0
+    """Raise a label by this, in view units: it hangs below its point, and its middle is to stand where it is asked
+    for."""
+    KEY_ROWS: Final = 2
+    """Give a key so many rows, the first of them beside the head; say how many more there are."""
+    WORDS_SHARE: Final = 0.3
+    """Set the words of rows above their bars, inside of the panel, when beside it they need more of the pane than
+    this."""
 
-STROKE: Final = 6.0
-"""Fill a box with strokes of at most this height, in view units: their ends are round."""
-
-LETTER: Final = 7.0
-"""Take a letter of a label as this wide, in view units."""
-
-PADDING: Final = 12.0
-"""Leave so much between the words of a label and its ends, in view units."""
-
-BUBBLE: Final = 19.0
-"""Raise a label by this, in view units: it hangs below its point, and its middle is to stand where it is asked for."""
-
-KEY_ROWS: Final = 2
-"""Give a key so many rows, the first of them beside the head; say how many more there are."""
-
-WORDS_SHARE: Final = 0.3
-"""Set the words of rows above their bars, inside of the panel, when beside it they need more of the pane than this."""
 
 COLOURS: Final[dict[Role, Colour]] = {
-    "paper": BACKGROUND,
-    "ink": PALE,
-    "muted": GREY,
-    "grid": GRID,
-    "measured": BLUE,
-    "model": ORANGE,
-    "residual": RED,
-    "system": GREEN,
-    "doubtful": GOLD,
-    "noise": GREY,
+    "paper": Palette.BACKGROUND,
+    "ink": Palette.PALE,
+    "muted": Palette.GREY,
+    "grid": Palette.GRID,
+    "measured": Palette.BLUE,
+    "model": Palette.ORANGE,
+    "residual": Palette.RED,
+    "system": Palette.GREEN,
+    "doubtful": Palette.GOLD,
+    "noise": Palette.GREY,
 }
 """Draw what a role means in the colour that it has on every page."""
 
@@ -142,7 +145,7 @@ def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, b
         chart: of `modal.plots`, which nobody else will draw.
         behind: what the first line is drawn over; grid and frame lie below.
     """
-    chart.width, chart.height = pane.width / ENLARGED, pane.height / ENLARGED
+    chart.width, chart.height = pane.width / Drawing.ENLARGED, pane.height / Drawing.ENLARGED
     keys = [_entries(chart, panel) for panel in chart.panels]
     chart.key = None
     for panel in chart.panels:
@@ -167,7 +170,7 @@ def seen_at(panel: Panel, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
     """(n, 2) places in the view of values, once the chart is drawn; beyond an axis they lie on its edge."""
     points = np.stack(np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in (x, y))), axis=-1)
     left, top, width, height = panel.box
-    return ENLARGED * np.clip(panel.place(panel.within(points)), (left, top), (left + width, top + height))
+    return Drawing.ENLARGED * np.clip(panel.place(panel.within(points)), (left, top), (left + width, top + height))
 
 
 def colour_of(role: Role, opacity: float = 1.0) -> Colour:
@@ -178,7 +181,8 @@ def colour_of(role: Role, opacity: float = 1.0) -> Colour:
         ((86, 156, 255), (50, 85, 136))
     """
     red, green, blue = (
-        round(ground + opacity * (full - ground)) for full, ground in zip(COLOURS[role], BACKGROUND, strict=True)
+        round(ground + opacity * (full - ground))
+        for full, ground in zip(COLOURS[role], Palette.BACKGROUND, strict=True)
     )
     return red, green, blue
 
@@ -194,7 +198,7 @@ def _entries(chart: Chart, panel: Panel) -> list[tuple[str, Colour]]:
 
 def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[tuple[str, Colour]]]:
     """The entries in rows, the first of which begins behind the head."""
-    room = ENLARGED * panel.box[2]
+    room = Drawing.ENLARGED * panel.box[2]
     lines: list[list[tuple[str, Colour]]] = [[]]
     used = _wide(panel.head) if panel.head else 0.0
     for text, colour in entries:
@@ -203,20 +207,20 @@ def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[t
             used = 0.0
         lines[-1].append((text, colour))
         used += _wide(text)
-    left = sum(map(len, lines[KEY_ROWS:]))
+    left = sum(map(len, lines[Drawing.KEY_ROWS :]))
     if left:
-        lines[KEY_ROWS - 1][-1:] = [(f"{left + 1} more", GREY)]
-    return lines[:KEY_ROWS]
+        lines[Drawing.KEY_ROWS - 1][-1:] = [(f"{left + 1} more", Palette.GREY)]
+    return lines[: Drawing.KEY_ROWS]
 
 
 def _wide(text: str) -> float:
-    return LETTER * len(text) + 2.0 * PADDING
+    return Drawing.LETTER * len(text) + 2.0 * Drawing.PADDING
 
 
 def _words_inside(chart: Chart, panel: Panel) -> None:
     """Take long words from beside their rows to above their bars; one row lies 1 below the other."""
     ticks = panel.y.ticks or ()
-    if max([_wide(text) for _, text in ticks], default=0.0) > WORDS_SHARE * ENLARGED * chart.width:
+    if max([_wide(text) for _, text in ticks], default=0.0) > Drawing.WORDS_SHARE * Drawing.ENLARGED * chart.width:
         panel.y.labelled = False
         for place, text in ticks:
             panel.word(-math.inf, place - 0.5, text, "ink", shift=(0.0, STYLE.tick / 3))
@@ -225,12 +229,12 @@ def _words_inside(chart: Chart, panel: Panel) -> None:
 
 
 def _log_frame(recording: "rerun.RecordingStream", path: str, panel: Panel) -> None:
-    left, top, width, height = (ENLARGED * edge for edge in panel.box)
+    left, top, width, height = (Drawing.ENLARGED * edge for edge in panel.box)
     right, bottom = left + width, top + height
     across = [[(x, top), (x, bottom)] for x, _ in _seen(panel, panel.x, panel.x_ticks()) if panel.x.grid]
     along = [[(left, y), (right, y)] for y, _ in _seen(panel, panel.y, panel.y_ticks()) if panel.y.grid]
-    _strips(recording, f"{path}/grid", [*across, *along], GRID, width=STYLE.grid, order=0.0)
-    _strips(recording, f"{path}/frame", [[(left, top), (left, bottom), (right, bottom)]], FRAME, order=1.0)
+    _strips(recording, f"{path}/grid", [*across, *along], Palette.GRID, width=STYLE.grid, order=0.0)
+    _strips(recording, f"{path}/frame", [[(left, top), (left, bottom), (right, bottom)]], Palette.FRAME, order=1.0)
 
 
 def _seen(panel: Panel, axis: Scale, ticks: Sequence[Tick]) -> list[Tick]:
@@ -244,8 +248,8 @@ def _seen(panel: Panel, axis: Scale, ticks: Sequence[Tick]) -> list[Tick]:
 
 
 def _ticks(panel: Panel) -> Iterator[Said]:
-    left, top, width, height = (ENLARGED * edge for edge in panel.box)
-    low = top + height + ENLARGED * (STYLE.gap + STYLE.tick / 2)
+    left, top, width, height = (Drawing.ENLARGED * edge for edge in panel.box)
+    low = top + height + Drawing.ENLARGED * (STYLE.gap + STYLE.tick / 2)
     if not panel.frame:
         return
     if panel.x.labelled:
@@ -253,19 +257,24 @@ def _ticks(panel: Panel) -> Iterator[Said]:
             yield x, low, text.replace("\n", " "), COLOURS["ink"]
     if panel.y.labelled:
         for y, text in _seen(panel, panel.y, panel.y_ticks()):
-            yield left - (_wide(text) - PADDING) / 2, y, text, COLOURS["ink"]
+            yield left - (_wide(text) - Drawing.PADDING) / 2, y, text, COLOURS["ink"]
     if panel.x.label:
-        down = ENLARGED * STYLE.line * STYLE.tick if panel.x.labelled else 0.0
+        down = Drawing.ENLARGED * STYLE.line * STYLE.tick if panel.x.labelled else 0.0
         yield left + width / 2, low + down, panel.x.label, COLOURS["ink"]
 
 
 def _head(panel: Panel, lines: Sequence[Sequence[tuple[str, Colour]]]) -> Iterator[Said]:
     """What the panel shows on the left, the key beside and below it from the right."""
-    left, top, width, _ = (ENLARGED * edge for edge in panel.box)
-    row = ENLARGED * STYLE.line * STYLE.tick
-    upper = top - ENLARGED * (STYLE.gap + STYLE.tick / 2) - row * panel.rows_above
+    left, top, width, _ = (Drawing.ENLARGED * edge for edge in panel.box)
+    row = Drawing.ENLARGED * STYLE.line * STYLE.tick
+    upper = top - Drawing.ENLARGED * (STYLE.gap + STYLE.tick / 2) - row * panel.rows_above
     if panel.head:
-        yield left + (_wide(panel.head) - PADDING) / 2 - ENLARGED * STYLE.gap, upper, panel.head, COLOURS["ink"]
+        yield (
+            left + (_wide(panel.head) - Drawing.PADDING) / 2 - Drawing.ENLARGED * STYLE.gap,
+            upper,
+            panel.head,
+            COLOURS["ink"],
+        )
     for number, entries in enumerate(lines):
         right = left + width
         for text, colour in reversed(entries):
@@ -275,9 +284,9 @@ def _head(panel: Panel, lines: Sequence[Sequence[tuple[str, Colour]]]) -> Iterat
 
 def _words(panel: Panel) -> Iterator[Said]:
     for word in panel.words:
-        x, y = seen_at(panel, word.x, word.y) + ENLARGED * np.array(word.shift)
+        x, y = seen_at(panel, word.x, word.y) + Drawing.ENLARGED * np.array(word.shift)
         aside = {"start": 0.5, "middle": 0.0, "end": -0.5}[word.anchor] * _wide(word.text)
-        yield x + aside, y - ENLARGED * word.size / 3, word.text, COLOURS[word.role]
+        yield x + aside, y - Drawing.ENLARGED * word.size / 3, word.text, COLOURS[word.role]
 
 
 def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Said]) -> None:
@@ -286,7 +295,7 @@ def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Sai
     if not said:
         return
     labels = rr.Points2D(
-        [(x, y - BUBBLE) for x, y, _, _ in said],
+        [(x, y - Drawing.BUBBLE) for x, y, _, _ in said],
         radii=rr.Radius.ui_points(0.0),
         colors=[colour for *_, colour in said],
         labels=[drawable(text) for _, _, text, _ in said],
@@ -340,7 +349,7 @@ def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve
     texts = [drawable(f"{along} {x:.5g}: {upwards} {y:.5g}") for x, y in shown.tolist()]
     dots = rr.Points2D(
         seen_at(panel, *shown.T),
-        radii=rr.Radius.ui_points(DOTS * curve.dot),
+        radii=rr.Radius.ui_points(Drawing.DOTS * curve.dot),
         colors=colour_of(curve.role, curve.opacity),
         labels=texts,
         show_labels=False,
@@ -363,7 +372,7 @@ def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area:
     strokes, radii = [], []
     for rim in rims:
         (left, top), (right, bottom) = rim.min(axis=0), rim.max(axis=0)
-        n_strokes = max(1, math.ceil((bottom - top) / STROKE))
+        n_strokes = max(1, math.ceil((bottom - top) / Drawing.STROKE))
         edges, radius = np.linspace(top, bottom, n_strokes + 1), (bottom - top) / (2 * n_strokes)
         ends = min(left + radius, right), max(right - radius, left)
         strokes += [[(end, middle) for end in ends] for middle in ((edges[1:] + edges[:-1]) / 2).tolist()]
@@ -384,7 +393,7 @@ def _strips(
     import rerun as rr
 
     if strips:
-        radius = rr.Radius.ui_points(ENLARGED * width / 2)
+        radius = rr.Radius.ui_points(Drawing.ENLARGED * width / 2)
         lines = rr.LineStrips2D(strips, radii=radius, colors=colour, draw_order=order)
         recording.log(path, lines, static=True, strict=True)
 
@@ -415,7 +424,7 @@ def plot_view(pane: Pane, name: str) -> Any:
     return rrb.Spatial2DView(
         origin=pane.path,
         name=name,
-        background=rrb.Background(BACKGROUND),
+        background=rrb.Background(Palette.BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, pane.width), y_range=(0.0, pane.height)),
     )
 

@@ -131,11 +131,16 @@ PORT: Final = 9876
 SETTINGS: Final = b"\x00\x00\x00\x04\x00\x00\x00\x00\x00"
 """A frame of HTTP/2 without content: its length, its type, flags, stream 0."""
 
-PATIENCE: Final = 1.0
-"""Seconds to wait for an answer when the viewer is sought."""
 
-OPENING: Final = 2.0
-"""Seconds to wait for a viewer that was opened."""
+class Wait:
+    """How long a viewer is waited for [s]."""
+
+    PATIENCE: Final = 1.0
+    """Seconds to wait for an answer when the viewer is sought."""
+    OPENING: Final = 2.0
+    """Seconds to wait for a viewer that was opened."""
+    CLOSING: Final = 2.0
+    """Seconds to wait until the viewer has taken everything."""
 
 
 def host_and_port(address: str | None) -> tuple[str, int]:
@@ -161,7 +166,7 @@ def host_and_port(address: str | None) -> tuple[str, int]:
 def listens(host: str, port: int) -> bool:
     """Whether anybody takes a connection there."""
     try:
-        socket.create_connection((host, port), timeout=PATIENCE).close()
+        socket.create_connection((host, port), timeout=Wait.PATIENCE).close()
     except OSError:
         return False
     return True
@@ -174,7 +179,7 @@ def speaks(host: str, port: int) -> bool:
         RFC 9113, HTTP/2, section 3.4: both sides begin with a SETTINGS frame. doi 10.17487/RFC9113
     """
     try:
-        with socket.create_connection((host, port), timeout=PATIENCE) as one:
+        with socket.create_connection((host, port), timeout=Wait.PATIENCE) as one:
             one.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + SETTINGS)
             answer = one.recv(len(SETTINGS))
     except OSError:
@@ -200,12 +205,12 @@ def open_viewer(port: int) -> str:
         )
     except OSError as error:
         return f"A Rerun viewer could not be opened ({label(str(error), 80)})."
-    end = time.perf_counter() + OPENING
+    end = time.perf_counter() + Wait.OPENING
     while time.perf_counter() < end:
         if listens(HOST, port):
             return ""
         time.sleep(0.05)
-    return f"The Rerun viewer that was opened did not answer at port {port} within {OPENING:g} s."
+    return f"The Rerun viewer that was opened did not answer at port {port} within {Wait.OPENING:g} s."
 
 
 READ: Final = "read"
@@ -213,8 +218,6 @@ READ: Final = "read"
 
 PROGRESS_TEXT: Final = "progress/text"
 PROGRESS_LOG: Final = "progress/log"
-CLOSING: Final = 2.0
-"""Seconds to wait until the viewer has taken everything."""
 
 
 class LiveRecording:
@@ -381,7 +384,7 @@ def log_estimate(
             stream.log(path, rr.Scalars(values))
     for text in warnings_of_it:
         stream.log("log", rr.TextLog(text, level="WARN"))
-    stream.flush(timeout_sec=CLOSING)
+    stream.flush(timeout_sec=Wait.CLOSING)
 
 
 def _log_steps(live: LiveRecording, *, share: float = 0.0) -> None:
@@ -434,11 +437,11 @@ def _opened(host: str, port: int, *, may_spawn: bool, tell: Callable[[str], None
 def _close(live: LiveRecording) -> None:
     if not live.is_lost:
         try:
-            live.stream.flush(timeout_sec=CLOSING)
+            live.stream.flush(timeout_sec=Wait.CLOSING)
         except Exception:  # noqa: BLE001 - the viewer was closed on the way, or is slow; what counts is in the folder
             live.tell("The Rerun viewer went away or fell behind; the recording in the folder shows the whole.")
             live.wire.cut()  # or Rerun waits for it without end
     leaving = threading.Thread(target=live.stream.disconnect, daemon=True)
     leaving.start()
-    leaving.join(PATIENCE)
+    leaving.join(Wait.PATIENCE)
     live.wire.cut()

@@ -91,14 +91,29 @@ def path_parts(names: Sequence[str]) -> tuple[str, ...]:
 DATA: Final = "data"
 """Above the measured series of an identification."""
 
-SHOWN_INPUTS: Final = 6
-SHOWN_OUTPUTS: Final = 12
-SHOWN_MODES: Final = 9
-"""Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
 
-ENTITIES_PER_OUTPUT: Final = 3
-SERIES_PER_OUTPUT: Final = 5
-"""Count so many of an output: measured; predicted and simulated; the residuals of both."""
+class Views:
+    """How much has a view of its own."""
+
+    INPUTS: Final = 6
+    OUTPUTS: Final = 12
+    MODES: Final = 9
+    """Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
+
+
+class Counted:
+    """What a segment, a response and an output may take."""
+
+    ENTITIES_PER_OUTPUT: Final = 3
+    SERIES_PER_OUTPUT: Final = 5
+    """Count so many of an output: measured; predicted and simulated; the residuals of both."""
+    LONGEST_SEGMENT: Final = 8192
+    """Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without
+    end."""
+    FINE_LINES: Final = 800
+    """Draw the response of a model at so many frequencies at least, as far as memory allows."""
+    MOST_NUMBERS: Final = 300_000
+    """Store so many lines of the response times its pairs of channels, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -185,8 +200,8 @@ def planned(identification: Identification, geometry: "Geometry | None" = None) 
     """
     records = identification.records or (_time_alone(identification),)
     first = records[0]
-    n_entities = first.n_inputs + ENTITIES_PER_OUTPUT * first.n_outputs
-    budget = row_budget(n_entities, first.n_inputs + SERIES_PER_OUTPUT * first.n_outputs)
+    n_entities = first.n_inputs + Counted.ENTITIES_PER_OUTPUT * first.n_outputs
+    budget = row_budget(n_entities, first.n_inputs + Counted.SERIES_PER_OUTPUT * first.n_outputs)
     around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated or records, strict=True))
     data = planned_data(records, budget=budget, around=around)
     modes = tuple(mode for _, mode in numbered(identification.modes.modes))
@@ -228,7 +243,7 @@ def planned_data(
         root=root,
         input_paths=tuple(f"{root}/input/{part}" for part in path_parts(first.input_names)),
         output_paths=tuple(f"{root}/output/{part}" for part in path_parts(first.output_names)),
-        shown_outputs=tuple(range(min(first.n_outputs, SHOWN_OUTPUTS))),
+        shown_outputs=tuple(range(min(first.n_outputs, Views.OUTPUTS))),
         shifts=tuple(start - record.start_time for start, record in zip(starts, records, strict=True)),
         starts=starts,
         stops=stops,
@@ -252,7 +267,7 @@ def _drawn(modes: tuple[Mode, ...]) -> tuple[int, ...]:
     for verdict in ("system", "doubtful"):
         chosen = [number for number, mode in enumerate(modes, start=1) if mode.verdict == verdict]
         if chosen:
-            return tuple(chosen[:SHOWN_MODES])
+            return tuple(chosen[: Views.MODES])
     return ()
 
 
@@ -261,16 +276,6 @@ def _window(modes: tuple[Mode, ...], dt: float, duration: float) -> float:
     system = [mode.frequency for mode in modes if mode.verdict == "system" and mode.frequency > 0]
     wanted = 8.0 / min(system) if system else 300 * dt
     return float(min(np.clip(wanted, 60 * dt, 600 * dt), max(duration / 10, 20 * dt)))
-
-
-LONGEST_SEGMENT: Final = 8192
-"""Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without end."""
-
-FINE_LINES: Final = 800
-"""Draw the response of a model at so many frequencies at least, as far as memory allows."""
-
-MOST_NUMBERS: Final = 300_000
-"""Store so many lines of the response times its pairs of channels, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -314,7 +319,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
         measured = response_of(identification.records)
         if measured is not None:
             n_lines, n_pairs = measured.frequencies.size, measured.frf[0].size
-            step = max(1, min(-(-FINE_LINES // n_lines), MOST_NUMBERS // (n_lines * n_pairs)))
+            step = max(1, min(-(-Counted.FINE_LINES // n_lines), Counted.MOST_NUMBERS // (n_lines * n_pairs)))
             fine_frequencies = np.linspace(0.0, measured.frequencies[-1], step * (n_lines - 1) + 1)
             fine = frf(identification.realisation, fine_frequencies)
             fine = np.where(np.isfinite(fine), fine, np.nan)
@@ -359,7 +364,11 @@ def response_of(records: Sequence[Record]) -> MeasuredFrf | None:
     if not first.n_inputs:
         return None
     n_rows = sum(record.n_samples for record in records)
-    longest = min(LONGEST_SEGMENT, 2 * MOST_NUMBERS // (first.n_inputs * first.n_outputs), n_rows // FEWEST_AVERAGES)
+    longest = min(
+        Counted.LONGEST_SEGMENT,
+        2 * Counted.MOST_NUMBERS // (first.n_inputs * first.n_outputs),
+        n_rows // FEWEST_AVERAGES,
+    )
     length = 2 ** int(np.log2(max(16, longest)))
     while length >= 16:
         try:

@@ -11,7 +11,7 @@ from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.recording.figure import Pane, document_view, log_chart, plot_view
 from modal.recording.plan import cell
 from modal.recording.stream import write_stream
-from modal.recording.tables import LISTED, bullets, log_table, table
+from modal.recording.tables import WordLimits, bullets, log_table, table
 
 if TYPE_CHECKING:
     import rerun
@@ -90,6 +90,8 @@ def _words(told: dict[str, list[str]]) -> str:
     head = f"### {len(told['record'])} records, {n_failed} failed"
     if not failed:
         return head
-    rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[:LISTED]]
-    more = bullets([f"and {len(failed) - LISTED} more in the table"]) if len(failed) > LISTED else []
+    rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[: WordLimits.LISTED]]
+    more = (
+        bullets([f"and {len(failed) - WordLimits.LISTED} more in the table"]) if len(failed) > WordLimits.LISTED else []
+    )
     return "\n\n".join([head, table(["record", "status", "message"], rows), *more])

@@ -32,22 +32,23 @@ from okid.record import Record
 if TYPE_CHECKING:
     import rerun
 
-SAMPLES_PER_SERIES: Final = 200_000
-"""Store no series with more rows than this."""
 
-BYTES_PER_RECORDING: Final = 75_000_000
-"""Store all series of a recording in about so many; pictures, words and tables are a few megabytes more."""
+class DiskBudget:
+    """What the series of a recording may take on disk."""
 
-BYTES_PER_ROW: Final = 14.0
-BYTES_PER_VALUE: Final = 8.1
-"""Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of Rerun
-0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3 bytes a row."""
-
-DETAIL_SHARE: Final = 8
-"""Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""
-
-LONGEST_DETAIL: Final = 20_000
-"""Store so many samples of a stretch of detail, at most."""
+    SAMPLES_PER_SERIES: Final = 200_000
+    """Store no series with more rows than this."""
+    BYTES_PER_RECORDING: Final = 75_000_000
+    """Store all series of a recording in about so many; pictures, words and tables are a few megabytes more."""
+    BYTES_PER_ROW: Final = 14.0
+    BYTES_PER_VALUE: Final = 8.1
+    """Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of
+    Rerun 0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3
+    bytes a row."""
+    DETAIL_SHARE: Final = 8
+    """Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""
+    LONGEST_DETAIL: Final = 20_000
+    """Store so many samples of a stretch of detail, at most."""
 
 
 def row_budget(n_entities: int, n_values: int) -> int:
@@ -61,8 +62,8 @@ def row_budget(n_entities: int, n_values: int) -> int:
         >>> row_budget(8, 8), row_budget(20, 32)
         (200000, 139094)
     """
-    bytes_a_row = BYTES_PER_ROW * max(1, n_entities) + BYTES_PER_VALUE * max(1, n_values)
-    return max(1000, min(SAMPLES_PER_SERIES, int(BYTES_PER_RECORDING / bytes_a_row)))
+    bytes_a_row = DiskBudget.BYTES_PER_ROW * max(1, n_entities) + DiskBudget.BYTES_PER_VALUE * max(1, n_values)
+    return max(1000, min(DiskBudget.SAMPLES_PER_SERIES, int(DiskBudget.BYTES_PER_RECORDING / bytes_a_row)))
 
 
 def bucket_length(n_samples: int, budget: int) -> int:
@@ -104,7 +105,7 @@ def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tup
     """
     if n_samples <= budget:
         return (StoredStretch(start=0, stop=n_samples, bucket=1),)
-    length = min(LONGEST_DETAIL, budget // DETAIL_SHARE)
+    length = min(DiskBudget.LONGEST_DETAIL, budget // DiskBudget.DETAIL_SHARE)
     middles = [length // 2, *around][:2]
     details = sorted({min(max(0, middle - length // 2), n_samples - length) for middle in middles})
     # six rows to spare: each stretch of buckets may end in one that is not full

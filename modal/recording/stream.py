@@ -37,7 +37,7 @@ from modal.recording.identification.fit import fit_page, log_fit_page, log_respo
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
-from modal.recording.identification.shapes import PERIODS
+from modal.recording.identification.shapes import Swinging
 from modal.recording.identification.validation import log_validation_page, validation_page
 from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
 from modal.recording.series import TIMELINE, Span
@@ -70,7 +70,7 @@ def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Bluepr
     """The pages as tabs on the timeline "time", paused at its start, everything else out of the way."""
     import rerun.blueprint as rrb
 
-    speed = max(plan.stop - plan.start, 1e-6) / (PERIODS * SECONDS_A_PERIOD)
+    speed = max(plan.stop - plan.start, 1e-6) / (Swinging.PERIODS * SECONDS_A_PERIOD)
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
         rrb.TimePanel(

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.identification.result import Identification
-from modal.recording.plan import SHOWN_OUTPUTS, Plan, cell
+from modal.recording.plan import Plan, Views, cell
 from modal.sections.words import data_sentences, modes_headline
 
 if TYPE_CHECKING:
@@ -77,13 +77,18 @@ def _known(value: object) -> list[object]:
     return [value.item() if isinstance(value, np.generic) else value]
 
 
-LISTED: Final = 40
-"""List so many channels, outputs or parts in words; the tables of numbers hold all."""
+class WordLimits:
+    """How much is written out in words."""
+
+    LISTED: Final = 40
+    """List so many channels, outputs or parts in words; the tables of numbers hold all."""
+    LONGEST_SENTENCE: Final = 2000
+    """Cut a sentence at so many letters: ours are shown whole, one with hostile names in it still ends somewhere."""
+    LISTED_STRETCHES: Final = 6
+    """Name so many stretches of time in a sentence."""
+
+
 UNKNOWN: Final = "–"
-LONGEST_SENTENCE: Final = 2000
-"""Cut a sentence at so many letters: ours are shown whole, one with hostile names in it still ends somewhere."""
-LISTED_STRETCHES: Final = 6
-"""Name so many stretches of time in a sentence."""
 
 
 def fit_page_text(identification: Identification, plan: Plan) -> str:
@@ -97,7 +102,7 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
         f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
         "fitted to."
     )
-    listed = range(min(first.n_outputs, LISTED))
+    listed = range(min(first.n_outputs, WordLimits.LISTED))
     rows = [
         [
             cell(first.output_names[i], 24),
@@ -109,8 +114,8 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
         for i in listed
     ]
     parts.append(table(["output", "unit", "cross-validated", "all rows", "one step"], rows))
-    if first.n_outputs > SHOWN_OUTPUTS:
-        parts.append(f"Plots are shown for the first {SHOWN_OUTPUTS} of {first.n_outputs} outputs; all are stored.")
+    if first.n_outputs > Views.OUTPUTS:
+        parts.append(f"Plots are shown for the first {Views.OUTPUTS} of {first.n_outputs} outputs; all are stored.")
     parts.append(_observer_line(identification))
     residuals = identification.residuals
     parts += bullets(data_sentences(identification), () if residuals is None else residuals.messages)
@@ -157,7 +162,9 @@ def _levels_lines(identification: Identification, plan: Plan) -> list[str]:
         for part in kept
         if part.bucket == 1
     ]
-    shown = ", ".join(exact[:LISTED_STRETCHES]) + (" and so on" if len(exact) > LISTED_STRETCHES else "")
+    shown = ", ".join(exact[: WordLimits.LISTED_STRETCHES]) + (
+        " and so on" if len(exact) > WordLimits.LISTED_STRETCHES else ""
+    )
     sentence = (
         f"Long series are stored as the smallest and the largest of every {coarsest} samples; the results come from "
         f"all samples. Every sample is stored at the start and around the largest residual: {shown}."
@@ -182,7 +189,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def bullets(*groups: Sequence[str]) -> list[str]:
     """The sentences as one Markdown list, made harmless; nothing where there is no sentence."""
-    lines = [f"- {cell(message, LONGEST_SENTENCE)}" for group in groups for message in group]
+    lines = [f"- {cell(message, WordLimits.LONGEST_SENTENCE)}" for group in groups for message in group]
     return ["\n".join(lines)] if lines else []
 
 

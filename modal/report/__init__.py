@@ -1,7 +1,8 @@
 """A result as files that people read and programs load: HTML, Markdown, JSON, CSV, UFF 55 and the recording."""
 
+from modal.report.discrepancy_writing import DiagnosisFiles
 from modal.report.pdf import write_pdf
-from modal.report.writing import DiagnosisFiles, ReportFiles, write_report
+from modal.report.writing import ReportFiles, write_report
 from modal.sections.provenance import Provenance, SourceFile, fingerprints
 
 __all__ = ["DiagnosisFiles", "Provenance", "ReportFiles", "SourceFile", "fingerprints", "write_pdf", "write_report"]

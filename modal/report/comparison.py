@@ -17,16 +17,6 @@ from modal.report.pages import environment
 from modal.sections.provenance import installed_version
 from modal.wording.text import fit_text, hertz, ratio_text
 
-__all__ = [
-    "COMPARISON_SCHEMA",
-    "ComparisonFiles",
-    "comparison_html",
-    "comparison_json",
-    "comparison_markdown",
-    "refuse_existing_comparison",
-    "write_comparison",
-]
-
 MIDDLE, ARM = 100.0, 92.0
 """Of a drawn interval, in a box 200 wide: the line of no change, and the longest arm to either side."""
 

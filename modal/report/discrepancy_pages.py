@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -36,11 +37,16 @@ from modal.wording.text import MOST_NAMED, exact_percent, number, shorten
 from okid.arrays import FloatArray
 from okid.errors import visible
 
-__all__ = ["diagnosis_html", "diagnosis_markdown", "draw_diagnosis", "equations_of"]
-
 STATUS_WORDS = {"named": "named", "unresolved": "not settled", "none": "nothing missing"}
-MOST_HYPOTHESES = 20
-"""Listed in the page; the JSON file has all."""
+
+
+class GapPageLimits:
+    """How much the page of a diagnosis shows."""
+
+    MOST_HYPOTHESES: Final = 20
+    """Listed in the page; the JSON file has all."""
+    MOST_OUTPUTS: Final = 6
+    MOST_LAWS: Final = 6
 
 
 def diagnosis_html(
@@ -94,7 +100,7 @@ def _context(diagnosis: Diagnosis, provenance: Provenance) -> dict[str, object]:
         ],
         "hypotheses": _hypotheses(diagnosis),
         "found_word": found_word(diagnosis),
-        "n_more_hypotheses": max(0, len(diagnosis.hypotheses) - MOST_HYPOTHESES),
+        "n_more_hypotheses": max(0, len(diagnosis.hypotheses) - GapPageLimits.MOST_HYPOTHESES),
         "calibrated": _calibrated(diagnosis),
         "limits": [
             {
@@ -185,7 +191,7 @@ def _hypotheses(diagnosis: Diagnosis) -> list[dict[str, object]]:
             "held_out": times_text(times_floor(one.held_out_level)),
             "behind": _behind(best - one.log_likelihood),
         }
-        for one in diagnosis.hypotheses[:MOST_HYPOTHESES]
+        for one in diagnosis.hypotheses[: GapPageLimits.MOST_HYPOTHESES]
     ]
 
 
@@ -238,10 +244,6 @@ def _snippet(diagnosis: Diagnosis) -> str:
     )
 
 
-MOST_OUTPUTS = 6
-MOST_LAWS = 6
-
-
 def draw_diagnosis(diagnosis: Diagnosis) -> dict[str, Picture]:
     """All pictures that the diagnosis has the numbers for, by name."""
     stages = stages_of(diagnosis)
@@ -257,7 +259,7 @@ def _gap_pictures(stages: Sequence[Stage]) -> dict[str, Picture]:
     if not stages:
         return {}
     first = stages[0].gap
-    shown = worst_outputs(first, MOST_OUTPUTS)
+    shown = worst_outputs(first, GapPageLimits.MOST_OUTPUTS)
     most = "output" if len(shown) == 1 else f"{len(shown)} outputs"
     which = "" if len(shown) == len(first.output_names) else f" Shown: the {most} with the largest gap."
     worst = int(np.argmax(np.nan_to_num(first.in_floors.mean(axis=1))))
@@ -335,7 +337,7 @@ def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
 
 
 def _law_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
-    laws = diagnosis.laws[:MOST_LAWS]
+    laws = diagnosis.laws[: GapPageLimits.MOST_LAWS]
     if not laws:
         return {}
     parts = ["The law as found (green)"]

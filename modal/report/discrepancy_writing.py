@@ -21,15 +21,6 @@ from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.wording.text import NINETY_FIVE, csv_cell
 
-__all__ = [
-    "DIAGNOSIS_SCHEMA",
-    "DiagnosisFiles",
-    "diagnosis_csv",
-    "diagnosis_json",
-    "refuse_existing_diagnosis",
-    "write_diagnosis",
-]
-
 DIAGNOSIS_SCHEMA = "modal-report-discrepancy/1"
 """Name and version of the layout; the number rises when a reader of the old layout would go wrong."""
 

@@ -22,17 +22,6 @@ if sys.platform != "win32":  # there, a rename onto what is there fails by itsel
 
 from okid.errors import InvalidDataError
 
-__all__ = [
-    "STOPS",
-    "Existing",
-    "clear_away",
-    "refuse_names",
-    "scratch_folder",
-    "standing",
-    "uninterrupted",
-    "write_folder",
-]
-
 STOPS = tuple(
     number
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")

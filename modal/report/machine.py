@@ -35,21 +35,6 @@ from okid.observer import ObserverFit
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = [
-    "SCHEMA",
-    "as_json",
-    "csv_text",
-    "described",
-    "document_schema",
-    "json_text",
-    "number_cell",
-    "record_document",
-    "record_schema",
-    "schema_file",
-    "schema_text",
-    "type_schema",
-]
-
 NUMBER = {"type": ["number", "null"]}
 """A float: null where it is not finite."""
 

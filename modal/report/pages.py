@@ -10,7 +10,7 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from modal.identification.result import Identification
 from modal.identification.words import caution_sentence, damping_shown, damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode, numbered
 from modal.plots.results import shape_assurance
-from modal.report.pictures import MOST_ASSURED, NOTHING_BESIDES, Picture, Setting
+from modal.report.pictures import NOTHING_BESIDES, Picture, PictureLimits, Setting
 from modal.sections import words
 from modal.sections.provenance import Provenance, installed_version
 from modal.sections.validation import (
@@ -44,28 +44,26 @@ if TYPE_CHECKING:
     import jinja2
     from markupsafe import Markup
 
-__all__ = [
-    "environment",
-    "hold_text",
-    "html_text",
-    "inline",
-    "markdown_text",
-    "moving_shapes",
-    "page_script",
-    "placement_of",
-]
 
-MOST_MOVING = 24
-"""Modes that can be chosen."""
+class PageLimits:
+    """How much a page shows."""
 
-MOST_NODES = 1500
-"""Nodes of a structure that a page turns smoothly; a larger one is left to the recording."""
+    MOST_MOVING: Final = 24
+    """Modes that can be chosen."""
+    MOST_NODES: Final = 1500
+    """Nodes of a structure that a page turns smoothly; a larger one is left to the recording."""
+    MOST_DEFLECTIONS: Final = 12_000
+    """Nodes times modes: about half a megabyte of the page. Of a large structure fewer modes can be chosen."""
+    MOST_SUMMED_UP: Final = 10
+    """Modes of the system on the page of the verdict; the table of all poles has all of them."""
+    MOST_CHANNELS: Final = 10
+    """Show so many channels, the worst first; the others are folded."""
+    MOST_FINDINGS: Final = 40
+    """Findings on the data that are shown, the worst first."""
+
 
 OBLIQUE = (-0.62, 0.36)
 """Turn and tilt from which all three directions are seen."""
-
-MOST_DEFLECTIONS = 12_000
-"""Nodes times modes: about half a megabyte of the page. Of a large structure fewer modes can be chosen."""
 
 SWING = 0.22
 """Greatest deflection over the largest extent of the structure."""
@@ -88,8 +86,8 @@ def moving_shapes(result: Identification, setting: Setting) -> "Markup | str":
 
     placement = placement_of(result, setting)
     geometry = placement.geometry
-    modes = result.modes.system[: min(MOST_MOVING, MOST_DEFLECTIONS // max(1, geometry.n_nodes))]
-    if not modes or geometry.n_nodes > MOST_NODES:
+    modes = result.modes.system[: min(PageLimits.MOST_MOVING, PageLimits.MOST_DEFLECTIONS // max(1, geometry.n_nodes))]
+    if not modes or geometry.n_nodes > PageLimits.MOST_NODES:
         return ""
     deflections = [placement.deflection(mode) for mode in modes]
     centre = (geometry.positions.max(axis=0) + geometry.positions.min(axis=0)) / 2
@@ -210,15 +208,6 @@ def _lines(text: str) -> object:
     return Markup("\n").join(escape(visible(line)) for line in text.split("\n"))
 
 
-MOST_SUMMED_UP = 10
-"""Modes of the system on the page of the verdict; the table of all poles has all of them."""
-
-MOST_CHANNELS = 10
-"""Show so many channels, the worst first; the others are folded."""
-
-MOST_FINDINGS = 40
-"""Findings on the data that are shown, the worst first."""
-
 GIVEN = "given as an argument"
 """Reason of a choice that was none."""
 
@@ -326,15 +315,15 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
     return {
         "about": about_lines(setting.specification),
         "channels": channel_rows(result, setting.specification, quality),
-        "most_channels": MOST_CHANNELS,
+        "most_channels": PageLimits.MOST_CHANNELS,
         "sensor_columns": sensor_columns(setting.specification),
         "quality": quality,
         "quality_of": setting.quality_of,
         "n_to_look_at": sum(finding.level != "note" for finding in findings),
         "quality_word": level,
         "quality_class": {"bad": "fault", "doubtful": "doubtful", "good": "good"}.get(level, "noise"),
-        "findings": findings[:MOST_FINDINGS],
-        "n_more_findings": max(0, len(findings) - MOST_FINDINGS),
+        "findings": findings[: PageLimits.MOST_FINDINGS],
+        "n_more_findings": max(0, len(findings) - PageLimits.MOST_FINDINGS),
         "data_sentences": words.data_sentences(result),
     }
 
@@ -348,15 +337,17 @@ def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
     believed = groups[0][3]
     return {
         "groups": groups,
-        "summary": believed[:MOST_SUMMED_UP],
+        "summary": believed[: PageLimits.MOST_SUMMED_UP],
         "changes": _changes(mode for _, mode in believed),
-        "remarked": any(words.remark_of(mode) for _, mode in believed[:MOST_SUMMED_UP]),
+        "remarked": any(words.remark_of(mode) for _, mode in believed[: PageLimits.MOST_SUMMED_UP]),
         "least_part": LEAST_PART,
-        "n_more_modes": max(0, len(believed) - MOST_SUMMED_UP),
+        "n_more_modes": max(0, len(believed) - PageLimits.MOST_SUMMED_UP),
         "indicators": INDICATORS,
         "caution": caution_sentence(result),
-        "assurance": shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED].tolist() if modes.system else [],
-        "frequencies": modes.frequencies[:MOST_ASSURED].tolist(),
+        "assurance": shape_assurance(result)[: PictureLimits.MOST_ASSURED, : PictureLimits.MOST_ASSURED].tolist()
+        if modes.system
+        else [],
+        "frequencies": modes.frequencies[: PictureLimits.MOST_ASSURED].tolist(),
         "has_intervals": has_intervals(result),
         "has_geometry": setting.geometry is not None,
         "placement_sentences": placement_of(result, setting).sentences,

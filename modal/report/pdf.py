@@ -19,8 +19,6 @@ from pathlib import Path
 from modal.report.folder import scratch_folder
 from okid.errors import IdentificationError, InvalidDataError
 
-__all__ = ["BROWSERS", "NoBrowserError", "find_browser", "write_pdf"]
-
 BROWSERS = (
     "chromium",
     "chromium-browser",

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
 from modal.plots.layout import Chart
 from modal.plots.order import colour_measure, pole_classes
 from modal.plots.results import (
-    MOST_SHOWN,
+    ResultLimits,
     fit_chart,
     least_fitted,
     measured_responses,
@@ -35,17 +35,6 @@ if TYPE_CHECKING:
     from modal.acceptance.test_file import Specification
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
-
-__all__ = [
-    "NOTHING_BESIDES",
-    "Picture",
-    "Setting",
-    "draw_pictures",
-    "drawn",
-    "readable",
-    "response_pictures",
-    "setting_of",
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,7 +78,11 @@ def response_pictures(result: Identification) -> dict[str, Picture]:
     except InsufficientDataError:
         return {}
     n_pairs = record.n_inputs * record.n_outputs
-    which = "" if n_pairs <= MOST_SHOWN else f" The {MOST_SHOWN} strongest of {n_pairs} are shown."
+    which = (
+        ""
+        if n_pairs <= ResultLimits.MOST_SHOWN
+        else f" The {ResultLimits.MOST_SHOWN} strongest of {n_pairs} are shown."
+    )
     alone = synthesised_alone(result, measured)
     dashed = "" if alone is None else " Dashed: the modes of the system alone, without the poles that are not believed."
     return {
@@ -158,12 +151,15 @@ def setting_of(
     )
 
 
-MOST_SHAPES = 12
-MOST_PIECES = 9000
-"""Pieces of lines and surfaces in all shapes together."""
-MOST_ASSURED = 30
-"""Shapes of the assurance matrix; the picture grows with the square of their number."""
-MOST_LAGS = 2000
+class PictureLimits:
+    """How much the pictures of a page show."""
+
+    MOST_SHAPES: Final = 12
+    MOST_PIECES: Final = 9000
+    """Pieces of lines and surfaces in all shapes together."""
+    MOST_ASSURED: Final = 30
+    """Shapes of the assurance matrix; the picture grows with the square of their number."""
+    MOST_LAGS: Final = 2000
 
 
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
@@ -179,7 +175,7 @@ def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) ->
 
 def _overview_picture(result: Identification) -> dict[str, Picture]:
     what = "Mean power spectrum of the outputs" if result.response is None else "Mean of the squared responses"
-    found = ", ".join(f"{hertz(frequency)}" for frequency in result.modes.frequencies[:MOST_ASSURED])
+    found = ", ".join(f"{hertz(frequency)}" for frequency in result.modes.frequencies[: PictureLimits.MOST_ASSURED])
     marked = f" Green: the modes found, at {found} Hz." if found else " No mode of the system was found."
     doubtful = any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes)
     open_ = " Dashed: poles that the data do not settle." if doubtful else ""
@@ -283,7 +279,9 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
 
 def _markov_picture(result: Identification) -> dict[str, Picture]:
     names = result.channels
-    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, MOST_LAGS))
+    pulse = _pulse_response(
+        result.fitted_model or result.realisation, min(result.markov.n_lags, PictureLimits.MOST_LAGS)
+    )
     figure = plots.markov_parameters(
         result.markov, pulse, output_names=names.output_names, input_names=names.input_names
     )
@@ -297,7 +295,7 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
     if not system:
         return {}
     record = result.channels
-    drawn_on, shown = system[: _n_drawn(setting)], system[:MOST_SHAPES]
+    drawn_on, shown = system[: _n_drawn(setting)], system[: PictureLimits.MOST_SHAPES]
     mixed = ""
     if len(set(record.output_units)) > 1:
         mixed = " The outputs have different units: compare only components of the same unit."
@@ -317,10 +315,12 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
         ),
     }
     if len(system) > 1:
-        frequencies = result.modes.frequencies[:MOST_ASSURED].tolist()
+        frequencies = result.modes.frequencies[: PictureLimits.MOST_ASSURED].tolist()
         compared = comparison_words(record.output_names, record.output_units)
         pictures["assurance"] = drawn(
-            plots.assurance_matrix(shape_assurance(result)[:MOST_ASSURED, :MOST_ASSURED], frequencies),
+            plots.assurance_matrix(
+                shape_assurance(result)[: PictureLimits.MOST_ASSURED, : PictureLimits.MOST_ASSURED], frequencies
+            ),
             "assurance",
             "MAC (modal assurance criterion) of the modes with one another: large numbers off the diagonal mean that "
             f"the sensors can hardly tell the two shapes apart. {compared}".rstrip()
@@ -332,9 +332,9 @@ def _mode_pictures(result: Identification, setting: Setting) -> dict[str, Pictur
 def _n_drawn(setting: Setting) -> int:
     """How many shapes are drawn: fewer on a geometry of very many lines and surfaces, so that the page stays small."""
     if setting.geometry is None:
-        return MOST_SHAPES
+        return PictureLimits.MOST_SHAPES
     pieces = sum(len(line) for line in setting.geometry.lines) + sum(len(face) for face in setting.geometry.surfaces)
-    return int(np.clip(MOST_PIECES // max(1, pieces), 2, MOST_SHAPES))
+    return int(np.clip(PictureLimits.MOST_PIECES // max(1, pieces), 2, PictureLimits.MOST_SHAPES))
 
 
 def _first(shown: Sequence[object], system: Sequence[object]) -> str:

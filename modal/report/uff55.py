@@ -27,11 +27,10 @@ from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from okid.arrays import ComplexArray
 from okid.errors import InvalidDataError
+from okid.readers.uff import DATA_TYPES
 
 if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
-
-__all__ = ["Form", "NodePlan", "dataset", "geometry_datasets", "node_labels", "node_plan", "real_shape", "uff55_text"]
 
 _MOST_DIGITS = 9
 _NODES_A_LINE = 8
@@ -138,10 +137,8 @@ def _named_nodes(output_names: Sequence[str]) -> Geometry:
 
 Form = Literal["complex", "normal"]
 
-_DATA_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12}
-"""Specific data type of record 6 by unit: displacement, velocity, acceleration; others are 0, unknown."""
-
 _DERIVATIVES = {"m": 0, "m/s": 1, "m/s^2": 2}
+"""Write these units by the data type of their motion; every other one is 0, unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -200,7 +197,8 @@ def real_shape(shape: ComplexArray) -> ComplexArray:
 def _quantity(units: Sequence[str]) -> _Quantity:
     """One unit stays as it is; a mixture of motions becomes displacement, any other mixture is written as it is."""
     if len(set(units)) == 1:
-        return _Quantity(data_type=_DATA_TYPES.get(units[0], 0), derivatives=(0,) * len(units))
+        known = DATA_TYPES[units[0]] if units[0] in _DERIVATIVES else 0
+        return _Quantity(data_type=known, derivatives=(0,) * len(units))
     if all(unit in _DERIVATIVES for unit in units):
         return _Quantity(data_type=8, derivatives=tuple(_DERIVATIVES[unit] for unit in units))
     return _Quantity(data_type=0, derivatives=(0,) * len(units))

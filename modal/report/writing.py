@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from modal.geometry.sensors import Geometry
     from modal.quality import DataQuality
 
-__all__ = [
-    "LARGEST_KEPT",
-    "DiagnosisFiles",
-    "ReportFiles",
-    "keep_result",
-    "kept_size",
-    "refuse_existing",
-    "write_report",
-]
-
 LARGEST_KEPT = 1 << 27
 """Keep the result whole up to so many bytes of arrays: 128 MiB, a record of 8 channels and 700 000 samples with its two
 simulations. Above, its file holds the summary that a comparison needs; the rest can be made again from the records."""

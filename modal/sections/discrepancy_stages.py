@@ -1,4 +1,4 @@
-"""The gap before, in between and after: what every page of a diagnosis shows, cut once by output, band and level.
+"""The gap of a diagnosis before, in between and after, cut once by output, band and level for every page that shows it.
 
 With it the spectra of gap, measured output and noise, and the modes against level, as report and recording draw them.
 """

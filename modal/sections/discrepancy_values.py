@@ -1,4 +1,4 @@
-"""Numbers and names of a diagnosis as they are written: effects without underscores, values to the digits they have."""
+"""The numbers and names of a diagnosis as written: effects without underscores, values to the digits they have."""
 
 import math
 from collections.abc import Sequence

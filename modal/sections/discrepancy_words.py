@@ -1,6 +1,7 @@
-"""What a diagnosis means, in plain words: each sentence comes from a rule, and says no more than the rule carries.
+"""The plain words for what a diagnosis means.
 
-The report, the Markdown page, the recording and the terminal all take their words from here.
+Each sentence comes from a rule and says no more than the rule carries. The report, the Markdown page, the recording and
+the terminal all take their words from here.
 """
 
 import math

@@ -1,9 +1,9 @@
-"""What the model was tested against, what its intervals mean and rest on, and the set-up of the test, in words."""
+"""The words for what a model was tested against, what its intervals mean and rest on, and how the test was set up."""
 
 import math
 import shlex
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,8 +16,16 @@ if TYPE_CHECKING:
     from modal.quality import DataQuality
     from modal.quality.findings import ChannelQuality, ChannelStatistics
 
-COHERENT = 0.8
-"""Multiple coherence from which the inputs explain most of an output at a frequency."""
+
+class BandLimits:
+    """What is said of the bands of inputs and of intervals."""
+
+    COHERENT: Final = 0.8
+    """Multiple coherence from which the inputs explain most of an output at a frequency."""
+    FEW_FACTOR: Final = 2.1
+    """Warn of few degrees of freedom above this factor of Student's for 95 %, at which there are 17."""
+    MOST_BANDS: Final = 6
+    """Bands of an input that are written out."""
 
 
 def validation_sentences(result: Identification) -> tuple[str, ...]:
@@ -72,10 +80,10 @@ def coherence_sentence(quality: "DataQuality | None") -> str:
     known = coherence[np.isfinite(coherence)]
     if not known.size:
         return ""
-    share = float(np.mean(known >= COHERENT))
+    share = float(np.mean(known >= BandLimits.COHERENT))
     return (
-        f"Without any model, the inputs explain at least {100 * COHERENT:.0f} % of an output's power (coherence) at "
-        f"{whole_percent(share)} of all frequencies and outputs."
+        f"Without any model, the inputs explain at least {100 * BandLimits.COHERENT:.0f} % of an output's power "
+        f"(coherence) at {whole_percent(share)} of all frequencies and outputs."
     )
 
 
@@ -116,9 +124,6 @@ def _folds(n_folds: int) -> str:
     return "the only fold" if n_folds == 1 else f"each of {n_folds} folds"
 
 
-FEW_FACTOR = 2.1
-"""Warn of few degrees of freedom above this factor of Student's for 95 %, at which there are 17."""
-
 WHITE_RATIO = 2.0
 """Whiteness statistic over its degrees of freedom above which residuals are not white."""
 
@@ -157,7 +162,7 @@ def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
         return meaning, _RESTS_ON["responses"], _left_out(result)
     sentences = [meaning, _RESTS_ON[known.method]]
     factor = known.interval_factor(0.95)
-    if factor > FEW_FACTOR:
+    if factor > BandLimits.FEW_FACTOR:
         sentences.append(
             f"The noise is known from {known.degrees_of_freedom:.0f} degrees of freedom only: widen each interval by "
             f"{100 * (factor / NINETY_FIVE - 1):.0f} %."
@@ -193,9 +198,6 @@ def _left_out(result: Identification) -> str:
 
 LEVELS_FIRST = {"bad": 0, "doubtful": 1, "good": 2}
 """Order channels by these, the worst first."""
-
-MOST_BANDS = 6
-"""Bands of an input that are written out."""
 
 _COLUMNS = (
     ("dof", "place"),
@@ -298,5 +300,5 @@ def _said(note: "SensorNote | None", key: str) -> str:
 def _bands_text(bands: tuple[tuple[float, float], ...]) -> str:
     if not bands:
         return "nowhere"
-    more = f" and {len(bands) - MOST_BANDS} more bands" if len(bands) > MOST_BANDS else ""
-    return ", ".join(f"{low:.3g} to {high:.3g}" for low, high in bands[:MOST_BANDS]) + more
+    more = f" and {len(bands) - BandLimits.MOST_BANDS} more bands" if len(bands) > BandLimits.MOST_BANDS else ""
+    return ", ".join(f"{low:.3g} to {high:.3g}" for low, high in bands[: BandLimits.MOST_BANDS]) + more

@@ -1,8 +1,7 @@
-"""What the numbers mean, in plain words: each sentence comes from a rule, and says no more than the rule carries.
+"""The plain words for what the numbers of a result mean, and the columns of its mode table.
 
-The report, the Markdown page and the terminal all take their words from here, so that they cannot disagree.
-
-And the columns of the mode table: what each number is called, what it means, and from where on it speaks for a mode.
+Each sentence comes from a rule and says no more than the rule carries. The report, the Markdown page and the terminal
+all take their words from here, so that they cannot disagree.
 """
 
 import math

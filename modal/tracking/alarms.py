@@ -23,20 +23,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import Final
 
 import numpy as np
 import scipy
 
 from okid.arrays import BoolArray, FloatArray
 
-DEGREES = (0, 1, 2, 3, 4)
-"""Try polynomials of a cause up to this degree; 0 leaves the cause out."""
-TIME_CONSTANTS = tuple(3600.0 * hours for hours in (3, 6, 12, 24, 48, 96))
-"""Try these [s] for the body that follows slowly, from a thin deck to a massive pier,"""
-SLOW_PARTS = (0.25, 0.5, 0.75, 1.0)
-"""and these parts of the cause that are felt through it."""
-FIRST_DEGREE = 3
-"""Choose part and time constant with this degree, then the degree."""
+
+class Causes:
+    """What is tried of a cause that a frequency follows."""
+
+    DEGREES: Final = (0, 1, 2, 3, 4)
+    """Try polynomials of a cause up to this degree; 0 leaves the cause out."""
+    TIME_CONSTANTS: Final = tuple(3600.0 * hours for hours in (3, 6, 12, 24, 48, 96))
+    """Try these [s] for the body that follows slowly, from a thin deck to a massive pier,"""
+    SLOW_PARTS: Final = (0.25, 0.5, 0.75, 1.0)
+    """and these parts of the cause that are felt through it."""
+    FIRST_DEGREE: Final = 3
+    """Choose part and time constant with this degree, then the degree."""
+
+
 MONTH = 30.44 * 86400.0
 FEWEST_FOLDS = 5
 ROUNDS = 2
@@ -89,9 +96,13 @@ def explain(values: FloatArray, causes: Mapping[str, FloatArray], times: FloatAr
                 terms = _terms(causes, {**chosen, name: felt}, times)[0]
                 return float(np.nansum(_held_out_error(values, terms, folds)))
 
-            slow = [_Felt(FIRST_DEGREE, part, tau) for part, tau in product(SLOW_PARTS, TIME_CONSTANTS) if clock]
-            best = min([_Felt(FIRST_DEGREE), *slow], key=error)
-            chosen[name] = min([replace(best, degree=degree) for degree in DEGREES], key=error)
+            slow = [
+                _Felt(Causes.FIRST_DEGREE, part, tau)
+                for part, tau in product(Causes.SLOW_PARTS, Causes.TIME_CONSTANTS)
+                if clock
+            ]
+            best = min([_Felt(Causes.FIRST_DEGREE), *slow], key=error)
+            chosen[name] = min([replace(best, degree=degree) for degree in Causes.DEGREES], key=error)
     terms, names = _terms(causes, chosen, times)
     alone = _held_out_error(values, terms[:, :0], folds)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -164,12 +175,19 @@ def _held_out_error(values: FloatArray, terms: FloatArray, folds: np.ndarray) ->
 LEVEL = 0.0025
 """Raise a false alarm with at most this chance a month: one in 400 quiet months."""
 DAY = 86400.0
-FEWEST_DAYS = 20
-FEWEST_BLOCKS = 20
-"""Sum records up in blocks of a day where there are so many days, and never in fewer blocks than this."""
-MOST_CHANGES = 12
-EDGE = 7
-"""Look for a change with at least so many blocks on either side: a week, longer than most weather."""
+
+
+class Blocks:
+    """How records are summed up in blocks, and changes sought between them."""
+
+    FEWEST_DAYS: Final = 20
+    FEWEST_BLOCKS: Final = 20
+    """Sum records up in blocks of a day where there are so many days, and never in fewer blocks than this."""
+    MOST_CHANGES: Final = 12
+    EDGE: Final = 7
+    """Look for a change with at least so many blocks on either side: a week, longer than most weather."""
+
+
 ALIKE = 1.645
 """Take blocks as alike beyond chance where their correlation is above this over sqrt(n): the 5 % quantile."""
 NEIGHBOURS = 12
@@ -227,11 +245,11 @@ def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, cl
     level = LEVEL * months
     kept = np.where(_outliers(values), np.nan, values)
     edges = _edges(times, clock=clock)
-    while edges.size > FEWEST_BLOCKS:
+    while edges.size > Blocks.FEWEST_BLOCKS:
         blocks = _summed(kept, terms, edges)
         changes = _changes(blocks, level)
         left = _left(blocks, changes)
-        if edges.size <= 2 * FEWEST_BLOCKS or not _alike(left):
+        if edges.size <= 2 * Blocks.FEWEST_BLOCKS or not _alike(left):
             return tuple(sorted(changes, key=lambda change: change.since))
         edges = np.append(edges[:-1:2], edges[-1])
     return ()
@@ -239,7 +257,7 @@ def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, cl
 
 def enough_records(times: FloatArray, *, clock: bool) -> bool:
     """Whether there are so many records that `find_changes` could have told a change."""
-    return bool(_edges(times, clock=clock).size > FEWEST_BLOCKS)
+    return bool(_edges(times, clock=clock).size > Blocks.FEWEST_BLOCKS)
 
 
 def _outliers(values: FloatArray) -> BoolArray:
@@ -259,10 +277,10 @@ def _outliers(values: FloatArray) -> BoolArray:
 def _edges(times: FloatArray, *, clock: bool) -> np.ndarray:
     """First record of each block, and one past the last."""
     span = float(np.ptp(times))
-    if clock and span >= FEWEST_DAYS * DAY:
+    if clock and span >= Blocks.FEWEST_DAYS * DAY:
         day = np.floor((times - times[0]) / DAY).astype(np.intp)
         return np.append(np.unique(day, return_index=True)[1], times.size)
-    n_blocks = min(2 * FEWEST_BLOCKS, times.size // 2)
+    n_blocks = min(2 * Blocks.FEWEST_BLOCKS, times.size // 2)
     return np.unique(np.linspace(0, times.size, n_blocks + 1).round().astype(np.intp))
 
 
@@ -288,7 +306,7 @@ def _summed(values: FloatArray, terms: FloatArray, edges: np.ndarray) -> _Blocks
 def _changes(blocks: _Blocks, level: float) -> list[LevelChange]:
     """Steps beyond chance, the surest first."""
     found: list[tuple[int, float]] = []
-    while len(found) < MOST_CHANGES:
+    while len(found) < Blocks.MOST_CHANGES:
         taus, statistics = _scan(blocks, [tau for tau, _ in found])
         if not taus.size:
             break
@@ -298,7 +316,7 @@ def _changes(blocks: _Blocks, level: float) -> list[LevelChange]:
             break
         found.append((int(taus[best]), p_value))
     taus_found = sorted(tau for tau, _ in found)
-    n_taus = blocks.first.size - 2 * EDGE
+    n_taus = blocks.first.size - 2 * Blocks.EDGE
     changes = []
     for tau, p_value in found:
         others = [other for other in taus_found if other != tau]
@@ -336,7 +354,12 @@ def _scan(blocks: _Blocks, known: Sequence[int]) -> tuple[np.ndarray, FloatArray
     n_blocks = blocks.first.size - 1
     taken = np.array(known, dtype=np.intp)
     taus = np.array(
-        [tau for tau in range(EDGE, n_blocks - EDGE + 1) if not (np.abs(taken - tau) < EDGE).any()], dtype=np.intp
+        [
+            tau
+            for tau in range(Blocks.EDGE, n_blocks - Blocks.EDGE + 1)
+            if not (np.abs(taken - tau) < Blocks.EDGE).any()
+        ],
+        dtype=np.intp,
     )
     cleared = _cleared(blocks, known)
     return taus, np.array([_joint(cleared, _after(blocks, int(tau), n_blocks)) for tau in taus])

@@ -1,12 +1,9 @@
-"""Numbers, lists and plurals as a person writes them, and sentences with their evidence; no type of ours is known here.
+"""Numbers, lists, plurals and sentences as a person writes them, and foreign text made harmless for where it is shown.
 
-Every text for a reader, in the report, the recording and the terminal, takes its numbers from here.
-
-Text that came from a file, made harmless for where it is shown.
-
-Channel names, units and file names are written by others. In a terminal a control character moves the cursor, in a
-spreadsheet a leading "=" is a formula, in Markdown a bracket is a link, and a right-to-left override turns the words
-around it. HTML is escaped by the template engine; the rest is done here.
+Every text for a reader, in the report, the recording and the terminal, takes its numbers from here; no type of ours is
+known here. Channel names, units and file names are written by others: in a terminal a control character moves the
+cursor, in a spreadsheet a leading "=" is a formula, in Markdown a bracket is a link, and a right-to-left override turns
+the words around it. HTML is escaped by the template engine; the rest is done here.
 """
 
 import math

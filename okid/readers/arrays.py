@@ -34,17 +34,6 @@ from okid.readers.guard import (
 )
 from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
 
-__all__ = [
-    "Content",
-    "array_header",
-    "array_of",
-    "npz_contents",
-    "read_npy",
-    "read_npz",
-    "table_from_arrays",
-    "table_of_channels",
-]
-
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""
 

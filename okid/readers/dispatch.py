@@ -22,8 +22,6 @@ from okid.readers.text import read_text
 from okid.readers.uff import read_uff
 from okid.readers.units import UnitConversion, convert_unit
 
-__all__ = ["READERS", "FileDescription", "describe_file", "describe_table", "read_table"]
-
 READERS: Mapping[str, Callable[[Path], Table]] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), read_text),
     ".npy": read_npy,

@@ -16,24 +16,6 @@ import numpy as np
 
 from okid.errors import UnreadableFileError, quiet, visible
 
-__all__ = [
-    "DEFLATE_RATIO",
-    "MAX_CHANNELS",
-    "MAX_DEPTH",
-    "MAX_MEMBERS",
-    "MEMORY_SHARE",
-    "Damage",
-    "check_channel_count",
-    "check_file",
-    "check_memory",
-    "first_line",
-    "foreign",
-    "in_memory",
-    "memory_budget",
-    "optional_package",
-    "sound_archive",
-]
-
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
 

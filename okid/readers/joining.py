@@ -17,8 +17,6 @@ from okid.readers.table import Column, Table, as_names, choose_channels, chosen_
 from okid.record import InputHold, Record
 from okid.rows import join_setups
 
-__all__ = ["records_of_tables"]
-
 GRID_TOLERANCE = 0.1
 """How far two files' time grids may drift apart, in time steps."""
 

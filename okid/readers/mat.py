@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -42,17 +42,27 @@ from okid.readers.table import Table
 Value = Any
 """An array of numbers, a text, a list (cells), a dict (fields of one structure), or None: nothing that we read."""
 
-HEADER = 128
+
+class Mat:
+    """Numbers of the format, chapter 1 of its description."""
+
+    HEADER: Final = 128
+    UINT8: Final = 9  # a variable of bytes without a name is MATLAB's own
+    OPAQUE: Final = 17
+    PASSED_OVER: Final = (5, 16)  # sparse, a function handle
+    NUMERIC: Final = range(6, 16)
+    MATLAB_USER_BLOCK: Final = 512
+    """A 7.3 file begins with 512 bytes of its own, then comes HDF5."""
+    LONGEST_TEXT: Final = 2**16
+    """Leave out texts of more characters: they name no channel."""
+
+
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Storage types of elements, chapter 1, table 1-1."""
 
 TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 MATRIX, COMPRESSED, INT8, INT32, UINT32 = 14, 15, 1, 5, 6
 CELL, STRUCT, OBJECT, CHAR = 1, 2, 3, 4
-UINT8 = 9  # a variable of bytes without a name is MATLAB's own
-OPAQUE = 17
-PASSED_OVER = (5, 16)  # sparse, a function handle
-NUMERIC = range(6, 16)
 LEVEL_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 IS_COMPLEX, IS_LOGICAL = 0x800, 0x200
 
@@ -68,10 +78,10 @@ def read_elements(path: Path) -> dict[str, Value]:
     if 0 in data[:4]:  # a level 5 header begins with words
         variables = _level_4(data)
     else:
-        order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:HEADER]))
+        order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126 : Mat.HEADER]))
         if order is None or struct.unpack(f"{order}H", data[124:126])[0] != 0x0100:
             raise Damage("its header names neither version 4, 5 nor 7.3")
-        variables = _level_5(data[HEADER:], order, lambda n_bytes: check_memory(path, 3.0 * n_bytes))
+        variables = _level_5(data[Mat.HEADER :], order, lambda n_bytes: check_memory(path, 3.0 * n_bytes))
     found: dict[str, Value] = {}
     for name, value in variables:
         if name in found:
@@ -201,15 +211,15 @@ def _matrix(parts: _Elements, depth: int) -> tuple[str, Value]:
     _need(content, 0, 8)
     flags = struct.unpack(f"{parts.order}I", content[:4])[0]
     kind = flags & 0xFF
-    if kind == OPAQUE:  # no shape follows, but its names
+    if kind == Mat.OPAQUE:  # no shape follows, but its names
         return parts.text(), None
     shape, name = parts.shape(), parts.text()
-    if not name and depth == 0 and kind != UINT8:
+    if not name and depth == 0 and kind != Mat.UINT8:
         raise Damage("a variable without a name")
-    if kind in PASSED_OVER:
+    if kind in Mat.PASSED_OVER:
         return name, None
     value: Value
-    if kind in NUMERIC:
+    if kind in Mat.NUMERIC:
         value = _numeric(parts, shape, flags)
     elif kind == CHAR:
         value = _rows(parts, shape)
@@ -281,12 +291,6 @@ def _cells(parts: _Elements, count: int, depth: int) -> list[Value]:
 
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-MATLAB_USER_BLOCK = 512
-"""A 7.3 file begins with 512 bytes of its own, then comes HDF5."""
-
-LONGEST_TEXT = 2**16
-"""Leave out texts of more characters: they name no channel."""
-
 HDF5_VERSION = (b"\x00\x02IM", b"\x02\x00MI")
 
 
@@ -307,7 +311,7 @@ def mat_contents(path: Path) -> tuple[dict[str, Content], bool]:
         UnreadableFileError: damaged or cut off.
     """
     with path.open("rb") as file:
-        start = file.read(MATLAB_USER_BLOCK + len(HDF5_SIGNATURE))
+        start = file.read(Mat.MATLAB_USER_BLOCK + len(HDF5_SIGNATURE))
     is_hdf5 = start.startswith(HDF5_SIGNATURE) or start.endswith(HDF5_SIGNATURE)
     with foreign(path, "MAT file"):
         if not is_hdf5 and (start.startswith(b"MATLAB 7.3") or start[124:128] in HDF5_VERSION):
@@ -414,7 +418,7 @@ class _Hdf5:
 
     def text(self, item: Any) -> str | None:
         """The characters of a dataset, None where they are no name or are not in this file."""
-        if item.size > LONGEST_TEXT or not self.is_own(item):
+        if item.size > Mat.LONGEST_TEXT or not self.is_own(item):
             return None
         return "".join(chr(code) for code in item[()].T.ravel()).strip()
 

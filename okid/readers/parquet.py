@@ -12,8 +12,6 @@ from okid.readers.arrays import table_of_channels
 from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign
 from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
 
-__all__ = ["read_parquet", "table_of_frame"]
-
 UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 
 

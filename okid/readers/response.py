@@ -43,8 +43,6 @@ from okid.readers.uff import (
 from okid.readers.units import convert_unit
 from okid.record import channel_indices
 
-__all__ = ["holds_responses", "read_response"]
-
 TEXT_TYPES = (".csv", ".txt", ".tsv", ".dat", ".asc")
 UNIVERSAL_TYPES = (".uff", ".unv", ".ufb")
 FREQUENCY_NAMES = frozenset(["frequency", "frequencies", "freq", "freqs", "f", "frequency hz", "freq hz"])

@@ -22,21 +22,6 @@ from okid.arrays import FloatArray, check_not_empty, column_block, row_chunks, t
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
 from okid.readers.units import UnitConversion, convert_unit, is_unit
 
-__all__ = [
-    "Column",
-    "LeftOut",
-    "Table",
-    "as_names",
-    "choose_channels",
-    "chosen_names",
-    "looks_like_unit",
-    "split_header",
-    "stated_step",
-    "table_time_step",
-    "to_record",
-    "unique_names",
-]
-
 TIME_NAMES = frozenset(
     [
         *("time", "t", "timestamp", "time stamp", "elapsed time", "relative time", "time axis", "x value"),

@@ -19,8 +19,6 @@ from okid.errors import UnreadableFileError
 from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
-__all__ = ["read_lvm", "read_mdf", "read_tdms", "read_wav"]
-
 END_OF_HEADER = "***End_of_Header***"
 
 MEMORY_A_BYTE = 40.0

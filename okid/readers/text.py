@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 
@@ -84,10 +84,19 @@ DIALECTS = (
     *(Dialect(",", "."), Dialect(";", "."), Dialect(";", ","), Dialect("\t", "."), Dialect("\t", ",")),
     *(Dialect("|", "."), Dialect(" ", "."), Dialect(" ", ","), Dialect(",", ",")),
 )
-MAX_REMARKS = 1000
-"""Lines that may stand before the first number."""
 
-LINES_COMPARED = 200
+
+class TextLimits:
+    """How much of a text is looked at."""
+
+    MAX_REMARKS: Final = 1000
+    """Lines that may stand before the first number."""
+    LINES_COMPARED: Final = 200
+    SAMPLE_BYTES: Final = 1 << 20
+    """How much of a file is looked at to find its layout; no line may be longer."""
+    BLOCK_BYTES: Final = 8 << 20
+
+
 _COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
 _TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
 _TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
@@ -123,7 +132,7 @@ def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
     if not found:
         _refuse_text_column(lines, file_name)
         shown = next((line.strip() for line in lines if line.strip()), "")[:60]
-        n_lines = min(len(lines), MAX_REMARKS)
+        n_lines = min(len(lines), TextLimits.MAX_REMARKS)
         searched = "in its only line" if n_lines == 1 else f"among its first {n_lines} lines"
         raise UnreadableFileError(
             f"{file_name} holds no row of numbers {searched} (it begins with {shown!r}); a record is a table "
@@ -136,7 +145,7 @@ def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
 
 def _start(lines: Sequence[str], dialect: Dialect) -> tuple[int, int] | None:
     """First line of numbers only that is followed by one like it (or by none), and its number of cells."""
-    for index, line in enumerate(lines[:MAX_REMARKS]):
+    for index, line in enumerate(lines[: TextLimits.MAX_REMARKS]):
         cells = split_cells(line, dialect)
         if not _all_numbers(cells, dialect):
             continue
@@ -155,7 +164,7 @@ def _all_numbers(cells: Sequence[str], dialect: Dialect) -> bool:
 def _score(lines: Sequence[str], dialect: Dialect, start: tuple[int, int]) -> tuple[int, bool, int]:
     first, n_columns = start
     alike = 0
-    for line in lines[first : first + LINES_COMPARED]:
+    for line in lines[first : first + TextLimits.LINES_COMPARED]:
         cells = split_cells(line, dialect)
         alike += len(cells) == n_columns and _all_numbers(cells, dialect)
     above = [line for line in lines[:first] if line.strip()]
@@ -245,7 +254,7 @@ def _refuse_text(cells: Sequence[str], header: Sequence[str], number: int, diale
 def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
     """Name the column of text (dates, labels) in a table that is numbers but for it."""
     for dialect in DIALECTS[:-1]:
-        for number, (line, below) in enumerate(itertools.pairwise(lines[:MAX_REMARKS]), start=1):
+        for number, (line, below) in enumerate(itertools.pairwise(lines[: TextLimits.MAX_REMARKS]), start=1):
             cells, cells_below = split_cells(line, dialect), split_cells(below, dialect)
             numbers = [is_number(cell, dialect) for cell in cells]
             if any(numbers) and numbers == [is_number(cell, dialect) for cell in cells_below]:
@@ -254,10 +263,6 @@ def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
                 _refuse_text(cells, names, number, dialect, file_name)
 
 
-SAMPLE_BYTES = 1 << 20
-"""How much of a file is looked at to find its layout; no line may be longer."""
-
-BLOCK_BYTES = 8 << 20
 COPIES_OF_TEXT, COPIES_OF_TABLE = 3.0, 1.25
 """Expect so many: of a text that is changed before it is read, and of the table of float64 while it is put together."""
 
@@ -273,12 +278,12 @@ def read_text(path: Path) -> Table:
         UnreadableFileError: binary data, rows of different lengths, or text where a number is expected.
     """
     with path.open("rb") as file:
-        head = file.read(SAMPLE_BYTES)
+        head = file.read(TextLimits.SAMPLE_BYTES)
     if head.startswith(_UTF16):
         check_memory(path, COPIES_OF_TEXT * path.stat().st_size)
         text = _decoded(path.read_bytes(), "utf-16", path)
         data = io.BytesIO(text.encode())
-        head = data.getbuffer()[:SAMPLE_BYTES].tobytes()
+        head = data.getbuffer()[: TextLimits.SAMPLE_BYTES].tobytes()
         return _read(data, head, path)
     if b"\0" in head:
         raise UnreadableFileError(
@@ -296,11 +301,11 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
         file = io.BytesIO(_seconds(file.read(), path))
         head = clocked
     raw_lines = head.splitlines(keepends=True)
-    if len(head) == SAMPLE_BYTES:
+    if len(head) == TextLimits.SAMPLE_BYTES:
         if len(raw_lines) == 1:
             raise UnreadableFileError(
-                f"the first line of {path.name} is longer than {SAMPLE_BYTES} bytes; a record is a table, one row a "
-                "sample."
+                f"the first line of {path.name} is longer than {TextLimits.SAMPLE_BYTES} bytes; a record is a table, "
+                "one row a sample."
             )
         raw_lines.pop()  # cut off in its middle
     lines = [_line(raw) for raw in raw_lines]
@@ -338,7 +343,7 @@ def _seconds(data: bytes, path: Path, head: bytes | None = None) -> bytes:
 
 def table_of_text(data: bytes, path: Path) -> Table:
     """The table of whole lines that were read from a file already; errors as in `read_text`."""
-    return _read(io.BytesIO(data), data[:SAMPLE_BYTES], path)
+    return _read(io.BytesIO(data), data[: TextLimits.SAMPLE_BYTES], path)
 
 
 def more_rows(data: bytes, head: bytes, path: Path, *, n_lines: int) -> FloatArray:
@@ -371,7 +376,7 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
     try:
         with csv.open_csv(
             source,
-            read_options=csv.ReadOptions(column_names=keys, block_size=BLOCK_BYTES),
+            read_options=csv.ReadOptions(column_names=keys, block_size=TextLimits.BLOCK_BYTES),
             parse_options=csv.ParseOptions(delimiter=delimiter),
             convert_options=csv.ConvertOptions(
                 column_types=dict.fromkeys(keys, pa.float64()),

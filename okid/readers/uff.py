@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -21,28 +21,22 @@ from okid.readers.guard import check_channel_count, check_memory, foreign, optio
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
-__all__ = [
-    "UniversalFile",
-    "label_of",
-    "open_uff",
-    "place_of",
-    "read_uff",
-    "states_si",
-    "text_of",
-    "unit_of",
-    "write_response",
-]
-
 MEMORY_A_BYTE = 8.0
-TIME_RESPONSE = 1
-ABSCISSA_TIME = 17
-SET_58 = 58
-SET_164 = 164
+
+
+class Universal:
+    """Numbers of the data sets and of what they hold."""
+
+    TIME_RESPONSE: Final = 1
+    ABSCISSA_TIME: Final = 17
+    MEASUREMENT: Final = 58
+    UNITS: Final = 164
+    REAL_ORDINATES: Final = (2, 4)
+
+
 _NODE = re.compile(r"(\d{1,9})(R?[XYZ])([+-])")
 DATA_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
 RESPONSE, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
-REAL_ORDINATES = (2, 4)
-
 FUNCTION_TYPES = {
     0: "general function",
     1: "complex time response",
@@ -58,7 +52,7 @@ FUNCTION_TYPES = {
     12: "spectrum",
 }
 DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
-SI_OF_DATA_TYPE = {8: "m", 11: "m/s", 12: "m/s^2", 13: "N", 15: "Pa"}
+SI_OF_DATA_TYPE = {number: unit for unit, number in DATA_TYPES.items()}
 """Unit in SI of the specific data types that are measured in a modal test."""
 
 Set = Mapping[str, Any]
@@ -73,8 +67,8 @@ def read_uff(path: Path) -> Table:
     """
     file = open_uff(path)
     kinds = file.kinds
-    check_channel_count(path, kinds.count(SET_58))
-    heads = dict(file.sets(SET_58, header_only=True))
+    check_channel_count(path, kinds.count(Universal.MEASUREMENT))
+    heads = dict(file.sets(Universal.MEASUREMENT, header_only=True))
     chosen = [number for number, head in heads.items() if _is_time_history(head)]
     if not chosen:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
@@ -82,7 +76,7 @@ def read_uff(path: Path) -> Table:
     ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
     names = _names(sets)
     _check_same_axis(sets, names, path)
-    is_si = any(states_si(each) for _, each in file.sets(SET_164))
+    is_si = any(states_si(each) for _, each in file.sets(Universal.UNITS))
     columns = [
         Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name)
         for name, each in zip(names, sets, strict=True)
@@ -126,7 +120,7 @@ class UniversalFile:
     def read(self, number: int, *, header_only: bool = False) -> Set:
         """One data set by its number; raises where a measurement announces something else than it holds."""
         result: Set = _guarded(self.path, lambda: self.file.read_sets(number, header_only=header_only))
-        if header_only or self.kinds[number] != SET_58:
+        if header_only or self.kinds[number] != Universal.MEASUREMENT:
             return result
         return _as_announced(result, f"data set {number + 1} of {self.path.name}")
 
@@ -168,8 +162,10 @@ def _kind(head: Set) -> str:
 
 def _is_time_history(head: Set) -> bool:
     """Type 1, or a function of unknown type over time, as some analysers write."""
-    over_time = head["func_type"] == 0 and head["abscissa_spec_data_type"] == ABSCISSA_TIME
-    return head["ord_data_type"] in REAL_ORDINATES and (head["func_type"] == TIME_RESPONSE or over_time)
+    over_time = head["func_type"] == 0 and head["abscissa_spec_data_type"] == Universal.ABSCISSA_TIME
+    return head["ord_data_type"] in Universal.REAL_ORDINATES and (
+        head["func_type"] == Universal.TIME_RESPONSE or over_time
+    )
 
 
 def _what_it_holds(path: Path, kinds: Sequence[int], heads: Sequence[Set]) -> str:

@@ -18,8 +18,6 @@ from typing import Any
 from okid.errors import UnreadableFileError
 from okid.readers.guard import first_line
 
-__all__ = ["UnitConversion", "convert_unit", "is_unit", "unit_error"]
-
 STANDARD_GRAVITY = 9.80665
 
 SI_UNITS = frozenset(

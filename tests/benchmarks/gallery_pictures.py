@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import io
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -43,19 +42,15 @@ def run(name, folder):
         return
     with contextlib.redirect_stdout(io.StringIO()) as told:
         if name == "demo":
-            from modal.command.entry import main
+            from modal.command.main import status
 
-            sys.argv = ["modal-report", "demo", "-o", str(folder)]
-            with contextlib.suppress(SystemExit):
-                main()
+            status(["demo", "-o", str(folder)])
         elif name == "hammer":
-            from modal.command.entry import main
+            from modal.command.main import status
             from modal.examples.files import write_files
 
             write_files(folder)
-            sys.argv = ["modal-report", "run", str(folder / "hammer.csv"), "--inputs", "force", "-o", str(folder)]
-            with contextlib.suppress(SystemExit):
-                main()
+            status(["run", str(folder / "hammer.csv"), "--inputs", "force", "-o", str(folder)])
         elif name in ("loose_joint", "motor_propeller"):
             {"loose_joint": loose_joint, "motor_propeller": motor_propeller}[name].main(["-o", str(folder)])
         else:

@@ -31,10 +31,9 @@ CORE = (
 )  # fmt: skip
 ALSO = {
     "modal/modes/extraction.py": ("tests/modal/modes/test_indicators.py",),
-    "okid/markov.py": ("tests/okid/test_recovery.py",),
     "okid/gram.py": ("tests/modal/estimation/test_block_grams.py",),
     "okid/least_squares.py": ("tests/okid/test_regression.py", "tests/modal/estimation/test_block_grams.py"),
-    "era/balanced.py": ("tests/era/test_realisation.py", "tests/era/test_order.py"),
+    "era/balanced.py": ("tests/era/test_realisation.py", "tests/era/test_hankel.py"),
     "era/hankel.py": ("tests/era/test_balanced.py",),
 }
 """Test files of other names that are a module's own."""

@@ -38,16 +38,13 @@ def pages_of(repository):
 
 HELP = """
 import contextlib, io, json, sys
-from modal.command.entry import main
+from modal.command.main import status
 said = {}
 for command in sys.argv[1:]:
-    sys.argv, text, status = ["modal-report", command, "--help"], io.StringIO(), None
+    text = io.StringIO()
     with contextlib.redirect_stdout(text):
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code or 0
-    said[command] = [status, text.getvalue()]
+        number = status([command, "--help"])
+    said[command] = [number, text.getvalue()]
 print("\\n" + json.dumps(said))
 """
 

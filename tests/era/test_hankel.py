@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from systems import markov, modal_system, random_system
 
-from era.hankel import BlockHankelOperator, block_hankel, block_sizes, hankel_energy
+from era.balanced import decompose, order_choice, realise_from
+from era.hankel import BlockHankelOperator, block_hankel, block_sizes, choose_order, hankel_energy, leading_triplets
 from okid.errors import InsufficientDataError, InvalidDataError
+from okid.markov import MarkovParameters
 
 
 def hankel_by_loops(markov, a, b, shift=0):
@@ -137,3 +140,148 @@ def test_wrong_sizes_are_errors():
         block_sizes(10, 1, 1, n_block_columns=0)
     with pytest.raises(InsufficientDataError, match="up to lag 9, but there are 5"):
         block_hankel(np.zeros((6, 1, 1)), 5, 5)
+
+
+def noisy_markov(seed, noise, n_lags=240, **sizes):
+    rng = np.random.default_rng(seed)
+    system = modal_system(
+        rng, frequencies=[2.0, 5.0, 11.0, 23.0, 40.0], damping_ratios=[0.02, 0.01, 0.01, 0.02, 0.01], **sizes
+    )
+    h = markov(system, n_lags)
+    h[1:] += noise * h[1:].std() * rng.standard_normal(h[1:].shape)
+    return h
+
+
+def test_low_rank_is_exact_without_power_steps():
+    h = markov(random_system(np.random.default_rng(1)), 240)
+    matrix = block_hankel(h, 120, 120)
+    found = leading_triplets(BlockHankelOperator.of(h, 120, 120), 6, rng=np.random.default_rng(0))
+    assert found.complete
+    rebuilt = found.left * found.singular_values @ found.right
+    np.testing.assert_allclose(rebuilt, matrix, atol=1e-13 * np.linalg.norm(matrix))
+
+
+@pytest.mark.parametrize("noise", [1e-6, 0.01, 0.1])
+def test_leading_part_of_noisy_data_agrees_with_the_full_decomposition(noise):
+    parameters = MarkovParameters(system=noisy_markov(2, noise), dt=0.01)
+    full, fast = (decompose(parameters, method=method, max_order=10) for method in ("full", "randomised"))
+    assert fast.subspace_error.max() < 0.1
+    np.testing.assert_allclose(fast.singular_values[:10], full.singular_values[:10], rtol=1e-5)
+    poles = [np.linalg.eigvals(realise_from(found, 10).A) for found in (full, fast)]
+    assert np.abs(np.subtract.outer(*poles)).min(axis=1).max() < 1e-3 * noise
+    assert fast.energy == pytest.approx(np.sum(full.singular_values**2), rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_stated_error_is_above_the_true_one(seed):
+    """Beyond the gap too (20 of 10 states): where neighbours are too close to settle the statement says so."""
+    h = noisy_markov(seed, 0.05)
+    matrix = block_hankel(h, 120, 120)
+    found = leading_triplets(BlockHankelOperator.of(h, 120, 120), 20, rng=np.random.default_rng(seed))
+    left = np.linalg.svd(matrix)[0][:, :26]
+    true = np.linalg.norm(found.left - left @ (left.T @ found.left), axis=0)
+    assert (true[:10] <= found.subspace_error[:10]).all()
+    assert true[:10].max() < 1e-3
+    assert found.subspace_error[10:].max() > 0.1
+
+
+def test_triplets_are_orthonormal_and_consistent():
+    h = noisy_markov(3, 0.05)
+    matrix = block_hankel(h, 120, 120)
+    found = leading_triplets(BlockHankelOperator.of(h, 120, 120), 15, rng=np.random.default_rng(0))
+    np.testing.assert_allclose(found.left.T @ found.left, np.eye(15), atol=1e-12)
+    np.testing.assert_allclose(found.right @ found.right.T, np.eye(15), atol=1e-12)
+    np.testing.assert_allclose(matrix @ found.right.T, found.left * found.singular_values, atol=1e-10)
+
+
+def test_equal_data_give_equal_models_and_another_seed_the_same_answer():
+    parameters = MarkovParameters(system=noisy_markov(4, 0.02), dt=0.01)
+    options = {"method": "randomised", "max_order": 10}
+    first, again = decompose(parameters, **options), decompose(parameters, **options)
+    other = decompose(parameters, **options, rng=np.random.default_rng(99))
+    np.testing.assert_array_equal(first.A, again.A)
+    np.testing.assert_allclose(np.poly(other.A), np.poly(first.A), atol=1e-4)
+
+
+def test_automatic_method_is_full_when_small_and_randomised_when_large():
+    small = MarkovParameters(system=noisy_markov(0, 0.01, 40), dt=0.01)
+    large = MarkovParameters(system=noisy_markov(0, 0.01, 600), dt=0.01)
+    assert decompose(small).method == "full"
+    assert decompose(large, max_order=20).method == "randomised"
+    assert decompose(large, max_order=400).method == "full"
+
+
+def test_zero_response_has_rank_zero():
+    found = decompose(MarkovParameters(system=np.zeros((200, 2, 2)), dt=0.01), method="randomised")
+    assert (found.rank, found.max_order) == (0, 0)
+
+
+def test_takes_the_largest_ratio():
+    choice = choose_order(np.array([10.0, 9.0, 8.0, 7.0, 0.5, 0.4, 0.3]))
+    assert choice.order == 4
+    assert choice.ratio == pytest.approx(14.0)
+    assert choice.sum_share == pytest.approx(34.0 / 35.2)
+    assert choice.energy_share == pytest.approx(294.0 / 294.5)
+
+
+def test_rounding_error_is_the_numerical_rank_not_a_gap_among_zeros():
+    choice = choose_order(np.array([5.0, 4.0, 3.0, 1e-16, 1e-30, 0.0]))
+    assert (choice.order, choice.rank) == (3, 3)
+    assert "numerical rank" in choice.reason
+
+
+def test_no_response_beyond_the_feedthrough_is_order_zero():
+    choice = choose_order(np.zeros(4))
+    assert choice.order == 0
+    assert choice.energy_share == 1.0
+
+
+def test_a_limit_holds():
+    assert choose_order(np.array([9.0, 8.0, 7.0, 0.1, 0.09]), max_order=2).order <= 2
+
+
+def test_energy_of_values_that_were_not_computed_counts():
+    assert choose_order(np.array([2.0, 1.0, 0.1]), energy=10.0).energy_share == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("n_real", [0, 1])
+def test_noise_free_data_give_the_order_of_the_system(n_real):
+    rng = np.random.default_rng(4)
+    system = modal_system(
+        rng, frequencies=[3.0, 3.3, 9.0], damping_ratios=[0.01, 0.02, 0.01], real_poles=[-8.0][:n_real]
+    )
+    parameters = MarkovParameters(system=markov(system, 80), dt=system.dt)
+    for method in ("full", "randomised"):
+        choice = order_choice(decompose(parameters, method=method))
+        assert choice.order == 6 + n_real
+        assert choice.energy_share == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noisy_markov_parameters_give_the_order_of_the_system(seed):
+    rng = np.random.default_rng(seed)
+    system = modal_system(rng, frequencies=[2.0, 6.0, 14.0], damping_ratios=[0.02, 0.01, 0.01])
+    h = markov(system, 200)
+    h[1:] += 0.01 * h[1:].std() * rng.standard_normal(h[1:].shape)
+    assert order_choice(decompose(MarkovParameters(system=h, dt=system.dt))).order == 6
+
+
+def test_a_pair_is_kept_whole_where_the_gap_is_weak():
+    turn = 0.95 * np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
+    A = np.zeros((4, 4))
+    A[:2, :2], A[2:, 2:] = turn, turn @ turn
+    values = np.array([1.0, 0.9, 0.8, 0.5])
+    assert choose_order(values, A=A).order == 4  # 0.8 / 0.5 is the largest ratio, but order 3 cuts the second pair
+    assert choose_order(values).order == 3
+    assert choose_order(np.array([1.0, 0.9, 0.8, 0.1]), A=A).order == 3  # a clear gap is believed
+
+
+def test_the_reason_names_the_three_measures():
+    reason = choose_order(np.array([3.0, 0.3, 0.1])).reason
+    for part in ("order 1", "s1/s2 = 10", "88.2 % of their sum", "98.90 % of their energy"):
+        assert part in reason
+
+
+def test_the_last_values_of_a_noisy_matrix_are_no_gap():
+    values = np.concatenate([[9.0, 8.0], np.linspace(1.0, 0.5, 20), [0.02]])
+    assert choose_order(values, rank=values.size).order == 2

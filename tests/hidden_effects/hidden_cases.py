@@ -32,9 +32,6 @@ from hidden_truth import (
 )
 from hidden_types import HiddenCase, HiddenRecord, NominalChain, NominalMotor, NominalStateSpace
 
-__all__ = ["bounded", "cases", "contact_reached", "gap_beyond_linear", "hidden_case", "repeatable"]
-
-
 DISTURBANCE = 1e-5
 GROWTH = 30.0
 

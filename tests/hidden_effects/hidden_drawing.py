@@ -24,8 +24,6 @@ from hidden_truth import (
 )
 from hidden_types import HiddenEffect
 
-__all__ = ["Plan", "Scene", "draw_effect", "draw_experiment"]
-
 
 def multisine(rng, n_samples, *, lowest, highest, n_periods=1):
     """(n_samples,) random phases on every line between two frequencies (in cycles a sample); variance 1."""

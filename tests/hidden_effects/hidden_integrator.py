@@ -32,9 +32,6 @@ import numpy as np
 import scipy
 from hidden_laws import Coulomb, Law
 
-__all__ = ["HiddenPlant", "march"]
-
-
 LEAST_STRETCH = 1e-9
 """Stretches shorter than this share of a step are not looked into."""
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["KINDS", "Kind"]
-
 MOTION = (
     "cubic_stiffness", "quadratic_stiffness", "bilinear_stiffness", "gap_spring", "coulomb_friction", "quadratic_drag",
     "bouc_wen_hysteresis", "sine_softening", "slack_in_hysteresis", "time_varying_stiffness", "missing_mode",

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Coulomb", "Law", "NoForce", "law_from"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Law:

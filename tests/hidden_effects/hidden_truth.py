@@ -12,22 +12,6 @@ from hidden_integrator import HiddenPlant, march
 from hidden_laws import law_from
 from hidden_types import HiddenEffect, NominalChain
 
-__all__ = [
-    "INPUT_EFFECTS",
-    "SENSOR_EFFECTS",
-    "Absorber",
-    "Experiment",
-    "TrueChain",
-    "TrueRotor",
-    "Truth",
-    "chain_matrices",
-    "chain_plant",
-    "clean_outputs",
-    "outputs_of",
-    "place_row",
-    "rotor_plant",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Absorber:

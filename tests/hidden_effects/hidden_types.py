@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["HiddenCase", "HiddenEffect", "HiddenRecord", "NominalChain", "NominalMotor", "NominalStateSpace"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NominalChain:

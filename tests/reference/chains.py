@@ -5,8 +5,6 @@ import scipy
 
 from modal.structure.continuous_time import ContinuousSystem, in_modal_coordinates
 
-__all__ = ["Chain"]
-
 
 class Chain:
     """A random chain of masses seen in random states, its force directions in them, and what the code is given."""

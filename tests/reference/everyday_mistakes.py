@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.signal
 
-__all__ = ["MISTAKES", "Mistake", "mistake"]
-
 N_SAMPLES = 1200
 LEVELS = (1.0, 3.0, 2.0)
 """Two records to fit, one held out."""

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["KINDS", "OutsideCase", "OutsideRecord", "outside_case"]
-
 N_STEPS = 8
 SHARP_STEPS = 24
 LEVELS = (1.0, 6.0, 2.5)

@@ -43,8 +43,8 @@ def dataclasses_everywhere():
     found = {}
     for name in module_names():
         module = importlib.import_module(name)
-        for own in getattr(module, "__all__", ()):
-            thing = getattr(module, own)
-            if inspect.isclass(thing) and is_dataclass(thing) and thing.__module__ == name:
+        for own, thing in vars(module).items():
+            public = not own.startswith("_")
+            if public and inspect.isclass(thing) and is_dataclass(thing) and thing.__module__ == name:
                 found[f"{name}.{own}"] = thing
     return found

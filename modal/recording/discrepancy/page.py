@@ -16,10 +16,10 @@ from modal.plots.layout import grid_of
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import GREEN, ORANGE, Pane, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, log_chart, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
-from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
+from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
@@ -89,11 +89,11 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
         for j, name in enumerate(record.output_names)
     ]
     parts = ["### Held-out gap, root mean square"]
-    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[:LISTED]))
+    parts.append(table(["record", "output", "as given", "updated model", "noise", "unit"], rows[: WordLimits.LISTED]))
     if plan.stages:
         heads = ["by", "part", *(stage.name for stage in plan.stages)]
         sizes = [[row.part, cell(row.name, 40), *map(times_text, row.sizes)] for row in rows_of(plan.stages)]
-        parts += ["### The same in times of the noise floor", table(heads, sizes[:LISTED])]
+        parts += ["### The same in times of the noise floor", table(heads, sizes[: WordLimits.LISTED])]
     return "\n\n".join([*parts, *bullets(words.floor_sentences(diagnosis))])
 
 
@@ -138,7 +138,11 @@ def _before_after(plan: DiscrepancyPlan) -> str:
     """The gap by output, in times of the noise floor."""
     rows = [[cell(row.name, 28), *map(times_text, row.sizes)] for row in rows_of(plan.stages) if row.part == "output"]
     heads = ["output, × noise", *(stage.name for stage in plan.stages)]
-    return table(heads, rows[:LISTED]) if rows else "The model as given does not run through the held-out records."
+    return (
+        table(heads, rows[: WordLimits.LISTED])
+        if rows
+        else "The model as given does not run through the held-out records."
+    )
 
 
 VERDICT_TEXT: Final = "discrepancy/verdict"
@@ -146,8 +150,16 @@ LAW_TEXT: Final = "discrepancy/law/text"
 GAP_TEXT: Final = "discrepancy/gap_text"
 HYPOTHESES: Final = Pane("discrepancy/hypotheses/plot", 520.0, 400.0)
 
-SHOWN: Final = 6
-"""Draw so many hypotheses and so many laws, the best first."""
+
+class GapLimits:
+    """How much of a diagnosis is drawn."""
+
+    SHOWN: Final = 6
+    """Draw so many hypotheses and so many laws, the best first."""
+    DRAWN_SAMPLES: Final = 4000
+    """Draw the gap that plays with at most so many points a step."""
+    SHOWN_PARTS: Final = 7
+    """Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def spectrum_pane(output: int) -> Pane:
@@ -157,7 +169,7 @@ def spectrum_pane(output: int) -> Pane:
 
 def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
     """Where each law is drawn, in the shape that its view will have on a common screen."""
-    n_laws = len(diagnosis.laws[:SHOWN])
+    n_laws = len(diagnosis.laws[: GapLimits.SHOWN])
     width, height = {1: (900.0, 720.0), 2: (900.0, 370.0)}.get(n_laws, (480.0, 390.0))
     return tuple(Pane(f"discrepancy/law/{k + 1:02d}/plot", width, height) for k in range(n_laws))
 
@@ -169,7 +181,7 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
-    shown = diagnosis.hypotheses[:SHOWN]
+    shown = diagnosis.hypotheses[: GapLimits.SHOWN]
     if shown:
         log_chart(recording, HYPOTHESES, hypothesis_bars(shown, chosen=found_hypothesis(diagnosis)))
     levels = level_lines(diagnosis)
@@ -238,11 +250,6 @@ STEP_GAP: Final = Pane("discrepancy/steps/gap/plot", 1400.0, 335.0)
 STEP_SPECTRUM: Final = Pane("discrepancy/steps/spectrum/plot", 520.0, 400.0)
 STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
 STEP_TEXT: Final = "discrepancy/steps/text"
-DRAWN_SAMPLES: Final = 4000
-"""Draw the gap that plays with at most so many points a step."""
-
-SHOWN_PARTS: Final = 7
-"""Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
@@ -261,7 +268,7 @@ def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", pla
 
 def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     record = diagnosis.held_out[plan.record]
-    bucket = bucket_length(record.n_samples, DRAWN_SAMPLES)
+    bucket = bucket_length(record.n_samples, GapLimits.DRAWN_SAMPLES)
     times = record.start_time + record.dt * positions(record.n_samples, bucket)
     curves = [reduced(gap.residuals[plan.record][:, plan.output], bucket) for gap in plan.step_gaps]
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
@@ -318,7 +325,7 @@ def _shown(gaps: Sequence[Gap]) -> list[Row]:
     """The outputs, records and bands with the largest gap at first, in their order."""
     stages = [Stage(name="", kind="after", step=k, gap=gap) for k, gap in enumerate(gaps)]
     rows = rows_of(stages)
-    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[:SHOWN_PARTS]
+    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[: GapLimits.SHOWN_PARTS]
     return [rows[k] for k in sorted(order.tolist())]
 
 
@@ -335,7 +342,7 @@ def _play_lines(
 
     counts = [len(strips) for strips in frames]
     last = len(frames) - 1
-    colours = [GREEN if k == last else ORANGE for k, count in enumerate(counts) for _ in range(count)]
+    colours = [Palette.GREEN if k == last else Palette.ORANGE for k, count in enumerate(counts) for _ in range(count)]
     strips = [_known(strip) for frame in frames for strip in frame]
     columns = [
         *rr.LineStrips2D.columns(

@@ -14,8 +14,8 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import STAGE_ROLES
-from modal.recording.figure import BLUE, COLOURS, GREY
-from modal.recording.plan import SHOWN_OUTPUTS, name_with_unit, path_parts
+from modal.recording.figure import COLOURS, Palette
+from modal.recording.plan import Views, name_with_unit, path_parts
 from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
@@ -85,7 +85,7 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     gaps = {stage.step: stage.gap for stage in stages}
     size = stages[0].gap.in_floors if stages else np.ones((len(records), records[0].n_outputs))
     n_series = SERIES_PER_OUTPUT * records[0].n_outputs
-    shown = worst_outputs(stages[0].gap, SHOWN_OUTPUTS) if stages else list(range(min(SHOWN_OUTPUTS, size.shape[1])))
+    shown = worst_outputs(stages[0].gap, Views.OUTPUTS) if stages else list(range(min(Views.OUTPUTS, size.shape[1])))
     return DiscrepancyPlan(
         stages=stages,
         step_numbers=numbers,
@@ -123,7 +123,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
             measured,
             plan=plan,
             name=f"{name} measured",
-            colour=BLUE,
+            colour=Palette.BLUE,
             width=3.0,
         )
         for stage in plan.stages:
@@ -227,7 +227,7 @@ def _log_noise(
         columns = rr.Scalars.columns(scalars=values).partition([1, 1, 0] * len(variance))
         recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=times)], columns, strict=True)
         name = f"noise, {'+' if side > 0 else '−'}2 deviations"
-        style = rr.SeriesLines(names=name, colors=GREY, widths=1.0, aggregation_policy="MinMax")
+        style = rr.SeriesLines(names=name, colors=Palette.GREY, widths=1.0, aggregation_policy="MinMax")
         recording.log(entity, style, static=True, strict=True)
 
 

@@ -14,8 +14,8 @@ from modal.plots.histories import residual_autocorrelation
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.results import measured_responses
-from modal.recording.figure import ORANGE, RED, Colour, Pane, document_view, log_chart, plot_view, series_view
-from modal.recording.plan import SHOWN_INPUTS, SHOWN_OUTPUTS, DataPlan, Plan, cell, label, name_with_unit
+from modal.recording.figure import Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.plan import DataPlan, Plan, Views, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import choices_text, fit_page_text, log_table
 from modal.sections.words import modes_headline
@@ -67,15 +67,15 @@ def _log_output(
     predicted = [record.outputs[:, output] for record in identification.predicted]
     simulated = [record.outputs[:, output] for record in identification.simulated]
     driven = identification.channels.n_inputs > 0
-    colour, width = (PREDICTED, 1.0) if driven else (ORANGE, 1.3)
+    colour, width = (PREDICTED, 1.0) if driven else (Palette.ORANGE, 1.3)
     models = [Line(channels=predicted, name="one step ahead", colour=colour, width=width)]
     residuals = [
         Line(channels=_less(measured, predicted), name="measured - one step ahead", colour=ONE_STEP, width=1.0)
     ]
     if driven:  # without inputs nothing runs freely: what is called simulated is one step
-        models.append(Line(channels=simulated, name="simulated", colour=ORANGE, width=1.3))
+        models.append(Line(channels=simulated, name="simulated", colour=Palette.ORANGE, width=1.3))
         left = _less(measured, simulated)
-        residuals.insert(0, Line(channels=left, name="measured - simulated", colour=RED, width=1.0))
+        residuals.insert(0, Line(channels=left, name="measured - simulated", colour=Palette.RED, width=1.0))
     log_lines(recording, f"{path}/model", times, models, plan=plan.data)
     log_lines(recording, f"{path}/residual", times, residuals, plan=plan.data)
 
@@ -135,7 +135,7 @@ def _log_whiteness(identification: Identification, recording: "rerun.RecordingSt
     log_sequence(recording, "fit/whiteness/numbers", timeline="lag", index=lags, values=correlation, names=names)
     if correlation[1:].size:
         short = [label(name, 14) for name in first.output_names]
-        chart = residual_autocorrelation(residuals, output_names=short, n_outputs=SHOWN_OUTPUTS)
+        chart = residual_autocorrelation(residuals, output_names=short, n_outputs=Views.OUTPUTS)
         log_chart(recording, WHITENESS, chart)
 
 
@@ -165,9 +165,9 @@ def inputs_view(plan: DataPlan) -> list[Any]:
         return []
     n_inputs = len(plan.input_paths)
     name = "Input" if n_inputs == 1 else "Inputs"
-    if n_inputs > SHOWN_INPUTS:
-        name = f"Inputs, the first {SHOWN_INPUTS} of {n_inputs}"
-    return [series_view(f"{plan.root}/input", name, list(plan.input_paths[:SHOWN_INPUTS]))]
+    if n_inputs > Views.INPUTS:
+        name = f"Inputs, the first {Views.INPUTS} of {n_inputs}"
+    return [series_view(f"{plan.root}/input", name, list(plan.input_paths[: Views.INPUTS]))]
 
 
 def run_view(identification: Identification, plan: Plan, output: int, *, legend: bool = True) -> Any:

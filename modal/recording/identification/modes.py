@@ -28,7 +28,7 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
-from modal.recording.figure import BACKGROUND, BLUE, FRAME, GRID, ORANGE, PALE, WHITE, Pane, document_view, plot_view
+from modal.recording.figure import Palette, Pane, document_view, plot_view
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
@@ -42,31 +42,33 @@ if TYPE_CHECKING:
     import rerun
 
 COMPLEXITY: Final = "modes/complexity"
-ROOM: Final = (390.0, 230.0)
-"""Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""
 
-WORDS: Final = 24.0
-"""Leave this height for the words under a circle, in view units."""
 
-GAP: Final = 7.0
-"""Keep two circles so far apart, in view units."""
+class Circles:
+    """Places of the circles of complexity."""
 
-MOST_COLUMNS: Final = 3
-"""Set so many circles in a row, so that the words under them have room."""
+    ROOM: Final = (390.0, 230.0)
+    """Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""
+    WORDS: Final = 24.0
+    """Leave this height for the words under a circle, in view units."""
+    GAP: Final = 7.0
+    """Keep two circles so far apart, in view units."""
+    MOST_COLUMNS: Final = 3
+    """Set so many circles in a row, so that the words under them have room."""
 
 
 def complexity_pane(n_shapes: int) -> Pane:
     """Where the circles are stored, and the size of the plot."""
     n_columns, n_rows, _ = _cells(n_shapes)
-    return Pane(COMPLEXITY, ROOM[0] * n_columns / MOST_COLUMNS, max(ROOM[1], 74.0 * n_rows))
+    return Pane(COMPLEXITY, Circles.ROOM[0] * n_columns / Circles.MOST_COLUMNS, max(Circles.ROOM[1], 74.0 * n_rows))
 
 
 def _cells(n_shapes: int) -> tuple[int, int, float]:
     """Columns, rows, and radius of the circles."""
-    n_columns = min(max(n_shapes, 1), MOST_COLUMNS)
+    n_columns = min(max(n_shapes, 1), Circles.MOST_COLUMNS)
     n_rows = -(-max(n_shapes, 1) // n_columns)
-    height = max(ROOM[1] / n_rows, 74.0)
-    return n_columns, n_rows, min(ROOM[0] / MOST_COLUMNS, height - WORDS) / 2 - GAP
+    height = max(Circles.ROOM[1] / n_rows, 74.0)
+    return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - Circles.WORDS) / 2 - Circles.GAP
 
 
 def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record | FrequencyResponse) -> None:
@@ -82,15 +84,15 @@ def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Recor
     circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 65))
     rims = [_places(circle, centre, radius) for centre in centres]
     cross = [_places(np.array(ends), centre, radius) for centre in centres for ends in ((-1, 1), (-1j, 1j))]
-    _strips(recording, "0_cross", cross, GRID, 0.6, order=0.0)
-    _strips(recording, "1_circle", rims, FRAME, 0.8, order=1.0)
+    _strips(recording, "0_cross", cross, Palette.GRID, 0.6, order=0.0)
+    _strips(recording, "1_circle", rims, Palette.FRAME, 0.8, order=1.0)
     found = [phasors(plan.modes[number - 1], record.output_units) for number in plan.shapes]
     arms, heads = [], []
     for values, centre in zip(found, centres, strict=True):
         ends = _places(values, centre, radius)
         arms += [np.array([centre, end]) for end in ends]
         heads.append(ends)
-    _strips(recording, "2_arms", arms, BLUE, 1.2, order=5.0)
+    _strips(recording, "2_arms", arms, Palette.BLUE, 1.2, order=5.0)
     _points(recording, "3_heads", np.concatenate(heads), list(record.output_names) * len(found))
     modes = [plan.modes[number - 1] for number in plan.shapes]
     words = [_words(number, mode) for number, mode in zip(plan.shapes, modes, strict=True)]
@@ -103,7 +105,7 @@ def _centres(n_shapes: int, pane: Pane) -> list[FloatArray]:
     n_columns, n_rows, radius = _cells(n_shapes)
     width, height = pane.width / n_columns, pane.height / n_rows
     cells = [divmod(k, n_columns) for k in range(n_shapes)]
-    return [np.array([width * (column + 0.5), height * row + GAP + radius]) for row, column in cells]
+    return [np.array([width * (column + 0.5), height * row + Circles.GAP + radius]) for row, column in cells]
 
 
 def _places(values: ComplexArray, centre: FloatArray, radius: float) -> FloatArray:
@@ -141,7 +143,7 @@ def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, t
     points = rr.Points2D(
         places,
         radii=rr.Radius.ui_points(2.6),
-        colors=ORANGE,
+        colors=Palette.ORANGE,
         labels=[label(text) for text in texts],
         show_labels=False,
         draw_order=10.0,
@@ -155,7 +157,7 @@ def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, te
     points = rr.Points2D(
         places,  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
-        colors=PALE,
+        colors=Palette.PALE,
         labels=texts,
         show_labels=True,
         draw_order=30.0,
@@ -298,10 +300,15 @@ FIELDS: Final = (
 )
 """Fields of a mode that the table stores under their own names."""
 
-NUMBERED_CELLS: Final = 12
-CROWDED: Final = 6
-SMALL: Final = 0.05
-"""Write the numbers of cells up to so many shapes; beyond so many leave out those below this, which hide colours."""
+
+class Cells:
+    """Numbers in the cells of the assurance matrix."""
+
+    NUMBERED: Final = 12
+    CROWDED: Final = 6
+    SMALL: Final = 0.05
+    """Write the numbers of cells up to so many shapes; beyond so many leave out those below this, which hide
+    colours."""
 
 
 def placement_in(identification: Identification, plan: Plan) -> Placement:
@@ -392,9 +399,9 @@ def _log_assurance(identification: Identification, recording: "rerun.RecordingSt
     log_table(recording, f"{ASSURANCE}/numbers", "mode", plan.shapes, {"assurance": list(matrix)})
     rows, columns = np.mgrid[:n, :n]
     cells = np.column_stack([columns.ravel(), rows.ravel()]) + 0.5
-    written = np.flatnonzero(matrix.ravel() >= (SMALL if n > CROWDED else 0.0))
+    written = np.flatnonzero(matrix.ravel() >= (Cells.SMALL if n > Cells.CROWDED else 0.0))
     texts = [_short(value) for value in matrix.ravel()[written]]
-    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= NUMBERED_CELLS)
+    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= Cells.NUMBERED)
     names = [str(number) for number in plan.shapes]
     along = np.arange(n) + 0.5
     margin = 0.09 * n**0.5
@@ -418,7 +425,7 @@ def _log_texts(
     points = rr.Points2D(
         places - [0.0, 0.045 * n],
         radii=rr.Radius.ui_points(0.0),
-        colors=WHITE,
+        colors=Palette.WHITE,
         labels=texts,
         show_labels=show,
         draw_order=30.0,
@@ -426,21 +433,20 @@ def _log_texts(
     recording.log(path, points, static=True, strict=True)
 
 
-HALF_VIEW: Final = 0.52
-"""Take half the height that a 3-D view shows at a distance of 1 as this."""
+class ShapePanes:
+    """Panes of the shapes in three dimensions."""
 
-SHAPES_ROOM: Final = (1000.0, 500.0)
-TITLE: Final = 28.0
-"""Share this width and height among all shapes, less a title of each, in points of a common screen."""
-
-SHAPES_COLUMNS: Final = 4
-"""Set at most so many panes side by side, so that each is wide enough for its title."""
-
-MARGIN: Final = 1.1
-"""Show so much more than the shapes reach."""
-
-AIMING: Final = 20
-"""Move the aim so often, each time halving what is off."""
+    HALF_VIEW: Final = 0.52
+    """Take half the height that a 3-D view shows at a distance of 1 as this."""
+    ROOM: Final = (1000.0, 500.0)
+    TITLE: Final = 28.0
+    """Share this width and height among all shapes, less a title of each, in points of a common screen."""
+    COLUMNS: Final = 4
+    """Set at most so many panes side by side, so that each is wide enough for its title."""
+    MARGIN: Final = 1.1
+    """Show so much more than the shapes reach."""
+    AIMING: Final = 20
+    """Move the aim so often, each time halving what is off."""
 
 
 def modes_page(identification: Identification, plan: Plan) -> Any:
@@ -481,7 +487,7 @@ def _grid(n_views: int, scene: Scene, points: FloatArray) -> tuple[int, float]:
     """Columns of the grid of shapes and width over height of its panes: those that show the structure largest."""
     width, height = np.maximum(np.ptp(scene.eye.seen(points), axis=0), 0.3)
     sizes = {}
-    for n_columns in range(1, min(n_views, SHAPES_COLUMNS) + 1):
+    for n_columns in range(1, min(n_views, ShapePanes.COLUMNS) + 1):
         pane = _pane(n_views, n_columns)
         sizes[n_columns] = min(pane[0] / width, pane[1] / height)
     n_columns = max(sizes, key=lambda one: (round(sizes[one], 6), -one))
@@ -490,7 +496,7 @@ def _grid(n_views: int, scene: Scene, points: FloatArray) -> tuple[int, float]:
 
 
 def _pane(n_views: int, n_columns: int) -> tuple[float, float]:
-    return SHAPES_ROOM[0] / n_columns, max(SHAPES_ROOM[1] / -(-n_views // n_columns) - TITLE, 20.0)
+    return ShapePanes.ROOM[0] / n_columns, max(ShapePanes.ROOM[1] / -(-n_views // n_columns) - ShapePanes.TITLE, 20.0)
 
 
 def _shape(plan: Plan, number: int, eye: Any) -> Any:
@@ -506,7 +512,7 @@ def _shape(plan: Plan, number: int, eye: Any) -> Any:
         origin=shape_path(number),
         name=title,
         line_grid=rrb.LineGrid3D(visible=False),
-        background=rrb.Background(BACKGROUND),
+        background=rrb.Background(Palette.BACKGROUND),
         eye_controls=eye,
     )
 
@@ -522,9 +528,9 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
     seen = eye.seen(points)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     depth = points @ eye.towards
-    half = HALF_VIEW * np.array([aspect, 1.0]) / MARGIN
+    half = ShapePanes.HALF_VIEW * np.array([aspect, 1.0]) / ShapePanes.MARGIN
     distance = 1.0
-    for _ in range(AIMING):
+    for _ in range(ShapePanes.AIMING):
         needed = np.abs(seen - middle) / half + depth[:, np.newaxis]
         distance = max(float(needed.max()), float(depth.max()) + 0.5)
         on_screen = (seen - middle) / (distance - depth)[:, np.newaxis]
@@ -540,7 +546,7 @@ def _assurance(n_modes: int) -> Any:
     return rrb.Spatial2DView(
         origin=ASSURANCE,
         name="MAC of the shapes, mode against mode",
-        background=rrb.Background(BACKGROUND),
+        background=rrb.Background(Palette.BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(
             x_range=(-margin, n_modes + 0.5 * margin), y_range=(-0.5 * margin, n_modes + margin)
         ),

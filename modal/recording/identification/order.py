@@ -17,7 +17,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
-from modal.recording.figure import WHITE, Pane, colour_of, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, colour_of, log_chart, seen_at
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
 from modal.recording.tables import UNKNOWN, log_table, table
@@ -29,11 +29,19 @@ if TYPE_CHECKING:
 
 MODEL_ORDER: Final = "model_order"
 ORDER_TEXT: Final = "order/text"
-SURE: Final = 0.95
-"""Count a pole as the same as another from this overlap on."""
 
-LISTED_POLES: Final = 24
-"""List so many poles of an order."""
+
+class Orders:
+    """How the growing order is shown."""
+
+    SURE: Final = 0.95
+    """Count a pole as the same as another from this overlap on."""
+    LISTED_POLES: Final = 24
+    """List so many poles of an order."""
+    POLES: Final = 20.0
+    """Draw what plays on "model_order" over all lines of the chart."""
+    RESPONSE_LINES: Final = 1024
+    """Store the response of the model at so many frequencies."""
 
 
 def is_repeatability_known(evidence: OrderEvidence) -> bool:
@@ -71,7 +79,7 @@ def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderE
         ).partition([len(row) for row in rows])
         recording.send_columns(entity, index, columns, strict=True)
         style = rr.Points2D.from_fields(
-            radii=rr.Radius.ui_points(radius), show_labels=False, draw_order=POLES + 1.0 if now else POLES
+            radii=rr.Radius.ui_points(radius), show_labels=False, draw_order=Orders.POLES + 1.0 if now else Orders.POLES
         )
         recording.log(entity, style, static=True, strict=True)
     whole = rr.Points2D.columns(positions=places, colors=colours, labels=texts).partition([len(points)])
@@ -79,7 +87,9 @@ def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderE
     line = np.stack([seen_at(panel, [low, high], [step, step]) for step in steps])
     columns = rr.LineStrips2D.columns(strips=line)
     recording.send_columns(f"{path}/order_now", index, columns, strict=True)
-    style = rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(STYLE.thin), colors=WHITE, draw_order=POLES - 1.0)
+    style = rr.LineStrips2D.from_fields(
+        radii=rr.Radius.ui_points(STYLE.thin), colors=Palette.WHITE, draw_order=Orders.POLES - 1.0
+    )
     recording.log(f"{path}/order_now", style, static=True, strict=True)
 
 
@@ -112,7 +122,7 @@ def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, ev
     columns = rr.Points2D.columns(positions=seen_at(panel, at[there], heights[there])).partition(there.astype(int))
     index = [rr.TimeColumn(MODEL_ORDER, sequence=at)]
     recording.send_columns(entity, index, columns, strict=True)
-    style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(STYLE.dot), colors=WHITE, draw_order=POLES)
+    style = rr.Points2D.from_fields(radii=rr.Radius.ui_points(STYLE.dot), colors=Palette.WHITE, draw_order=Orders.POLES)
     recording.log(entity, style, static=True, strict=True)
 
 
@@ -158,11 +168,11 @@ def order_text(evidence: OrderEvidence, order: int) -> str:
 
 
 def _poles_sentence(points: Sequence[StabilisationPoint], *, known: bool) -> str:
-    sure = sum((point.repeatability if known else point.overlap) >= SURE for point in points)
+    sure = sum((point.repeatability if known else point.overlap) >= Orders.SURE for point in points)
     how = "were found again from halves of the data and with another observer"
     if not known:
         how = "continue a pole of the order below"
-    return f"{sure} of its {len(points)} poles {how} (overlap {SURE:g} or more)."
+    return f"{sure} of its {len(points)} poles {how} (overlap {Orders.SURE:g} or more)."
 
 
 def _poles_table(points: Sequence[StabilisationPoint], *, known: bool) -> str:
@@ -175,9 +185,9 @@ def _poles_table(points: Sequence[StabilisationPoint], *, known: bool) -> str:
             _share(point.overlap),
             _share(point.emac),
         ]
-        for point in points[:LISTED_POLES]
+        for point in points[: Orders.LISTED_POLES]
     ]
-    left = f"\n\n{len(points) - LISTED_POLES} poles more." if len(points) > LISTED_POLES else ""
+    left = f"\n\n{len(points) - Orders.LISTED_POLES} poles more." if len(points) > Orders.LISTED_POLES else ""
     return table(head, rows) + left
 
 
@@ -198,19 +208,13 @@ ORDER_FIT: Final = Pane("order/fit/plot", 480.0, 370.0)
 STABILISATION: Final = Pane("order/stabilisation/plot", 840.0, 830.0)
 """Draw in about the shape that the view has on a common screen."""
 
-POLES: Final = 20.0
-"""Draw what plays on "model_order" over all lines of the chart."""
-
-RESPONSE_LINES: Final = 1024
-"""Store the response of the model at so many frequencies."""
-
 
 def log_order_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
     """Singular values, cross-validated fit against order, stabilisation diagram over the measured spectrum."""
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
     log_order_texts(evidence, recording, plan)
-    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, RESPONSE_LINES + 1)[1:]
+    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, Orders.RESPONSE_LINES + 1)[1:]
     _log_response(recording, frequencies, _response_size(identification, frequencies))
     for pane, chart in (
         (SINGULAR_VALUES, singular_values(evidence, limit=max(40, 4 * evidence.order))),

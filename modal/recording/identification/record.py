@@ -14,29 +14,32 @@ from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.responses import density_label
 from modal.preparation.channel import Finding
 from modal.quality.findings import DataQuality
-from modal.recording.figure import (
-    BLUE,
-    COLOURS,
-    GOLD,
-    RED,
-    Colour,
-    Pane,
-    document_view,
-    log_chart,
-    plot_view,
-    series_view,
-)
+from modal.recording.figure import COLOURS, Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
 from modal.recording.identification.fit import inputs_view
-from modal.recording.plan import SHOWN_OUTPUTS, DataPlan, cell, label, name_with_unit
+from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import LISTED, UNKNOWN, bullets, log_table, table
+from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
 from okid.record import Record
 
 if TYPE_CHECKING:
     import rerun
 
-LISTED_FINDINGS: Final = 20
-"""List so many findings in words, the gravest first; the table of findings holds all."""
+
+class RecordLimits:
+    """How much of a record is shown."""
+
+    LISTED_FINDINGS: Final = 20
+    """List so many findings in words, the gravest first; the table of findings holds all."""
+    MOST_MARKS: Final = 10
+    """Mark so many findings on the time axis, a row each."""
+    SHORTEST_MARK: Final = 0.004
+    """Draw a mark at least this share of the timeline long, so that it is seen."""
+    SHOWN_SPECTRA: Final = 6
+    """Draw the spectra of so many inputs and of so many outputs."""
+    SPECTRUM_DECADES: Final = 8.0
+    """Leave out of the range of a spectrum what lies so many decades below its peak."""
+    ONE_COLUMN: Final = 4
+    """Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
@@ -55,7 +58,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
         f"{_count(first.n_inputs, 'input')}, {_count(first.n_outputs, 'output')}."
     )
     parts = [f"### {cell(quality.verdict)}", extent]
-    found = quality.findings[:LISTED_FINDINGS]
+    found = quality.findings[: RecordLimits.LISTED_FINDINGS]
     lines = [
         f"{k}. **{one.level}**, {cell(one.where, 80)}: {cell(one.sentence)}" for k, one in enumerate(found, start=1)
     ]
@@ -74,7 +77,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
             f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
             one.level if one.level == "good" else f"**{one.level}**",
         ]
-        for one in quality.channels[:LISTED]
+        for one in quality.channels[: WordLimits.LISTED]
     ]
     parts.append(table(head, rows))
     if first.n_inputs:
@@ -93,22 +96,10 @@ def _figures(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
 
 
-LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": RED, "doubtful": GOLD, "note": (140, 165, 210)}
+LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": Palette.RED, "doubtful": Palette.GOLD, "note": (140, 165, 210)}
 
 INPUT_ROLES: Final = (*IN_TURN[4:], *IN_TURN[:4])
 """Draw inputs in these colours, in turn, gold first."""
-
-MOST_MARKS: Final = 10
-"""Mark so many findings on the time axis, a row each."""
-
-SHORTEST_MARK: Final = 0.004
-"""Draw a mark at least this share of the timeline long, so that it is seen."""
-
-SHOWN_SPECTRA: Final = 6
-"""Draw the spectra of so many inputs and of so many outputs."""
-
-SPECTRUM_DECADES: Final = 8.0
-"""Leave out of the range of a spectrum what lies so many decades below its peak."""
 
 
 def quality_path(plan: DataPlan) -> str:
@@ -129,7 +120,7 @@ def spectra_pane(plan: DataPlan) -> Pane:
 def marked(quality: DataQuality) -> list[tuple[int, Finding]]:
     """The findings that lie somewhere in time and are marked there, with their numbers in the words."""
     placed = [(number, finding) for number, finding in enumerate(quality.findings, start=1) if finding.spans]
-    return placed[:MOST_MARKS]
+    return placed[: RecordLimits.MOST_MARKS]
 
 
 def log_record_page(
@@ -170,7 +161,7 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
         )
     for i, path in enumerate(plan.output_paths):
         channels = [record.outputs[:, i] for record in records]
-        log_series(recording, path, times, channels, plan=plan, name="measured", colour=BLUE, width=3.0)
+        log_series(recording, path, times, channels, plan=plan, name="measured", colour=Palette.BLUE, width=3.0)
 
 
 def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
@@ -226,7 +217,7 @@ def _log_marks(
     """
     import rerun as rr
 
-    shortest = SHORTEST_MARK * (plan.stop - plan.start)
+    shortest = RecordLimits.SHORTEST_MARK * (plan.stop - plan.start)
 
     for row, (number, finding) in enumerate(marked(quality), start=1):
         times: list[float] = []
@@ -265,18 +256,18 @@ def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan
         bands = [("input", 0, n_inputs, INPUT_ROLES), *bands]
     chart = grid_of(len(bands) + (coherence is not None), 1, size=(STYLE.page, STYLE.page))
     for panel, (role, start, count, roles) in zip(chart.panels, bands, strict=False):
-        shown = range(start, start + min(count, SHOWN_SPECTRA))
+        shown = range(start, start + min(count, RecordLimits.SHOWN_SPECTRA))
         for i, channel in enumerate(shown):
             name, density = label(quality.channels[channel].name, 14), quality.densities[:, channel]
             panel.line(quality.frequencies, density, roles[i % len(roles)], width=STYLE.thin, label=name)
         high = float(np.nanmax(quality.densities[:, shown], initial=0.0))
         seen = quality.densities[:, shown].ravel()
         panel.y.log = True
-        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-SPECTRUM_DECADES])
+        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-RecordLimits.SPECTRUM_DECADES])
         panel.y.label, panel.key = f"{role}s [{_density_unit(quality, role)}]", "best"
     if coherence is not None:
         panel = chart.panels[-1]
-        for i in range(min(n_outputs, SHOWN_SPECTRA)):
+        for i in range(min(n_outputs, RecordLimits.SHOWN_SPECTRA)):
             values = coherence.multiple_coherence[:, i]
             panel.line(coherence.frequencies, values, IN_TURN[i % len(IN_TURN)], width=STYLE.thin)
         panel.y.label, panel.y.limits = "coherence", (0.0, 1.04)
@@ -291,10 +282,6 @@ def _density_unit(quality: DataQuality, role: str) -> str:
     units = {one.unit for one in quality.channels if one.role == role}
     unit = units.pop() if len(units) == 1 else ""
     return density_label(unit) if unit else "unit²/Hz"
-
-
-ONE_COLUMN: Final = 4
-"""Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:
@@ -319,7 +306,7 @@ def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality)
 
 
 def _columns(plan: DataPlan) -> int:
-    return 1 if len(plan.shown_outputs) <= ONE_COLUMN else 2
+    return 1 if len(plan.shown_outputs) <= RecordLimits.ONE_COLUMN else 2
 
 
 def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
@@ -333,7 +320,7 @@ def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
         view.visualizer_overrides[plan.output_paths[i]] = _thin(i)
         views.append(view)
     n_outputs = first.n_outputs
-    name = "Outputs" if n_outputs <= SHOWN_OUTPUTS else f"Outputs, the first {SHOWN_OUTPUTS} of {n_outputs}"
+    name = "Outputs" if n_outputs <= Views.OUTPUTS else f"Outputs, the first {Views.OUTPUTS} of {n_outputs}"
     return rrb.Grid(*views, grid_columns=_columns(plan), name=name)
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
-from modal.recording.figure import BLUE, DIM_BLUE, GOLD, GREY, ORANGE
+from modal.recording.figure import Palette
 from modal.recording.plan import Plan, label
 from modal.recording.series import TIMELINE
 from okid.arrays import ComplexArray, FloatArray
@@ -22,32 +22,35 @@ from okid.arrays import ComplexArray, FloatArray
 if TYPE_CHECKING:
     import rerun
 
-PERIODS: Final = 12
-"""Swing so often from the start of the record to its end, in every mode: at their own rates one would see a blur."""
 
-FRAMES: Final = 32
-"""Store so many pictures a period."""
+class Swinging:
+    """How shapes swing along the timeline."""
 
-FEWEST_PERIODS: Final = 6
-FEWEST_FRAMES: Final = 10
-"""Leave at least so many, whatever the geometry: then lines and surfaces are left out."""
+    PERIODS: Final = 12
+    """Swing so often from the start of the record to its end, in every mode: at their own rates one would see a
+    blur."""
+    FRAMES: Final = 32
+    """Store so many pictures a period."""
+    FEWEST_PERIODS: Final = 6
+    FEWEST_FRAMES: Final = 10
+    """Leave at least so many, whatever the geometry: then lines and surfaces are left out."""
+    MOST_POINTS: Final = 2_000_000
+    """Store so many points in motion at most, over all shapes and moments: 24 MB."""
 
-MOST_POINTS: Final = 2_000_000
-"""Store so many points in motion at most, over all shapes and moments: 24 MB."""
 
-MOST_STILL: Final = 20_000
-"""Draw so many segments of the structure at rest: many more would make a viewer slow."""
+class Still:
+    """What is drawn beside a shape in motion."""
 
-NAMED_LETTERS: Final = 48
-NAMED_SHAPES: Final = 4
-"""Name the nodes where their names have so many letters in all, in so many pictures."""
-
-STEMS: Final = 16
-"""Give up to so many measured nodes a stem from rest to where they are."""
-
-ARROWS: Final = 60
-ARROW: Final = 0.16
-"""Show up to so many sensors as arrows of this length; half the largest extent is 1."""
+    SEGMENTS: Final = 20_000
+    """Draw so many segments of the structure at rest: many more would make a viewer slow."""
+    NAMED_LETTERS: Final = 48
+    NAMED_SHAPES: Final = 4
+    """Name the nodes where their names have so many letters in all, in so many pictures."""
+    STEMS: Final = 16
+    """Give up to so many measured nodes a stem from rest to where they are."""
+    ARROWS: Final = 60
+    ARROW: Final = 0.16
+    """Show up to so many sensors as arrows of this length; half the largest extent is 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -95,19 +98,29 @@ def pace_of(scene: Scene, n_shapes: int) -> Pace:
         scene: the structure.
         n_shapes: number of modes that are drawn.
     """
-    room = MOST_POINTS // (FEWEST_PERIODS * FEWEST_FRAMES * max(n_shapes, 1))  # points a picture, at the least
+    room = Swinging.MOST_POINTS // (
+        Swinging.FEWEST_PERIODS * Swinging.FEWEST_FRAMES * max(n_shapes, 1)
+    )  # points a picture, at the least
     measured = measured_nodes(scene)
     heads = [measured[k] for k in np.linspace(0, len(measured) - 1, min(len(measured), room // 4)).astype(int)]
     corners = len(np.unique(scene.triangles))
-    surface = bool(scene.moving.any()) and 0 < corners <= room // 3 and len(scene.triangles) <= MOST_STILL
-    beside = len(heads) * (3 if len(heads) <= STEMS else 1) + (corners if surface else 0)
+    surface = bool(scene.moving.any()) and 0 < corners <= room // 3 and len(scene.triangles) <= Still.SEGMENTS
+    beside = len(heads) * (3 if len(heads) <= Still.STEMS else 1) + (corners if surface else 0)
     movable = scene.segments[scene.moving[scene.segments].any(axis=1)]
-    for periods, frames in ((PERIODS, FRAMES), (PERIODS, FRAMES // 2), (FEWEST_PERIODS, FRAMES // 2)):
-        if periods * frames * n_shapes * (beside + 2 * len(movable)) <= MOST_POINTS:
+    for periods, frames in (
+        (Swinging.PERIODS, Swinging.FRAMES),
+        (Swinging.PERIODS, Swinging.FRAMES // 2),
+        (Swinging.FEWEST_PERIODS, Swinging.FRAMES // 2),
+    ):
+        if periods * frames * n_shapes * (beside + 2 * len(movable)) <= Swinging.MOST_POINTS:
             return Pace(periods=periods, frames=frames, segments=movable, heads=tuple(heads), surface=surface)
     kept = np.linspace(0, len(movable) - 1, min(len(movable), (room - beside) // 2)).astype(np.intp)
     return Pace(
-        periods=FEWEST_PERIODS, frames=FEWEST_FRAMES, segments=movable[kept], heads=tuple(heads), surface=surface
+        periods=Swinging.FEWEST_PERIODS,
+        frames=Swinging.FEWEST_FRAMES,
+        segments=movable[kept],
+        heads=tuple(heads),
+        surface=surface,
     )
 
 
@@ -129,7 +142,7 @@ def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan:
     path = shape_path(number)
     pace = pace_of(scene, len(plan.shapes))
     motion = scene.motion(mode)
-    _log_structure(path, recording, scene, named=len(plan.shapes) <= NAMED_SHAPES)
+    _log_structure(path, recording, scene, named=len(plan.shapes) <= Still.NAMED_SHAPES)
     _log_envelope(path, recording, scene, pace, envelope_of(motion))
     n_frames = pace.periods * pace.frames
     times = np.linspace(plan.start, max(plan.stop, plan.start + 1e-3), n_frames)
@@ -147,9 +160,11 @@ def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, 
     import rerun as rr
 
     rest, geometry = scene.positions, scene.placement.geometry
-    segments = scene.drawn_segments(MOST_STILL)
+    segments = scene.drawn_segments(Still.SEGMENTS)
     if len(segments):
-        lines = rr.LineStrips3D(rest[segments], radii=rr.Radius.ui_points(_width(len(segments), 1.0)), colors=GREY)
+        lines = rr.LineStrips3D(
+            rest[segments], radii=rr.Radius.ui_points(_width(len(segments), 1.0)), colors=Palette.GREY
+        )
         recording.log(f"{path}/rest", lines, static=True, strict=True)
     measured = measured_nodes(scene)
     if measured:
@@ -157,21 +172,21 @@ def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, 
         points = rr.Points3D(
             rest[measured],
             radii=rr.Radius.ui_points(2.5),
-            colors=GREY,
+            colors=Palette.GREY,
             labels=texts,
-            show_labels=named and sum(map(len, texts)) <= NAMED_LETTERS,
+            show_labels=named and sum(map(len, texts)) <= Still.NAMED_LETTERS,
         )
         recording.log(f"{path}/sensors", points, static=True, strict=True)
     if geometry.fixed:
-        points = rr.Points3D(rest[list(geometry.fixed)], radii=rr.Radius.ui_points(6.0), colors=GREY)
+        points = rr.Points3D(rest[list(geometry.fixed)], radii=rr.Radius.ui_points(6.0), colors=Palette.GREY)
         recording.log(f"{path}/fixed", points, static=True, strict=True)
     placed_ones = [one for one in scene.placement.sensors if one is not None]
-    if scene.placement.is_given and 0 < len(placed_ones) <= ARROWS:
+    if scene.placement.is_given and 0 < len(placed_ones) <= Still.ARROWS:
         arrows = rr.Arrows3D(
             origins=rest[[one.node for one in placed_ones]],
-            vectors=[ARROW * one.direction for one in placed_ones],
+            vectors=[Still.ARROW * one.direction for one in placed_ones],
             radii=rr.Radius.ui_points(0.9),
-            colors=GOLD,
+            colors=Palette.GOLD,
         )
         recording.log(f"{path}/directions", arrows, static=True, strict=True)
 
@@ -190,7 +205,7 @@ def _log_envelope(
     if strips:
         n_strips = sum(map(len, strips))
         lines = rr.LineStrips3D(
-            np.concatenate(strips), radii=rr.Radius.ui_points(_width(n_strips, 0.8)), colors=DIM_BLUE
+            np.concatenate(strips), radii=rr.Radius.ui_points(_width(n_strips, 0.8)), colors=Palette.DIM_BLUE
         )
         recording.log(f"{path}/envelope", lines, static=True, strict=True)
 
@@ -205,21 +220,21 @@ def _log_motion(
     if len(pace.segments):
         width = _width(len(pace.segments), 3.0)
         ends = moving.at(pace.segments.ravel()).reshape(n_frames, -1, 2, 3)
-        _send_strips(f"{path}/line", recording, index, ends, colour=BLUE, width=width)
+        _send_strips(f"{path}/line", recording, index, ends, colour=Palette.BLUE, width=width)
     measured = list(pace.heads)
     if pace.surface:
         _log_surface(f"{path}/surface", recording, index, scene, moving)
     if not measured:
         return
     heads_at = moving.at(measured)
-    if len(measured) <= STEMS:
+    if len(measured) <= Still.STEMS:
         rest = np.broadcast_to(scene.positions[measured].astype(np.float32), (n_frames, len(measured), 3))
         stems = np.stack([rest, heads_at], axis=2)
-        _send_strips(f"{path}/stems", recording, index, stems, colour=ORANGE, width=1.2)
+        _send_strips(f"{path}/stems", recording, index, stems, colour=Palette.ORANGE, width=1.2)
     heads = rr.Points3D.columns(positions=heads_at.reshape(-1, 3)).partition([len(measured)] * n_frames)
     recording.send_columns(f"{path}/heads", index, heads, strict=True)
-    radius = 5.0 if len(measured) <= STEMS else 3.0 if len(measured) <= 200 else 1.5
-    style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(radius), colors=ORANGE)
+    radius = 5.0 if len(measured) <= Still.STEMS else 3.0 if len(measured) <= 200 else 1.5
+    style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(radius), colors=Palette.ORANGE)
     recording.log(f"{path}/heads", style, static=True, strict=True)
 
 
@@ -250,7 +265,7 @@ def _log_surface(path: str, recording: "rerun.RecordingStream", index: object, s
     columns = rr.Mesh3D.columns(vertex_positions=moved.reshape(-1, 3)).partition([len(corners)] * len(moved))
     recording.send_columns(path, index, columns, strict=True)
     style = rr.Mesh3D.from_fields(
-        triangle_indices=triangles.reshape(-1, 3), albedo_factor=(*DIM_BLUE, 90), face_rendering="DoubleSided"
+        triangle_indices=triangles.reshape(-1, 3), albedo_factor=(*Palette.DIM_BLUE, 90), face_rendering="DoubleSided"
     )
     recording.log(path, style, static=True, strict=True)
 

@@ -16,21 +16,23 @@ from modal.plots.panels import STYLE, Panel
 from modal.plots.responses import density_label
 from modal.recording.figure import Pane, document_view, log_chart, plot_view, series_view
 from modal.recording.identification.fit import run_view
-from modal.recording.plan import SHOWN_INPUTS, Gathered, Plan, cell, label
-from modal.recording.tables import LISTED, UNKNOWN, log_table, table
+from modal.recording.plan import Gathered, Plan, Views, cell, label
+from modal.recording.tables import UNKNOWN, WordLimits, log_table, table
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import rerun
 
-MOST_RESPONSES: Final = 16
-"""Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
 
-DECADES: Final = 5.0
-"""Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
+class ValidationLimits:
+    """How much of a validation is drawn."""
 
-HIGHEST: Final = 100.0
-"""Let a peak of the model rise to so many times the largest measured value, and no further."""
+    MOST_RESPONSES: Final = 16
+    """Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
+    DECADES: Final = 5.0
+    """Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
+    HIGHEST: Final = 100.0
+    """Let a peak of the model rise to so many times the largest measured value, and no further."""
 
 
 def response_pane(output: int, source: int) -> Pane:
@@ -65,12 +67,14 @@ def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]
     """
     if evidence.measured is None:
         return ()
-    n_drawn = min(SHOWN_INPUTS, max(1, MOST_RESPONSES // len(plan.data.shown_outputs)))
+    n_drawn = min(Views.INPUTS, max(1, ValidationLimits.MOST_RESPONSES // len(plan.data.shown_outputs)))
     strength = np.nan_to_num(evidence.measured.ordinary_coherence[:, output]).mean(axis=0)
     return tuple(np.argsort(-strength, kind="stable")[:n_drawn].tolist())
 
 
-def two_line_limits(seen: FloatArray, made: FloatArray, *, decades: float = DECADES) -> tuple[float, float]:
+def two_line_limits(
+    seen: FloatArray, made: FloatArray, *, decades: float = ValidationLimits.DECADES
+) -> tuple[float, float]:
     """Down to what was measured, as a zero of the model goes down to nothing; up to the peaks of both.
 
     A pole on the unit circle has no peak: the model may rise by some decades above what was measured, and no more.
@@ -78,7 +82,7 @@ def two_line_limits(seen: FloatArray, made: FloatArray, *, decades: float = DECA
     known = [values[np.isfinite(values) & (values > 0)] for values in (seen, made)]
     first = next((values for values in known if values.size), np.array([0.1, 10.0]))
     high = float(first.max())
-    high = max(high, min(HIGHEST * high, max(float(values.max(initial=0.0)) for values in known)))
+    high = max(high, min(ValidationLimits.HIGHEST * high, max(float(values.max(initial=0.0)) for values in known)))
     return max(float(first.min()), high * 10.0**-decades), high
 
 
@@ -118,7 +122,7 @@ def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
     driven = bool(first.n_inputs)
     head = ["output", "unit", "cross-validated", "all rows" if driven else "one step", "left over", "output"]
     rows = []
-    for i in range(min(first.n_outputs, LISTED)):
+    for i in range(min(first.n_outputs, WordLimits.LISTED)):
         left, whole = _sizes(identification, i)
         rows.append(
             [
@@ -280,7 +284,9 @@ def _draw_density(
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
     chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
     frequencies = evidence.density_frequencies
-    _fill_pair(chart.panels[0], (frequencies, seen), (frequencies, model), "of the model", decades=2 * DECADES)
+    _fill_pair(
+        chart.panels[0], (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES
+    )
     chart.panels[0].y.label = f"spectrum [{density_label(first.output_units[output])}]"
     log_chart(recording, pane, chart)
 
@@ -291,7 +297,7 @@ def _fill_pair(
     made: tuple[FloatArray, FloatArray],
     made_by: str,
     *,
-    decades: float = DECADES,
+    decades: float = ValidationLimits.DECADES,
 ) -> None:
     """Two lines, each of its frequencies and values."""
     panel.y.log = True

@@ -5,9 +5,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ import pytest
 
 import modal
 from modal.batch import Batch, ExecutorError
+from modal.batch.running import WorkerDiedError, Workers
 from modal.command.main import status as _status
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -315,3 +318,83 @@ def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_pa
     assert not parts(tmp_path / "out")
     monkeypatch.undo()
     assert modal.identify_batch(runs, tmp_path / "out", **QUICK).records.num_rows == 4
+
+
+HELPERS = """
+import os, signal
+def die(number):
+    os.kill(os.getpid(), number)
+def die_once(flag):
+    if not os.path.exists(flag):
+        open(flag, "w").close()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+def leave():
+    os._exit(3)
+"""
+
+
+@pytest.fixture
+def helpers(tmp_path, monkeypatch):
+    (tmp_path / "deadly_helpers.py").write_text(HELPERS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import deadly_helpers
+
+    yield deadly_helpers
+    sys.modules.pop("deadly_helpers")
+
+
+def test_deaths_concern_one_task(helpers, tmp_path):
+    with Workers(1) as workers:
+        deadly = workers.submit(helpers.die, signal.SIGKILL)
+        leaving = workers.submit(helpers.leave)
+        once = workers.submit(helpers.die_once, str(tmp_path / "flag"))
+        well = [workers.submit(pow, 2, exponent) for exponent in range(5)]
+        wrong = workers.submit(int, "x")
+        unsendable = workers.submit(lambda: 1)
+        assert [future.result() for future in well] == [1, 2, 4, 8, 16]
+        assert once.result() != os.getpid()
+        with pytest.raises(WorkerDiedError, match="signal 9, SIGKILL"):
+            deadly.result()
+        with pytest.raises(WorkerDiedError, match="exit status 3"):
+            leaving.result()
+        with pytest.raises(ValueError, match="invalid literal"):
+            wrong.result()
+        assert unsendable.exception() is not None
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        workers.submit(pow, 2, 2)
+
+
+def test_leaving_by_an_error_stops_at_once(helpers):
+    futures = []
+
+    def leave_early():
+        with Workers(1) as workers:
+            futures.extend(workers.submit(signal.pause) for _ in range(3))
+            while not futures[0].running():
+                pass
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        leave_early()
+    assert futures[2].cancelled()
+    assert all(future.done() for future in futures)
+
+
+def test_a_process_that_is_being_started_when_all_is_cancelled_is_ended(monkeypatch):
+    started, cancelled = threading.Event(), threading.Event()
+    start = SpawnProcess.start
+
+    def slow_start(process):
+        start(process)
+        started.set()
+        assert cancelled.wait(30.0)
+
+    monkeypatch.setattr(SpawnProcess, "start", slow_start)
+    workers = Workers(1)
+    future = workers.submit(signal.pause)
+    assert started.wait(30.0)
+    workers.shutdown(wait=False, cancel_futures=True)
+    cancelled.set()
+    assert isinstance(future.exception(30.0), WorkerDiedError)
+    workers.shutdown()

@@ -129,7 +129,7 @@ def test_a_good_run_writes_everything_and_says_where(data, quick, capsys):
 
 
 def test_a_long_search_is_said_beforehand_and_a_budget_shortens_it(data, quick, capsys, monkeypatch):
-    monkeypatch.setattr("modal.command.terminal.LONG", 0.0)
+    monkeypatch.setattr("modal.command.terminal.Shown.LONG", 0.0)
     monkeypatch.setattr("modal.discrepancy.setup.SECONDS_A_STATE", (0.1, 1.0))  # 600 rows of four states at most
     rows = 200 * (1 + GOOD.count("b.csv") + GOOD.count("c.csv"))
     said = f"{rows} samples of 3 channels: expect {{}} min of one processor and up to 0.3 GiB of memory.\n"

@@ -36,15 +36,24 @@ def data(tmp_path, monkeypatch):
     return tmp_path
 
 
+def ran(*words, before="", environment=(), **streams):
+    """The command in a process of its own, after some lines of Python."""
+    return subprocess.run(
+        [sys.executable, "-c", f"{before}from modal.command.entry import main; main()", *words],
+        env={**os.environ, "PYTHONPATH": str(HERE), **dict(environment)},
+        check=False,
+        timeout=60,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **streams},
+    )
+
+
+CHECK = ("check", "a.csv", "--inputs", "force")
+CHOICES = ("--observer-order", "8", "--ridge", "0", "--order", "2")
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "cp437"])
 def test_terminals_that_lack_letters_get_plain_ones(data, encoding):
-    environment = {**os.environ, "PYTHONPATH": str(HERE), "PYTHONIOENCODING": encoding}
-    run = subprocess.run(
-        [sys.executable, "-c", "from modal.command.entry import main; main()", "check", "a.csv", "--inputs", "force"],
-        env=environment,
-        capture_output=True,
-        check=False,
-    )
+    run = ran(*CHECK, environment={"PYTHONIOENCODING": encoding}, text=False)
     text = run.stdout.decode(encoding)
     assert run.returncode in (0, 1)
     assert run.stderr == b""
@@ -74,33 +83,20 @@ def test_a_step_is_a_number_as_everybody_writes_it(data, text, capsys):
     assert f"Invalid value for '--dt': {text!r} is no number; write seconds such as 0.001" in capsys.readouterr().err
 
 
-COMMAND = [sys.executable, "-c", "from modal.command.entry import main; main()"]
-
-
 def test_a_reader_that_leaves_changes_no_exit_status(data):
     """The head of a page is enough for many: what was done is done, and its status is that of the result."""
-    command = [*COMMAND, "check", "a.csv", "--inputs", "force"]
-    whole = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(HERE)}, capture_output=True, check=False)
+    whole = ran(*CHECK)
     read, write = os.pipe()
     os.close(read)
-    left = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(HERE)}, stdout=write, stderr=subprocess.PIPE, check=False
-    )
+    left = ran(*CHECK, stdout=write)
     os.close(write)
-    assert (left.returncode, left.stderr) == (whole.returncode, b"")
+    assert (left.returncode, left.stderr) == (whole.returncode, "")
     assert whole.returncode == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no folder that somebody stands in")
 def test_a_working_folder_that_was_removed_is_a_sentence(data):
-    script = "import os; os.mkdir('g'); os.chdir('g'); os.rmdir('../g');" + COMMAND[-1]
-    run = subprocess.run(
-        [*COMMAND[:-1], script, "check", "a.csv"],
-        env={**os.environ, "PYTHONPATH": str(HERE)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = ran("check", "a.csv", before="import os; os.mkdir('g'); os.chdir('g'); os.rmdir('../g');")
     assert run.returncode == 2
     assert run.stderr == ("modal-report: the folder that this runs in was removed; change to one that is there (cd).\n")
 
@@ -110,14 +106,7 @@ def test_a_working_folder_that_was_removed_is_a_sentence(data):
 def test_libraries_that_could_not_be_loaded_are_not_tried(data, command, leaves, needs):
     """They wait for memory for ever, or abort the process."""
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({int(leaves * 2**30)},) * 2);"
-    run = subprocess.run(
-        [*COMMAND[:-1], limit + COMMAND[-1], command, "a.csv"],
-        env={**os.environ, "PYTHONPATH": str(HERE)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    run = ran(command, "a.csv", before=limit)
     assert run.returncode == 2
     assert f"ulimit -v allows {leaves:.2g} GiB to be mapped, and the libraries map up to {needs} GiB" in run.stderr
 
@@ -126,41 +115,23 @@ def test_libraries_that_could_not_be_loaded_are_not_tried(data, command, leaves,
 def test_too_few_open_files_are_a_sentence(data):
     """The recording's library ends the process where it gets none."""
     limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (8, 8));"
-    run = subprocess.run(
-        [*COMMAND[:-1], limit + COMMAND[-1], "run", "a.csv", "--inputs", "force"],
-        env={**os.environ, "PYTHONPATH": str(HERE)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    run = ran("run", "a.csv", "--inputs", "force", before=limit)
     assert run.returncode == 2
     assert run.stderr == "modal-report: ulimit -n allows 8 open files, and the libraries need 16; raise it.\n"
 
 
-def _check(before="", **environment):
-    return subprocess.run(
-        [*COMMAND[:-1], before + COMMAND[-1], "check", "a.csv", "--inputs", "force"],
-        env={**os.environ, "PYTHONPATH": str(HERE), **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-
-
 def test_an_epoch_that_is_no_number_is_a_sentence(data):
-    run = _check(SOURCE_DATE_EPOCH="abc")
+    run = ran(*CHECK, environment={"SOURCE_DATE_EPOCH": "abc"})
     assert (run.returncode, run.stdout) == (2, "")
     assert run.stderr == (
         "modal-report: SOURCE_DATE_EPOCH must be a whole number of seconds, but is 'abc'; correct it, or unset it.\n"
     )
-    closed = _check("import sys; sys.stderr = None;", SOURCE_DATE_EPOCH="abc")
+    closed = ran(*CHECK, before="import sys; sys.stderr = None;", environment={"SOURCE_DATE_EPOCH": "abc"})
     assert (closed.returncode, closed.stdout, closed.stderr) == (2, "", "")
 
 
 def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
-    run = _check(COLUMNS="0")
+    run = ran(*CHECK, environment={"COLUMNS": "0"})
     assert run.returncode == 0
     assert "1 input, 1 output" in run.stdout
 
@@ -169,7 +140,7 @@ def test_a_terminal_of_no_columns_is_one_of_unknown_width(data):
 def test_what_libraries_do_at_the_end_changes_no_exit_status(data):
     """Threads of a reader that still ran made its finaliser abort once in 240 runs, after all was said."""
     aborts = "import atexit, ctypes; c = ctypes.CDLL(None); c.on_exit(c.abort, None);"
-    told = _check(f"{aborts} atexit.register(print, 'last');")
+    told = ran(*CHECK, before=f"{aborts} atexit.register(print, 'last');")
     assert told.returncode == 0
     assert told.stdout.endswith("last\n")
     assert told.stderr == ""
@@ -179,17 +150,9 @@ def test_what_libraries_do_at_the_end_changes_no_exit_status(data):
 @pytest.mark.parametrize(("arguments", "status"), [(["nothing.csv"], 2), (["a.csv", "--inputs", "force"], 0)])
 def test_a_log_without_room_changes_no_exit_status(data, arguments, status):
     """What is said beforehand of long work was the end of it, and 1 says that there is a result."""
-    script = f"import modal.command.terminal as terminal; terminal.LONG = -1.0; {COMMAND[-1]}"
+    before = "import modal.command.terminal as terminal; terminal.Shown.LONG = -1.0;"
     with Path("/dev/full").open("w") as full:
-        run = subprocess.run(
-            [*COMMAND[:-1], script, "check", *arguments],
-            env={**os.environ, "PYTHONPATH": str(HERE)},
-            stdout=subprocess.PIPE,
-            stderr=full,
-            text=True,
-            check=False,
-            timeout=60,
-        )
+        run = ran("check", *arguments, before=before, stderr=full)
     assert run.returncode == status
     assert ("1 input, 1 output" in run.stdout) == (status == 0)
 
@@ -259,8 +222,7 @@ def test_a_folder_that_is_removed_during_the_run_is_a_sentence(data, moment, mon
         return made
 
     monkeypatch.setattr(where, name, after)
-    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
-    assert status(["run", "a.csv", "--inputs", "force", "-o", "disk/a/out", *choices]) == 2
+    assert status(["run", "a.csv", "--inputs", "force", "-o", "disk/a/out", *CHOICES]) == 2
     said = capsys.readouterr().err
     assert "'disk/a/out' cannot be written (" in said
     assert said.count("\n") == 1
@@ -290,44 +252,34 @@ def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, ca
         raise error
 
     monkeypatch.setattr("modal.command.run.write_report", full)
-    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
-    assert status(["run", "a.csv", "--inputs", "force", "-o", "out", *choices]) == 2
+    assert status(["run", "a.csv", "--inputs", "force", "-o", "out", *CHOICES]) == 2
     assert "there is not enough memory for this (" in capsys.readouterr().err
 
 
 def test_a_file_name_that_is_no_text_is_a_record_like_any_other(data, capfd):
     shutil.copyfile("a.csv", os.fsdecode(b"\xff.csv"))
-    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
-    assert status(["run", os.fsdecode(b"\xff.csv"), "--inputs", "force", "-o", "out", *choices]) in (0, 1)
+    assert status(["run", os.fsdecode(b"\xff.csv"), "--inputs", "force", "-o", "out", *CHOICES]) in (0, 1)
     assert (data / "out" / "recording.rrd").is_file()
     assert "WARN" not in capfd.readouterr().err
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_output_that_finds_no_room_is_a_sentence_and_the_result_is_whole(data):
-    words = ["run", "a.csv", "--inputs", "force", "-o", "out", "--observer-order", "8", "--ridge", "0", "--order", "2"]
     with Path("/dev/full").open("wb") as full:
-        run = subprocess.run(
-            [sys.executable, "-c", "from modal.command.entry import main; main()", *words],
-            env={**os.environ, "PYTHONPATH": str(HERE)},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            check=False,
-        )
+        run = ran("run", "a.csv", "--inputs", "force", "-o", "out", *CHOICES, stdout=full)
     assert run.returncode == 2
-    assert run.stderr.startswith(b"modal-report: what is printed or written finds no room (")
-    assert run.stderr.count(b"\n") == 1
+    assert run.stderr.startswith("modal-report: what is printed or written finds no room (")
+    assert run.stderr.count("\n") == 1
     assert (data / "out" / "result.npz").is_file()
 
 
 def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, monkeypatch, capsys):
-    choices = ("--observer-order", "8", "--ridge", "0", "--order", "2")
-    run = ["run", "a.csv", "--inputs", "force", "-o", "out", *choices]
+    run = ["run", "a.csv", "--inputs", "force", "-o", "out", *CHOICES]
     for arguments, memory in ((run, 0.6), (["check", "a.csv"], 0.3)):
-        monkeypatch.setattr("modal.command.terminal.LONG", 60.0)
+        monkeypatch.setattr("modal.command.terminal.Shown.LONG", 60.0)
         status(arguments)
         assert capsys.readouterr().err == ""
-        monkeypatch.setattr("modal.command.terminal.LONG", 0.0)
+        monkeypatch.setattr("modal.command.terminal.Shown.LONG", 0.0)
         status([*arguments, *["--overwrite"] * (arguments[0] == "run")])
         said = capsys.readouterr().err
         assert said == f"400 samples of 2 channels: expect 1 min of one processor and up to {memory} GiB of memory.\n"

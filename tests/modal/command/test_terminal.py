@@ -1,4 +1,7 @@
 import io
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,9 +9,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modal.command.terminal import MOST_NOISE, say_beforehand, show_comparison, show_files, show_result
+from modal.command.gap import show_diagnosis, show_diagnosis_files
+from modal.command.stopping import Requests
+from modal.command.terminal import (
+    Shown,
+    progress_bar,
+    say_beforehand,
+    show_comparison,
+    show_files,
+    show_result,
+    time_left_text,
+)
 from modal.examples.demo import ModeComparison
-from modal.report.writing import ReportFiles
+from modal.report.folder import uninterrupted
+from modal.report.writing import DiagnosisFiles, ReportFiles
 from modal.wording.text import hertz
 
 
@@ -44,11 +58,13 @@ def test_six_modes_with_their_files_take_at_most_25_lines_of_80_letters(identifi
 def test_noise_poles_are_one_line(make_result, identification):
     noise = identification.modes.modes[4]
     modes = type(identification.modes)(
-        modes=(*identification.modes.modes[:3], *[noise] * (MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
+        modes=(*identification.modes.modes[:3], *[noise] * (Shown.MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
     )
     text = printed(show_result, make_result(modes=modes))
-    named = ", ".join([f"{hertz(noise.frequency)} Hz"] * MOST_NOISE)
-    assert f"Taken for noise: {MOST_NOISE + 2} poles ({named}, 2 more); the report says why." in " ".join(text.split())
+    named = ", ".join([f"{hertz(noise.frequency)} Hz"] * Shown.MOST_NOISE)
+    assert f"Taken for noise: {Shown.MOST_NOISE + 2} poles ({named}, 2 more); the report says why." in " ".join(
+        text.split()
+    )
 
 
 def test_what_is_a_warning_is_not_printed_again(make_result, identification):
@@ -114,3 +130,165 @@ def test_less_than_a_minute_is_no_minute_at_least(capsys):
     for seconds, time in (((18.0, 350.0), "up to 6"), ((100.0, 350.0), "2 to 6"), ((350.0, 360.0), "6")):
         say_beforehand(9000, 3, seconds, 2.0**30)
         assert f"expect {time} min of one processor" in capsys.readouterr().err
+
+
+def said(show, *arguments, **options):
+    file = io.StringIO()
+    show(Console(file=file, width=110, force_terminal=False, color_system=None), *arguments, **options)
+    return file.getvalue()
+
+
+def test_the_verdict_comes_first_then_values_with_their_deviations(diagnosis):
+    text = said(show_diagnosis, diagnosis)
+    assert text.split("\n")[1] == "The simulation lacks cubic stiffness and Coulomb friction at the link lower-upper."
+    assert "\ncubic stiffness at the link lower-upper\nk3  (2.013 ± 0.019)e5  N/m^3  95 %: (1.976 to 2.050)e5" in text
+    assert "0.05960 ± 0.00060" in text
+    assert "Runner-up: gap spring" in text
+    assert "Add a record at twice the level" in text
+
+
+def test_the_gap_stands_before_and_after(diagnosis):
+    lines = said(show_diagnosis, diagnosis).splitlines()
+    (heading,) = (line for line in lines if "as given" in line and "calibrated" in line and "by" in line)
+    assert heading.rstrip().endswith("with the effects")
+    (row,) = (line for line in lines if line.startswith("output  upper"))
+    first, _, last = (float(word) for word in row.split()[2:])
+    assert first > 20.0
+    assert last < 1.1
+
+
+@pytest.mark.parametrize(
+    ("status", "n_effects", "there", "missing"),
+    [
+        ("none", 0, ("Nothing missing.", "What the data could still hide", "k3 = 3100 N/m^3"), ("Why", "value ± std")),
+        ("unresolved", 1, ("Not proved.", "Do not build on"), ("could still hide", "Simulate with")),
+        ("unresolved", 0, ("no effect of the catalogue explains it",), ("Why",)),
+    ],
+)
+def test_each_status_prints_its_parts(diagnosis_of, status, n_effects, there, missing):
+    text = said(show_diagnosis, diagnosis_of(status, n_effects))
+    assert all(words in text for words in there)
+    assert not any(words in text for words in missing)
+
+
+@pytest.mark.parametrize("warnings", [(), ("One level only.",)])
+def test_warnings_and_remarks_are_printed_when_there_are_any(diagnosis, warnings):
+    text = said(show_diagnosis, replace(diagnosis, warnings=warnings), remarks=("tip: g -> m/s^2",))
+    assert ("One level only." in text) == ("Warnings" in text) == bool(warnings)
+    assert "tip: g -> m/s^2" in text
+
+
+def test_names_in_a_diagnosis_are_not_obeyed_by_the_terminal(make_gap):
+    name = "\x1b[2J[bold red]x[/bold red]"
+    text = said(show_diagnosis, make_gap(names=(name, "b"), where=name, n_effects=1))
+    assert "\x1b" not in text
+    assert "[bold red]x[/bold red]" in text
+
+
+def test_paths_stay_on_one_line_and_a_missing_model_is_not_named(tmp_path):
+    folder = tmp_path / ("long" * 40)
+    text = said(show_diagnosis_files, DiagnosisFiles.in_folder(folder))
+    assert str(folder / "report.html") in text
+    assert "model.json" in text
+    assert "model" not in said(show_diagnosis_files, DiagnosisFiles.in_folder(tmp_path / "x", model=None)).replace(
+        str(tmp_path), ""
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "elapsed", "text"),
+    [
+        (0.0, 100.0, ""),
+        (0.04, 100.0, ""),
+        (0.5, 1.0, ""),
+        (1.0, 50.0, ""),
+        (0.5, 4.0, "about 4 s left"),
+        (0.9, 2.0, "about 1 s left"),
+        (0.5, 41.0, "about 45 s left"),
+        (0.1, 20.0, "about 3 min left"),
+        (0.5, 5400.0, "about 1.5 h left"),
+    ],
+)
+def test_time_left(share, elapsed, text):
+    assert time_left_text(share, elapsed) == text
+
+
+def test_no_bar_where_nobody_looks(capsys):
+    with progress_bar() as tell:
+        tell("reading", 0.5)
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.fixture
+def handlers():
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    before = {number: signal.getsignal(number) for number in numbers}
+    for number in numbers:  # a shell ignores the first for what runs in its background, nohup the last
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    yield numbers
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_request_to_stop_waits_for_the_end_of_the_block(handlers):
+    done = []
+
+    def both_steps():
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            done.append("both")
+
+    with pytest.raises(KeyboardInterrupt):
+        both_steps()
+    assert done == ["both"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_block_without_a_request_changes_nothing(handlers):
+    before = [signal.getsignal(number) for number in handlers]
+    with uninterrupted():
+        assert signal.getsignal(signal.SIGINT) is not before[0]
+    assert [signal.getsignal(number) for number in handlers] == before
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_request_is_a_flag_that_the_next_step_answers(handlers, capfd, monkeypatch, terminal):
+    monkeypatch.setattr("os.isatty", lambda _stream: terminal)
+    for number in handlers:
+        Requests.listen()
+        signal.raise_signal(number)  # nothing is raised here
+        with progress_bar() as tell, pytest.raises(KeyboardInterrupt):
+            tell("the next step", 0.5)
+        said = "stopping after this step; once more stops at once" in capfd.readouterr().err
+        assert said == terminal
+    Requests.asked = 0
+
+
+def test_what_nohup_ignores_stays_ignored(handlers):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    Requests.listen()
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_from_the_first_line_of_the_entry_point_on(tmp_path, twice):
+    """The handler is there before anything is imported; the signals come while the imports go on."""
+    again = "signal.raise_signal(signal.SIGTERM)" if twice else ""
+    script = (
+        "import importlib.abc, signal, sys\n"
+        "class Asks(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'modal.command.main':\n"
+        f"            signal.raise_signal(signal.SIGINT); {again or 'pass'}\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell ignores it for what it runs behind
+        "from modal.command.entry import main\n"
+        "sys.meta_path.insert(0, Asks())\n"
+        f"sys.argv = ['modal-report', 'demo', '-o', {str(tmp_path / 'out')!r}]\n"
+        "main()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert "Traceback" not in run.stderr
+    assert run.stderr.strip().endswith("stopped; nothing was left half-written.")
+    assert not list(tmp_path.iterdir())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.geometry.file import geometry_of_table, read_geometry, with_dofs
+from modal.geometry.file import geometry_of_table, read_geometry
 from modal.geometry.sensors import Geometry
 from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError
 
@@ -51,15 +51,6 @@ def test_the_table_of_a_test_file_may_stand_alone(tmp_path):
 def test_positions_become_metres(unit, metres):
     geometry = geometry_of_table({"unit": unit, "nodes": {"1": [0, 2, 0]}}, "here")
     assert geometry.positions[0, 1] == pytest.approx(2 * metres)
-
-
-def test_sensors_may_be_stated_later():
-    geometry = geometry_of_table({"nodes": {"1": [0, 0, 0], "2": [0, 0, 1]}}, "here")
-    assert with_dofs(geometry, {"tip": "2X-"}, "there").sensors[0].direction.tolist() == [-1, 0, 0]
-    with pytest.raises(InvalidDataError, match="there names node '5'"):
-        with_dofs(geometry, {"tip": "5X"}, "there")
-    with pytest.raises(InvalidDataError, match="has two sensors"):
-        with_dofs(with_dofs(geometry, {"tip": "2X"}, "there"), {"tip": "1X"}, "there")
 
 
 NODES = {"1": [0, 0, 0], "2": [0, 0, 1]}

@@ -224,6 +224,6 @@ def test_cutting_or_changing_a_file_anywhere_gives_a_geometry_or_one_of_our_erro
 
 
 def test_too_many_lines_are_refused_without_reading_on(tmp_path, monkeypatch):
-    monkeypatch.setattr("modal.geometry.uff.MOST_LINES", 6)
+    monkeypatch.setattr("modal.geometry.uff.GeometrySets.MOST_LINES", 6)
     with pytest.raises(UnreadableFileError, match="more than 6 lines"):
         read(tmp_path, set_2411())

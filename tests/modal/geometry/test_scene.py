@@ -1,13 +1,17 @@
 """What is drawn of a structure: the eye, the envelope, lines within a budget."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.geometry.placement import at_rest, placed
-from modal.geometry.scene import envelope_of, scene_of
+from modal.geometry.scene import comparable_shapes, comparison_words, complexity_words, envelope_of, phasors, scene_of
 from modal.geometry.sensors import Geometry
+from modal.modes.mode import Mode
+from modal.modes.shape_comparison import assurance
 
 HEIGHT = 2
 
@@ -110,3 +114,108 @@ def test_of_many_lines_those_that_move_are_kept():
 def test_a_geometry_alone_is_a_scene_at_rest():
     geometry = Geometry(node_names=("1", "2"), positions=[[0, 0, 0], [1, 0, 0]])
     assert not scene_of(at_rest(geometry)).moving.any()
+
+
+POLES = (-0.1 + 8.0j, -0.2 + 30.0j)
+MOTION = np.random.default_rng(0).standard_normal((4, 2)) + 0j
+
+
+def seen(orders, factors):
+    """Modes as sensors of these derivatives and scales see one and the same motion."""
+    return [
+        SimpleNamespace(pole=pole, shape=MOTION[:, k] * pole ** np.array(orders) / np.array(factors))
+        for k, pole in enumerate(POLES)
+    ]
+
+
+NAMES = ("a", "b", "c", "d")
+
+
+@pytest.mark.parametrize(
+    ("units", "orders", "factors"),
+    [
+        (("m", "m/s", "m/s^2", "m"), (0, 1, 2, 0), (1, 1, 1, 1)),
+        (("mm", "m/s^2", "g", "m/s"), (0, 2, 2, 1), (1e-3, 1, 9.80665, 1)),
+        (("rad", "rad/s", "deg", "rad/s^2"), (0, 1, 0, 2), (1, 1, np.pi / 180, 1)),
+    ],
+)
+def test_sensors_of_any_kind_see_the_same_displacements(units, orders, factors):
+    shapes = comparable_shapes(seen(orders, factors), NAMES, units)
+    assert shapes == pytest.approx(MOTION, rel=1e-6)
+    assert assurance(shapes, shapes) == pytest.approx(assurance(MOTION, MOTION), rel=1e-6)
+    assert "made displacements" in comparison_words(NAMES, units)
+
+
+@pytest.mark.parametrize(
+    "units", [("m", "N", "m", "m"), ("m", "rad", "m", "m"), ("m", "", "m", "m"), ("m", "V", "m/s", "m")]
+)
+def test_what_cannot_be_made_displacements_stays_as_it_is_and_is_said(units):
+    modes = seen((0, 0, 0, 0), (1, 1, 1, 1))
+    assert np.array_equal(comparable_shapes(modes, NAMES, units), MOTION)
+    assert "numbers as they are" in comparison_words(NAMES, units)
+
+
+@pytest.mark.parametrize("unit", ["m/s^2", "counts", ""])
+def test_one_unit_needs_nothing_and_no_words(unit):
+    modes = seen((2, 2, 2, 2), (1, 1, 1, 1))
+    raw = np.column_stack([mode.shape for mode in modes])
+    assert np.array_equal(comparable_shapes(modes, NAMES, (unit,) * 4), raw)
+    assert comparison_words(NAMES, (unit,) * 4) == ""
+
+
+def test_no_modes_and_a_pole_at_zero_do_no_harm():
+    assert comparable_shapes([], NAMES, ("m", "m/s", "m", "m")).shape == (4, 0)
+    still = SimpleNamespace(pole=0j, shape=MOTION[:, 0])
+    assert np.array_equal(comparable_shapes([still], NAMES, ("m", "m/s", "m", "m"))[:, 0], MOTION[:, 0])
+
+
+def mode(shape, *, collinearity=0.99, deviation=2.0, pole=-0.4 + 12j):
+    return Mode(
+        pole=pole,
+        kind="oscillatory",
+        frequency=2.0,
+        damping_ratio=0.03,
+        shape=np.asarray(shape, dtype=complex),
+        participation=np.ones(1),
+        phase_collinearity=collinearity,
+        mpd=deviation,
+    )
+
+
+@pytest.mark.parametrize(
+    ("collinearity", "deviation", "words"),
+    [
+        (0.951, 9.9, "nearly real"),
+        (0.949, 9.9, "complex"),
+        (0.951, 10.1, "complex"),
+        (0.51, 30.0, "complex"),
+        (0.49, 30.0, "no common phase"),
+        (np.nan, 3.0, "not known"),
+        (0.99, np.nan, "not known"),
+    ],
+)
+def test_words_follow_the_two_numbers(collinearity, deviation, words):
+    assert complexity_words(mode([1, 0.5, 0.2], collinearity=collinearity, deviation=deviation)) == words
+
+
+def test_one_sensor_has_no_complexity():
+    assert complexity_words(mode([1.0])) == "one sensor"
+    assert complexity_words(mode([1.0, 0.0])) != "one sensor"
+
+
+def test_phasors_of_a_real_shape_lie_flat_whatever_its_phase():
+    found = phasors(mode(np.array([0.5, -1.0, 0.2]) * np.exp(0.7j)), ["m"] * 3)
+    np.testing.assert_allclose(found, [-0.5, 1.0, -0.2], atol=1e-12)
+
+
+def test_displacements_beside_accelerations_keep_their_line():
+    pole = -0.4 + 12j
+    found = phasors(mode([0.5, -1.0 * pole**2], pole=pole), ["m", "m/s^2"])
+    np.testing.assert_allclose(np.abs(found.imag), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(found.real), 1.0)
+
+
+def test_each_unit_has_its_own_largest():
+    found = phasors(mode([1.0, 0.5, 1e-6]), ["m", "m", "rad"])
+    np.testing.assert_allclose(np.abs(found), [1.0, 0.5, 1.0])
+    assert np.isfinite(phasors(mode([1.0, 0.0], pole=0j), ["m", "m/s"])).all()

@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
+import scipy
 import scipy.signal
+from signals import answer
 
+from modal.quality.channels import drift_findings
 from modal.quality.check import check_quality
-from modal.quality.inputs import excitation_findings
+from modal.quality.inputs import copy_findings, excitation_findings, timing_findings
 from okid.record import Record
 
 
@@ -61,3 +64,96 @@ def test_a_dead_input_is_named_once():
     ]
     sine = Record(np.sin(0.3 * np.arange(3000)), rng.standard_normal(3000), 0.01)
     assert "poor excitation" in {finding.what for finding in check_quality(sine).findings}
+
+
+@pytest.fixture
+def force():
+    return np.random.default_rng(0).standard_normal(5000)
+
+
+def noisy(values, seed=1):
+    return values + 0.02 * np.random.default_rng(seed).standard_normal(values.shape)
+
+
+@pytest.mark.parametrize(("factor", "level"), [(1.0, "bad"), (-1.0, "bad"), (2.5, "doubtful")])
+def test_a_copied_channel_is_named_with_its_factor(force, factor, level):
+    first = noisy(answer(force))
+    (finding,) = copy_findings([Record(force, np.column_stack([first, factor * first]), 0.01)])
+    assert finding.level == level
+    assert finding.channels == ("output_0", "output_1")
+    assert ("negative" in finding.sentence, "2.5 times" in finding.sentence) == (factor < 0, factor == 2.5)
+
+
+def test_channels_that_are_only_alike_are_not_copies(force):
+    first = answer(force)
+    assert copy_findings([Record(force, np.column_stack([first, noisy(first, 2) + 0.0]), 0.01)]) == []
+    assert len(copy_findings([Record(force, 2.0 * force, 0.01)])) == 1  # an output that is the input
+
+
+@pytest.mark.parametrize("early", [3, 8])
+def test_an_output_that_runs_ahead_of_the_input_is_named(force, early):
+    good, other = noisy(answer(force)), noisy(answer(force, 0.13), 3)
+    ahead = np.roll(other, -early - 1)
+    record = Record(force, np.column_stack([good, ahead]), 0.01).samples(0, 4900)
+    (finding,) = timing_findings([record], [0, 1])
+    assert finding.level == "bad"
+    assert finding.channels == ("output_1", "input_0")
+    assert f"{early} samples" in finding.sentence
+
+
+def test_a_common_delay_is_noted_and_none_is_not(force):
+    outputs = np.column_stack([noisy(answer(force)), noisy(answer(force, 0.13), 3)])
+    assert timing_findings([Record(force, outputs, 0.01)], [0, 1]) == []
+    late = np.roll(outputs, 9, axis=0)
+    (finding,) = timing_findings([Record(force, late, 0.01).samples(20)], [0, 1])
+    assert finding.level == "note"
+    assert "10 samples" in finding.sentence
+    assert timing_findings([Record(np.empty((5000, 0)), outputs, 0.01)], [0, 1]) == []
+
+
+@pytest.mark.parametrize(("size", "level"), [(0.0, None), (0.5, "note"), (3.0, "doubtful")])
+def test_drift_is_told_by_its_share(force, size, level):
+    slow = np.linspace(-1, 1, 5000) ** 3 + 0.5 * np.cos(np.linspace(0, 5, 5000))
+    drifting = noisy(answer(force)) + size * slow / slow.std()
+    record = Record(force, np.column_stack([noisy(answer(force, 0.2), 4), drifting]), 0.01)
+    found = drift_findings([record])
+    assert [finding.level for finding in found] == ([] if level is None else [level])
+    for finding in found:
+        assert finding.channels == ("output_1",)
+        assert finding.share == pytest.approx(size**2 / (1 + size**2), rel=0.15)
+
+
+def test_slow_motion_that_the_input_causes_is_no_drift():
+    rng = np.random.default_rng(5)
+    force = rng.standard_normal(5000)
+    slow = scipy.signal.lfilter([0.0, 0.002], [1.0, -0.998], force)
+    assert drift_findings([Record(force, noisy(slow / slow.std()), 0.01)]) == []
+
+
+def struck_points(seed, n_points=8, n=3000):
+    """A record a point that a hammer strikes, all channels behind the linear-phase filter of their recorder."""
+    rng = np.random.default_rng(seed)
+    taps = scipy.signal.firwin(241, 0.39 / 4, window=("kaiser", 9.0))
+    frequencies = (0.063, 0.112, 0.187, 0.188, 0.244, 0.316, 0.71, 0.82, 0.94, 1.15)
+    damping, shapes = rng.uniform(0.003, 0.02, 10), rng.uniform(-1, 1, (n_points, 10))
+    records = []
+    for point in range(n_points):
+        width = rng.integers(14, 22)  # at eight times the rate
+        force, outputs = np.zeros((8 * n, n_points)), np.zeros((8 * n, 2))
+        force[2000 : 2000 + width, point] = np.sin(np.pi * np.arange(width) / width) ** 1.5
+        for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
+            pole = np.exp(2 * np.pi * frequency / 8 * complex(-ratio, 1))
+            state = scipy.signal.lfilter([1.0], [1, -2 * pole.real, abs(pole) ** 2], force[:, point])
+            outputs += np.outer(np.diff(state, n=2, prepend=[0, 0]) * shape[point], shape[:2])
+        force, outputs = (
+            scipy.signal.oaconvolve(x, taps[:, np.newaxis], axes=0, mode="same")[::8] for x in (force, outputs)
+        )
+        force[:, point] += 1e-4 * force.max() * rng.standard_normal(n)
+        outputs += 0.003 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        records.append(Record(force, outputs, 1 / 1024))
+    return records
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_blows_without_high_frequencies_leave_no_output_ahead(seed):
+    assert timing_findings(struck_points(seed), [0, 1]) == []

@@ -7,17 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modal.recording.series import (
-    BYTES_PER_RECORDING,
-    SAMPLES_PER_SERIES,
-    bucket_length,
-    places,
-    positions,
-    reduced,
-    row_budget,
-    stretches,
-    thinned,
-)
+from modal.recording.series import DiskBudget, bucket_length, places, positions, reduced, row_budget, stretches, thinned
 
 numbers = st.one_of(st.just(np.nan), st.floats(-1e6, 1e6))
 
@@ -45,10 +35,10 @@ def test_equals_a_plain_loop(values, bucket):
 @given(st.integers(1, 500), st.integers(1, 5))
 def test_many_series_have_fewer_rows(n_entities, values_each):
     budget = row_budget(n_entities, n_entities * values_each)
-    assert 1000 <= budget <= SAMPLES_PER_SERIES
+    assert 1000 <= budget <= DiskBudget.SAMPLES_PER_SERIES
     # RERUN.md: 22 bytes a sample apart, 78 bytes for eight in a row
     bytes_a_row = n_entities * (22 + 8 * (values_each - 1))
-    assert budget * bytes_a_row <= max(1.02 * BYTES_PER_RECORDING, 1000 * bytes_a_row)
+    assert budget * bytes_a_row <= max(1.02 * DiskBudget.BYTES_PER_RECORDING, 1000 * bytes_a_row)
 
 
 @given(st.integers(1, 10**9), st.integers(1000, 10**6), st.lists(st.integers(0, 10**9), max_size=3))

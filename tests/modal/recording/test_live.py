@@ -100,7 +100,7 @@ def test_an_address_where_nobody_listens_is_named_and_no_viewer_is_opened(monkey
 def test_a_viewer_that_does_not_come_up_is_not_waited_for(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(under_test, "PORT", free_port())
-    monkeypatch.setattr(under_test, "OPENING", 0.2)
+    monkeypatch.setattr(under_test.Wait, "OPENING", 0.2)
     monkeypatch.setattr(under_test.subprocess, "Popen", lambda *_, **__: None)
     said = []
     with live_recording(tell=said.append) as live:

@@ -14,7 +14,7 @@ from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.pipeline import identify
 from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Finding
 from modal.report import pages
-from modal.report.pages import MOST_FINDINGS, MOST_SUMMED_UP, html_text, markdown_text
+from modal.report.pages import PageLimits, html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures
 from modal.sections.provenance import Provenance, SourceFile
 from modal.verdict.judgement import FOUND_AGAIN
@@ -155,7 +155,7 @@ def test_how_well_a_mode_reappears_is_a_bar_and_no_sentence_in_every_row(identif
 
 @pytest.mark.parametrize(("most", "said"), [(4, ""), (3, "1 more channel"), (2, "2 more channels")])
 def test_channels_beyond_a_number_are_folded_and_none_is_lost(identification, monkeypatch, most, said):
-    monkeypatch.setattr(pages, "MOST_CHANNELS", most)
+    monkeypatch.setattr(pages.PageLimits, "MOST_CHANNELS", most)
     text = html_text(identification, Provenance(), {})
     assert (f"<summary>{said}</summary>" in text) is bool(said)
     assert ("<summary>" in text) is bool(said)
@@ -330,12 +330,12 @@ def test_the_quality_of_the_data_is_shown(identification, levels, word):
     assert "<script" not in text.split("## Channels and quality of the data")[1].split("## Choices")[0]
 
 
-@pytest.mark.parametrize(("count", "more"), [(MOST_FINDINGS, False), (MOST_FINDINGS + 2, True)])
+@pytest.mark.parametrize(("count", "more"), [(PageLimits.MOST_FINDINGS, False), (PageLimits.MOST_FINDINGS + 2, True)])
 def test_a_flood_of_findings_is_bounded(identification, count, more):
     page, text = with_setting(identification, Setting(quality=quality(*["note"] * count)))
     for shown in (page.text, text):
         assert ("2 more, of lesser weight" in shown) is more
-        assert len(re.findall(r"Number \d+\.", shown)) == MOST_FINDINGS
+        assert len(re.findall(r"Number \d+\.", shown)) == PageLimits.MOST_FINDINGS
 
 
 def test_data_that_were_not_looked_at_are_not_judged(identification):
@@ -344,7 +344,8 @@ def test_data_that_were_not_looked_at_are_not_judged(identification):
 
 
 @pytest.mark.parametrize(
-    ("count", "said"), [(MOST_SUMMED_UP, ""), (MOST_SUMMED_UP + 3, "the other 3 are listed under")]
+    ("count", "said"),
+    [(PageLimits.MOST_SUMMED_UP, ""), (PageLimits.MOST_SUMMED_UP + 3, "the other 3 are listed under")],
 )
 def test_the_first_page_has_room_for_ten_modes(identification, count, said):
     modes = tuple(

@@ -1,11 +1,13 @@
 """Each sentence comes from a rule, and here each rule is met on both of its sides."""
 
+import datetime as dt
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.words import (
     caution_sentence,
     damping_sentence,
@@ -15,8 +17,12 @@ from modal.identification.words import (
     frequency_text,
     trust_of,
 )
-from modal.sections.words import data_sentences, fit_word, modes_headline, next_sentences
+from modal.sections.provenance import fingerprints
+from modal.sections.validation import about_lines, channel_rows, sensor_columns
+from modal.sections.words import INDICATORS, data_sentences, fit_word, modes_headline, next_sentences
+from modal.verdict import judgement as verdict
 from modal.wording.text import fit_text, hertz, ratio_text, with_interval
+from okid.errors import InvalidDataError
 
 
 def with_fit(result, fit):
@@ -203,3 +209,95 @@ def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
     assert (
         next_sentences(replace(identification, warnings=("Look.",)))[0] == "Read the warning before you quote a number."
     )
+
+
+COLUMNS = {column.key: column for column in INDICATORS}
+
+
+def test_the_words_name_the_limits_that_the_verdict_has(identification):
+    mode = identification.modes.system[0]
+    groups = {"halves of the data": 0.9, "other observer order and ridge": 0.9, "other model orders": 0.9}
+
+    def called(p, least):
+        return verdict._verdict(mode, p, 100.0, {**groups, "other model orders": least}, "")[0]
+
+    least_p = COLUMNS["probability"].limit
+    least_part = float(COLUMNS["repeatability"].meaning.removesuffix(".").rpartition(" ")[2])
+    assert called(least_p, least_part) == "system"
+    assert called(least_p - 0.001, least_part) == "doubtful"
+    assert called(least_p, least_part - 0.001) == "doubtful"
+    assert COLUMNS["repeatability"].limit is None  # a mean above any number may hide a part that is too low
+
+
+@pytest.mark.parametrize("column", [column for column in INDICATORS if column.limit is not None], ids=lambda c: c.key)
+def test_a_number_is_beyond_its_limit_on_one_side_of_it(identification, column):
+    mode = identification.modes.system[0]
+    worse = -0.001 if column.better == "high" else 0.001
+    assert column.beyond(replace(mode, **{column.key: column.limit + worse}))
+    assert not column.beyond(replace(mode, **{column.key: column.limit}))
+    assert not column.beyond(replace(mode, **{column.key: np.nan}))
+
+
+def test_the_hash_is_that_of_the_standard(tmp_path):
+    """FIPS 180-4, example of one block: SHA-256 of "abc"."""
+    path = tmp_path / "a b.csv"
+    path.write_bytes(b"abc")
+    (file,) = fingerprints([path])
+    assert (file.name, file.size) == (str(path), 3)
+    assert file.sha256 == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_a_file_that_is_gone_is_named(tmp_path):
+    with pytest.raises(InvalidDataError, match=r"gone\.csv' cannot be read again for its hash"):
+        fingerprints([tmp_path / "gone.csv"])
+
+
+NOTES = (
+    SensorNote(channel="floor_2", kind="accelerometer", calibrated=dt.date(2026, 1, 10)),
+    SensorNote(channel="elsewhere", serial="9"),
+)
+
+
+def test_only_what_the_test_file_says_is_shown():
+    assert about_lines(None) == ()
+    assert about_lines(Specification()) == ()
+    said = about_lines(Specification(article="frame", date=dt.date(2026, 5, 4)))
+    assert said == (("Article", "frame"), ("Date", "2026-05-04"))
+
+
+def test_columns_are_those_that_at_least_one_sensor_has():
+    assert sensor_columns(None) == ()
+    assert sensor_columns(Specification(sensors=NOTES)) == ("sensor", "serial", "calibrated")
+
+
+def test_each_channel_has_the_note_of_its_name(identification):
+    rows = channel_rows(identification, Specification(sensors=NOTES))
+    notes = {(row.name, row.role): row.notes for row in rows}
+    assert notes["floor_2", "output"] == ("accelerometer", "–", "2026-01-10")
+    assert notes["floor_1", "output"] == ("–", "–", "–")
+    assert ("ground", "input") in notes
+    assert {row.notes for row in channel_rows(identification)} == {()}
+
+
+def test_the_channel_that_is_reproduced_least_comes_first(identification):
+    fit = replace(identification.fit, cross_validated=np.array([0.9, 0.6, 0.8]))
+    rows = channel_rows(replace(identification, fit=fit))
+    assert [row.name for row in rows] == ["floor_2", "floor_3", "floor_1", "ground"]
+    assert [row.fit for row in rows][:3] == [0.6, 0.8, 0.9]
+
+
+def test_bands_are_written_out_up_to_a_limit(identification):
+    def bands(*bands):
+        excitation = replace(identification.excitation, excited_bands=(bands,))
+        return channel_rows(replace(identification, excitation=excitation))[-1].bands
+
+    assert bands() == "nowhere"
+    assert bands((0.1, 4.0)) == "0.1 to 4"
+    assert bands(*[(i, i + 0.5) for i in range(9)]).endswith("5 to 5.5 and 3 more bands")
+    assert channel_rows(identification)[0].bands == ""
+    alone = replace(
+        identification,
+        records=(identification.records[0].select(inputs=[]),),
+        excitation=replace(identification.excitation, excited_bands=()),
+    )
+    assert [row.role for row in channel_rows(alone)] == ["output"] * 3

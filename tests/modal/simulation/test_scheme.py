@@ -5,9 +5,11 @@ import pytest
 import scipy.linalg
 import scipy.signal
 from engine_plants import imposed_motion, two_masses
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from modal.simulation.plant import plant_matrices
-from modal.simulation.scheme import scheme_and_slopes
+from modal.simulation.scheme import band_of, scheme_and_slopes, solve_band
 
 DT = 0.03
 LINEAR = np.array([95.0, 1.1])
@@ -69,3 +71,40 @@ def test_an_integrator_has_a_flow():
     scheme, _ = scheme_and_slopes(replace(plant, system=system), LINEAR, DT)
     assert np.allclose(scheme.Ad, scipy.linalg.expm(system[0, :4, :4] * DT))
     assert scheme.B0[0, 0] + scheme.B1[0, 0] == pytest.approx(DT**2 / 2)
+
+
+def by_loop(transitions, forcing):
+    found = np.zeros_like(forcing)
+    for column, one in enumerate(forcing):
+        state = np.zeros(forcing.shape[2])
+        for k, added in enumerate(one):
+            state = (transitions[:, :, k - 1] @ state if k else 0.0) + added
+            found[column, k] = state
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(1, 6), n_times=st.integers(1, 40), n_columns=st.integers(1, 4), seed=st.integers(0, 1000))
+def test_it_is_the_recursion(n, n_times, n_columns, seed):
+    rng = np.random.default_rng(seed)
+    transitions = 0.7 * rng.standard_normal((n, n, n_times))
+    forcing = rng.standard_normal((n_columns, n_times, n))
+    given_forcing = forcing.copy()
+    found = solve_band(band_of(transitions), forcing)
+    expected = by_loop(transitions, forcing)
+    assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    assert np.array_equal(forcing, given_forcing)
+
+
+def test_zeros_cut_the_recursion():
+    rng = np.random.default_rng(1)
+    transitions, forcing = rng.standard_normal((3, 3, 20)), rng.standard_normal((2, 20, 3))
+    transitions[:, :, 11] = 0.0
+    found = solve_band(band_of(transitions), forcing)
+    assert np.allclose(found[:, 12:], by_loop(transitions[:, :, 12:], forcing[:, 12:]))
+
+
+@pytest.mark.parametrize(("n", "n_columns"), [(0, 3), (2, 0), (0, 0)])
+def test_nothing_to_solve(n, n_columns):
+    found = solve_band(band_of(np.zeros((n, n, 5))), np.zeros((n_columns, 5, n)))
+    assert found.shape == (n_columns, 5, n)

@@ -147,7 +147,7 @@ def test_any_numbers_come_back_to_the_last_bit(values, delimiter, tmp_path_facto
 
 @pytest.mark.parametrize("delimiter", [",", "\t", " "])
 def test_many_rows_in_many_blocks(tmp_path, monkeypatch, delimiter):
-    monkeypatch.setattr("okid.readers.text.BLOCK_BYTES", 4096)
+    monkeypatch.setattr("okid.readers.text.TextLimits.BLOCK_BYTES", 4096)
     values = np.random.default_rng(1).standard_normal((5000, 4))
     path = tmp_path / "record.txt"
     np.savetxt(path, values, delimiter=delimiter, header=delimiter.join("abcd"), fmt="%.17g")
@@ -185,7 +185,7 @@ def test_faults_are_named(table, content, message):
 
 
 def test_a_fault_far_down_is_found_at_its_line(table, monkeypatch):
-    monkeypatch.setattr("okid.readers.text.BLOCK_BYTES", 4096)
+    monkeypatch.setattr("okid.readers.text.TextLimits.BLOCK_BYTES", 4096)
     rows = [f"{index},{index / 7}" for index in range(20_000)]
     rows[15_000] = "15000,oops"
     with pytest.raises(UnreadableFileError, match=r"line 15002, column 'b' .* 'oops'"):

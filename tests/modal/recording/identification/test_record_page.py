@@ -10,7 +10,7 @@ from modal.preparation.channel import Finding
 from modal.quality import check_quality
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.recording import save_recording
-from modal.recording.identification.record import MOST_MARKS, marked
+from modal.recording.identification.record import RecordLimits, marked
 from modal.recording.plan import gather, planned
 from modal.recording.stream import blueprint
 
@@ -104,7 +104,7 @@ def test_bars_that_touch_never_go_back_in_time(build, tmp_path, read):
 
 def test_marks_are_bounded_in_number_and_findings_are_not(build, tmp_path, read):
     quality = make_quality([finding(what=f"fault {k}") for k in range(30)])
-    assert len(marked(quality)) == MOST_MARKS
+    assert len(marked(quality)) == RecordLimits.MOST_MARKS
     stored = read(save_recording(build(), tmp_path / "run.rrd", quality=quality))
     assert stored.table("/data/quality/findings", "finding")["what"] == [f"fault {k}" for k in range(30)]
     assert "10 findings more" in stored.static("/data/quality/text", "TextDocument:text")[0]

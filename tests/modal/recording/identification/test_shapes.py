@@ -9,8 +9,8 @@ from modal.geometry.placement import placed
 from modal.geometry.scene import envelope_of, scene_of
 from modal.geometry.sensors import Geometry
 from modal.recording import save_recording
-from modal.recording.identification.modes import HALF_VIEW, modes_page
-from modal.recording.identification.shapes import FEWEST_FRAMES, FEWEST_PERIODS, FRAMES, MOST_POINTS, PERIODS, pace_of
+from modal.recording.identification.modes import ShapePanes, modes_page
+from modal.recording.identification.shapes import Swinging, pace_of
 from modal.recording.plan import planned
 from okid.errors import InvalidDataError
 
@@ -67,7 +67,7 @@ def test_on_a_geometry_nodes_move_the_way_their_sensors_look(heads):
     moved = frames - np.array([[-1, 0, 1], [1, 0, 1]])
     scale = np.linalg.norm(moved, axis=2).max()
     np.testing.assert_allclose(moved[0] / scale, [[-1, 0, 0], [0, -0.5, 0]], atol=1e-6)
-    np.testing.assert_allclose(moved[FRAMES // 2], -moved[0], atol=1e-6)
+    np.testing.assert_allclose(moved[Swinging.FRAMES // 2], -moved[0], atol=1e-6)
 
 
 def test_what_is_drawn_is_stored_as_numbers(build, tmp_path, read):
@@ -143,12 +143,12 @@ def test_motion_keeps_within_its_budget(n, n_shapes):
     pace = pace_of(scene, n_shapes)
     points = 2 * len(pace.segments) + len(pace.heads) + (n * n if pace.surface else 0)
     total = pace.periods * pace.frames * n_shapes * points
-    assert total <= MOST_POINTS
+    assert total <= Swinging.MOST_POINTS
     assert pace.heads
     if len(pace.segments) < 2 * n * (n - 1):  # lines are left out only where the coarsest motion is too much
-        assert (pace.periods, pace.frames) == (FEWEST_PERIODS, FEWEST_FRAMES)
-        assert total > 0.8 * MOST_POINTS
-    assert ((pace.periods, pace.frames) == (PERIODS, FRAMES)) == (n == 5)
+        assert (pace.periods, pace.frames) == (Swinging.FEWEST_PERIODS, Swinging.FEWEST_FRAMES)
+        assert total > 0.8 * Swinging.MOST_POINTS
+    assert ((pace.periods, pace.frames) == (Swinging.PERIODS, Swinging.FRAMES)) == (n == 5)
     assert (len(pace.segments) < 2 * n * (n - 1)) == (n == 70 and n_shapes == 9)
     assert pace.surface == (n * n * n_shapes < 12_000)
 
@@ -186,8 +186,8 @@ def test_every_shape_is_seen_whole_from_one_place(build, geometry, n_modes):
         for points in (scene.positions + furthest, scene.positions - furthest):
             depth = (points - position) @ forward
             assert (depth > 0).all()
-            assert (np.abs((points - position) @ up) <= HALF_VIEW * depth).all()
-            assert (np.abs((points - position) @ right) <= HALF_VIEW * depth * 1050 / 170).all()
+            assert (np.abs((points - position) @ up) <= ShapePanes.HALF_VIEW * depth).all()
+            assert (np.abs((points - position) @ right) <= ShapePanes.HALF_VIEW * depth * 1050 / 170).all()
 
 
 def test_poles_beyond_the_frame_are_not_drawn_but_stored(build, tmp_path, read):
