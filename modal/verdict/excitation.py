@@ -252,15 +252,16 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
 
     The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
     that hears one direction and is deaf to its neighbours (Capon). What is heard at a frequency f is counted in what
-    would be heard there without the mode: as much as at the mode, where each neighbour j that stands out itself makes
-    its resonance's share of it,
+    would be heard there without the mode: as much as at the mode, of which each neighbour j that stands taller makes
+    its resonance's share,
 
         b(f) = b(f_i) + sum_j P_j (L_j(f) - L_j(f_i)),   L_j(f) = s_j^2 / ((f - f_j)^2 + s_j^2),
 
     with half its half-power bandwidth s_j, and P_j from what is heard within it. The lesser of the two sides is given.
 
-    Neighbours that do not stand out, and a damping ratio that is too small, put a side on the peak, so where a mode
-    does not stand out it is asked again with wider sides. The edge of a filter has its pass band on one side.
+    Neighbours that are not known yet, and a damping ratio that is too small, put a side on the peak, so where a mode
+    does not stand out it is asked again with wider sides, and beside each taller one that is found. The edge of a
+    filter has its pass band on one side.
 
     Args:
         model: modes of the model.
@@ -290,23 +291,23 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         lines = np.asarray(np.fft.rfftfreq(record.n_samples, record.dt), dtype=np.float64)
         spectra.append((lines[1:], np.fft.rfft(motion, axis=0)[1:] / record.duration**0.5))
     spectrum = (np.concatenate([lines for lines, _ in spectra]), np.concatenate([values for _, values in spectra]))
-    peaks: dict[int, _Peak] = {}
+    waiting: dict[int, _Peak] = {}
     for i, mode in enumerate(model.modes):
         if mode.kind == "oscillatory":
             # a damping ratio that seems too small puts the sides on the peak
             damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
-            peaks[i] = _Peak(mode.frequency, max(damping * mode.frequency, RESOLVED / longest), mode.shape)
+            waiting[i] = _Peak(mode.frequency, max(damping * mode.frequency, RESOLVED / longest), mode.shape)
     found = np.full(len(model), np.nan)
-    n_standing = -1
-    while n_standing < np.count_nonzero(found >= LEAST_HEIGHT):
-        n_standing = np.count_nonzero(found >= LEAST_HEIGHT)
-        standing = [peaks[i] for i in peaks if found[i] >= LEAST_HEIGHT]
-        for i in [i for i in peaks if not found[i] >= LEAST_HEIGHT]:
-            for times in WIDER:
-                height = _height(peaks[i], standing, *spectrum, times=times)
-                found[i] = np.fmax(found[i], height)
-                if not height < LEAST_HEIGHT:
-                    break
+    standing: list[_Peak] = []
+    asked = set(waiting)
+    while waiting:
+        for i in asked:
+            found[i] = _tallest(waiting[i], standing, *spectrum)
+        highest = max(waiting, key=lambda i: np.nan_to_num(found[i]))
+        if not found[highest] >= LEAST_HEIGHT:
+            break
+        standing.append(waiting.pop(highest))
+        asked = {i for i, peak in waiting.items() if peak.reaches(standing[-1], WIDER[-1])}
     return found
 
 
@@ -322,10 +323,24 @@ class _Peak(NamedTuple):
         values: FloatArray = self.half**2 / ((lines - self.frequency) ** 2 + self.half**2)
         return values
 
+    def reaches(self, other: "_Peak", times: float) -> bool:
+        """Whether sides that reach so many times as far touch the other's band."""
+        return abs(other.frequency - self.frequency) <= times * BESIDE[1] * self.half + other.half
+
     def band(self, lines: FloatArray, low: float = -1.0, high: float = 1.0) -> BoolArray:
         """Which lines lie between so many half-widths off."""
         off = (lines - self.frequency) / self.half
         return np.asarray((low <= off) & (off <= high))
+
+
+def _tallest(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: ComplexArray) -> float:
+    """The first height that is enough as sides grow, the greatest where none is."""
+    heights: list[float] = []
+    for times in WIDER:
+        heights.append(_height(peak, standing, lines, values, times=times))
+        if not heights[-1] < LEAST_HEIGHT:
+            break
+    return float(np.fmax.reduce(heights))
 
 
 def _height(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: ComplexArray, *, times: float) -> float:
@@ -343,7 +358,7 @@ def _height(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: C
     background = np.zeros(lines.size)
     for other in standing:
         near = other.band(lines)
-        if near.any() and abs(other.frequency - peak.frequency) <= times * BESIDE[1] * peak.half + other.half:
+        if near.any() and peak.reaches(other, times):
             resonance = other.resonance(lines)
             background += heard[near].mean() / resonance[near].mean() * resonance
     background += max(float(heard[own].mean() - background[own].mean()), np.finfo(float).tiny)
