@@ -219,7 +219,7 @@ def _candidates(
     *,
     order_given: bool,
 ) -> Iterator[tuple[Realisation | None, int]]:
-    """Of canonical variates, else the model; then with noise states.
+    """Of canonical variates, else the model; then with noise states, and of outputs that something else drives.
 
     Their own criterion gives the order, no larger than the search tries, and then the model's where that is larger: a
     smaller one leaves more.
@@ -237,6 +237,7 @@ def _candidates(
         yield model, 0
     if reference is not None:
         yield _with_noise_states(model, reference), 0
+        yield _driven_otherwise(model, reference.data), 0
 
 
 def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisation | None:
@@ -254,6 +255,19 @@ def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisati
     return Realisation(
         A, B, np.hstack([model.C, noise.C]), model.D, model.dt, K=np.vstack([np.zeros((n, model.n_outputs)), noise.K])
     )
+
+
+def _driven_otherwise(model: Realisation, data: OutputError) -> Realisation | None:
+    """The outputs as if nothing that was measured drove them, with inputs that do nothing yet.
+
+    Where forces that nobody measured drive most, they show modes that the inputs hardly do, and the free run has none.
+    """
+    alone = [replace(record, inputs=record.inputs[:, :0], input_names=(), input_units=()) for record in data.records]
+    variates = CanonicalVariates.of(alone)
+    free = None if variates is None else variates.predictor(max(model.order, min(variates.order, MODEL_ORDERS[-1])))
+    if free is None:
+        return None
+    return replace(free, B=np.zeros((free.order, model.n_inputs)), D=model.D)
 
 
 def _noise_of(left: Sequence[Record]) -> Realisation | None:

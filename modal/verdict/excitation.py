@@ -16,6 +16,7 @@ resonance: power that stands above what lies on either side.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,10 +252,17 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     """How many times the power beside a mode its half-power bandwidth holds, a standard deviation of chance more.
 
     The outputs are weighted by the mode's shape c and the power S on both sides, w = S^-1 c*, as an array of sensors
-    that hears one direction and is deaf to its neighbours (Capon); the lesser of the two sides is given.
+    that hears one direction and is deaf to its neighbours (Capon). What is heard at a frequency f is counted in what
+    would be heard there without the mode: as much as at the mode, of which each neighbour j that stands taller makes
+    its resonance's share,
 
-    Neighbours that no weights tell apart, and a damping ratio that is too small, put a side on the peak, so where a
-    mode does not stand out it is asked again with wider sides. The edge of a filter has its pass band on one side.
+        b(f) = b(f_i) + sum_j P_j (L_j(f) - L_j(f_i)),   L_j(f) = s_j^2 / ((f - f_j)^2 + s_j^2),
+
+    with half its half-power bandwidth s_j, and P_j from what is heard within it. The lesser of the two sides is given.
+
+    Neighbours that are not known yet, and a damping ratio that is too small, put a side on the peak, so where a mode
+    does not stand out it is asked again with wider sides, and beside each taller one that is found. The edge of a
+    filter has its pass band on one side.
 
     Args:
         model: modes of the model.
@@ -282,50 +290,82 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
     for record in filled(records):
         motion = np.hanning(record.n_samples + 2)[1:-1, np.newaxis] * (record.outputs - record.outputs.mean(axis=0))
         lines = np.asarray(np.fft.rfftfreq(record.n_samples, record.dt), dtype=np.float64)
-        spectra.append((lines, np.fft.rfft(motion, axis=0) / record.duration**0.5))
-    found = np.full(len(model), np.nan)
+        spectra.append((lines[1:], np.fft.rfft(motion, axis=0)[1:] / record.duration**0.5))
+    spectrum = (np.concatenate([lines for lines, _ in spectra]), np.concatenate([values for _, values in spectra]))
+    waiting: dict[int, _Peak] = {}
     for i, mode in enumerate(model.modes):
-        if mode.kind != "oscillatory":
-            continue
-        # a damping ratio that seems too small puts the sides on the peak
-        damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
-        half = max(damping * mode.frequency, RESOLVED / longest)
-        for times in WIDER:
-            height = _height(mode, spectra, half, times)
-            found[i] = np.fmax(found[i], height)
-            if not height < LEAST_HEIGHT:
-                break
+        if mode.kind == "oscillatory":
+            # a damping ratio that seems too small puts the sides on the peak
+            damping = mode.damping_ratio + np.nan_to_num(np.minimum(mode.damping_ratio, mode.damping_ratio_std))
+            waiting[i] = _Peak(mode.frequency, max(damping * mode.frequency, RESOLVED / longest), mode.shape)
+    found = np.full(len(model), np.nan)
+    standing: list[_Peak] = []
+    asked = set(waiting)
+    while waiting:
+        for i in asked:
+            found[i] = _tallest(waiting[i], standing, *spectrum)
+        highest = max(waiting, key=lambda i: np.nan_to_num(found[i]))
+        if not found[highest] >= LEAST_HEIGHT:
+            break
+        standing.append(waiting.pop(highest))
+        asked = {i for i, peak in waiting.items() if peak.reaches(standing[-1], WIDER[-1])}
     return found
 
 
-def _height(mode: Mode, spectra: Sequence[tuple[FloatArray, ComplexArray]], half: float, times: float) -> float:
-    """Of a mode of this half-width above sides that reach so many times as far; nan where wider ones leave the band."""
-    bands = np.array([(-1.0, 1.0), (-times * BESIDE[1], -BESIDE[0]), (BESIDE[0], times * BESIDE[1])])
-    own, *sides = (
-        [values[(lines > 0.0) & (low <= lines - mode.frequency) & (lines - mode.frequency <= high)]
-         for lines, values in spectra]
-        for low, high in half * bands
-    )  # fmt: skip
-    n_values = sum(map(len, own)) / ALIKE
-    powers = [power for power in map(_mean_power, sides) if power is not None]
-    peak = _mean_power(own)
-    if peak is None or not powers or (times > 1.0 and len(powers) < len(sides)):
+class _Peak(NamedTuple):
+    """Where a mode would stand [Hz], half its half-power bandwidth [Hz], and its shape (n_outputs,)."""
+
+    frequency: float
+    half: float
+    shape: ComplexArray
+
+    def resonance(self, lines: FloatArray) -> FloatArray:
+        """Power at these lines [Hz] in units of that at the peak."""
+        values: FloatArray = self.half**2 / ((lines - self.frequency) ** 2 + self.half**2)
+        return values
+
+    def reaches(self, other: "_Peak", times: float) -> bool:
+        """Whether sides that reach so many times as far touch the other's band."""
+        return abs(other.frequency - self.frequency) <= times * BESIDE[1] * self.half + other.half
+
+    def band(self, lines: FloatArray, low: float = -1.0, high: float = 1.0) -> BoolArray:
+        """Which lines lie between so many half-widths off."""
+        off = (lines - self.frequency) / self.half
+        return np.asarray((low <= off) & (off <= high))
+
+
+def _tallest(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: ComplexArray) -> float:
+    """The first height that is enough as sides grow, the greatest where none is."""
+    heights: list[float] = []
+    for times in WIDER:
+        heights.append(_height(peak, standing, lines, values, times=times))
+        if not heights[-1] < LEAST_HEIGHT:
+            break
+    return float(np.fmax.reduce(heights))
+
+
+def _height(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: ComplexArray, *, times: float) -> float:
+    """Above sides that reach so many times as far; nan where wider ones leave the band."""
+    own = peak.band(lines)
+    bands = (peak.band(lines, -times * BESIDE[1], -BESIDE[0]), peak.band(lines, BESIDE[0], times * BESIDE[1]))
+    sides = [side for side in bands if side.any()]
+    if not own.any() or not sides or (times > 1.0 and len(sides) < len(bands)):
         return np.nan
-    beside = np.mean(powers, axis=0)
+    beside = np.mean([values[side].T @ values[side].conj() / np.count_nonzero(side) for side in sides], axis=0)
     size = np.sqrt(np.maximum(np.diag(beside).real, np.finfo(float).tiny))
     alike = beside / np.outer(size, size) + LOADING * np.eye(size.size)
-    weights = np.linalg.solve(alike, mode.shape / size) / size
-    heard = [float((weights.conj() @ power @ weights).real) for power in (peak, *powers)]
-    return float(heard[0] / max(*heard[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values)))
-
-
-def _mean_power(parts: Sequence[ComplexArray]) -> ComplexArray | None:
-    """(n_outputs, n_outputs) mean of y y* over the rows of all parts; None without a row."""
-    rows = np.concatenate(parts)
-    if not len(rows):
-        return None
-    power: ComplexArray = rows.T @ rows.conj() / len(rows)
-    return power
+    weights = np.linalg.solve(alike, peak.shape / size) / size
+    heard = np.square(np.abs(values @ weights.conj()))
+    background = np.zeros(lines.size)
+    for other in standing:
+        near = other.band(lines)
+        if near.any() and peak.reaches(other, times):
+            resonance = other.resonance(lines)
+            background += heard[near].mean() / resonance[near].mean() * resonance
+    background += max(float(heard[own].mean() - background[own].mean()), np.finfo(float).tiny)
+    levels = [float(np.mean(heard[band] / background[band])) for band in (own, *sides)]
+    n_values = np.count_nonzero(own) / ALIKE
+    return float(levels[0] / max(*levels[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values)))
 
 
 def ringing(model: ModalModel, records: Sequence[Record]) -> FloatArray:

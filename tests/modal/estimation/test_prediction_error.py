@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from noise_families import noise_record
 from noisy import noisy_data, noisy_system
 
 from era.realisation import Realisation
@@ -22,6 +23,7 @@ from modal.estimation.prediction_error import (
 )
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel
+from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from okid.record import Record
 from okid.scaling import channel_scaling
@@ -239,3 +241,16 @@ def test_canonical_variates_know_the_order_and_every_mode_before_the_first_step(
     assert np.abs(np.abs(found)[:, np.newaxis] / (2 * np.pi * frequencies) - 1.0).min(axis=0).max() < 0.01
     assert (-found.real / np.abs(found)).max() < 0.03
     assert CanonicalVariates.of([Record([], np.tile(record.outputs[:, :1], 2), dt)]) is None
+
+
+def test_forces_that_nobody_measured_are_the_noise_of_modes_that_the_inputs_hardly_drive():
+    """Two hidden forces as large as the measured one: white errors on the outputs were assumed for want of a better."""
+    case = noise_record("hidden", system=13000, record=0)
+    result = identify(Record(case.inputs, case.outputs, case.system.dt))
+    (noise,) = [choice for choice in result.choices if choice.what == "noise"]
+    assert str(noise.value).startswith("innovation form")
+    assert "white (ratio" in noise.reason
+    for mode in result.modes.system:
+        i = np.abs(case.system.frequencies - mode.frequency).argmin()
+        assert abs(mode.frequency - case.system.frequencies[i]) < 4.0 * mode.frequency_std
+        assert abs(mode.damping_ratio - case.system.damping_ratios[i]) < 4.0 * mode.damping_ratio_std

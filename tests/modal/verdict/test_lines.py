@@ -205,3 +205,20 @@ def test_two_modes_side_by_side_that_one_sensor_hears_stand_out_together():
     assert standing_out(ModalModel(modes=poles, dt=0.01, indicator_caution=0.1), noise) == pytest.approx(
         [1.0, 1.0], rel=0.3
     )
+
+
+def test_a_weak_mode_beside_a_strong_one_stands_out_on_what_the_strong_one_leaves():
+    """One sensor: the strong resonance fills one side of the weak one, and as much on the other side is no mode."""
+    rng = np.random.default_rng(7)
+    outputs = shaken(rng, 20.0, 0.01, 200_000) + 0.3 * shaken(rng, 21.0, 0.01, 200_000)
+    outputs += 0.5 * rng.standard_normal(outputs.size)
+    strong, weak, nothing = (pole_at(frequency, 0.01, [1.0]) for frequency in (20.0, 21.0, 19.0))
+
+    def heights(*poles):
+        model = ModalModel(modes=poles, dt=0.01, indicator_caution=0.1)
+        return standing_out(model, [Record([], outputs, 0.01)])
+
+    assert heights(weak)[0] < LEAST_HEIGHT
+    found = heights(weak, strong, nothing)
+    assert (found[:2] > LEAST_HEIGHT).all()
+    assert found[2] < LEAST_HEIGHT
