@@ -313,8 +313,8 @@ def decide(
 ) -> Decision:
     """Choose among models with different effects by held-out records.
 
-    A model whose linear part explains the data may come back with a gain that its free calibration has taken up, and a
-    law with its twin in its place (cubic stiffness, sine softening), as from `diagnose`.
+    A model whose linear part explains the data may come back with a gain that its free calibration has taken up, as
+    from `diagnose`.
 
     Args:
         models: The model without further effects first, then others with some (`with_effect`); all of them are fitted.

@@ -55,3 +55,16 @@ def test_the_table_counts_what_is_lost():
     table = report(lines).splitlines()
     assert table[0].startswith("3 cases, with all mechanisms: 2 right, 1 open, 0 wrong")
     assert "| 2 | 2 | 1; tank 1 | 0 | 1 | 0.50 |" in table[4]
+
+
+@pytest.mark.parametrize(
+    ("name", "case"),
+    [("by_curve", ("outside", "faint_quintic", 14000)), ("found_as_known", ("outside", "pendulum", 14000))],
+    ids=lambda one: one if isinstance(one, str) else one[1],
+)
+def test_a_mechanism_is_needed_by_its_case(name, case):
+    """The case is right with it, and open without."""
+    (mechanism,) = (one for one in MECHANISMS if one.name == name)
+    assert ablations.answered(*case) == "right"
+    with replaced(mechanism, lambda _: mechanism.off):
+        assert ablations.answered(*case) == "open"

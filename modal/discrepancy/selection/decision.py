@@ -53,8 +53,6 @@ from modal.discrepancy.selection.smaller_models import (
     absorbed_gain,
     has_limit,
     run_without,
-    with_limits,
-    with_twins,
     without,
 )
 from modal.discrepancy.setup import circumstances_of
@@ -198,11 +196,7 @@ def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> D
         return nothing if found else _by_curve(nothing, nodes, root, task, fits)
     if len(best.effects) == len(root.effects):
         return _only_masses(best, root, earned, task)
-    richer, best = best, _simplest(best, root, task)
-    twins = [best, *(with_twins(best, task, nodes) if best.held_out_level <= NEAR_FLOOR else [])]
-    best = max(twins, key=lambda node: log_likelihood_gain(root, node, task))
-    others = [*nodes, richer, *twins]
-    return _by_curve(_judged(best, others, root, task, fits), others, root, task, fits)
+    return _by_curve(_judged(best, [*nodes, best], root, task, fits), [*nodes, best], root, task, fits)
 
 
 def _by_curve(named: Decision, others: Sequence[Node], root: Node, task: Task, fits: Sequence[Record]) -> Decision:
@@ -486,15 +480,6 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
     return best if best is root or counts(root, best, task) else root
-
-
-def _simplest(best: Node, root: Node, task: Task) -> Node:
-    """The model, or one with a limit of a law in its place that does as well on held-out records."""
-    if best.held_out_level > NEAR_FLOOR:
-        return best
-    most = min(SAME * best.held_out_level, NEAR_FLOOR)
-    enough = [one for one in with_limits(best, task) if one.held_out_level <= most and counts(root, one, task)]
-    return min(enough, key=lambda node: node.held_out_level, default=best)
 
 
 def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:
