@@ -46,7 +46,7 @@ from modal.discrepancy.fitting.nodes import (
     needed_masses,
 )
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
-from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
@@ -173,15 +173,18 @@ class Decision(Displayed):
     laws: tuple[LawCurve, ...] = ()
 
 
-def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> Decision:
+def decide_nodes(
+    nodes: Sequence[Node], task: Task, fits: Sequence[Record], curves: CurveSearch | None = None
+) -> Decision:
     """Choose among the models that the search has fitted, the first being the linear one.
 
     Args:
         nodes: The models.
         task: What they were fitted to, and laws of unknown form for where none of them is enough.
         fits: The records to fit.
+        curves: What the search has found of such laws.
     """
-    root = nodes[0]
+    root, curves = nodes[0], CurveSearch() if curves is None else curves
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
     if best is not root:
@@ -193,21 +196,25 @@ def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> D
     if best is root:
         nothing = _nothing(root, task)
         found = nothing.status == "none" or nothing.node is not root
-        return nothing if found else _by_curve(nothing, nodes, root, task, fits)
+        return nothing if found else _by_curve(nothing, nodes, task, fits, curves)
     if len(best.effects) == len(root.effects):
         return _only_masses(best, root, earned, task)
-    return _by_curve(_judged(best, [*nodes, best], root, task, fits), [*nodes, best], root, task, fits)
+    others = [*nodes, best]
+    return _by_curve(_judged(best, others, root, task, fits), others, task, fits, curves)
 
 
-def _by_curve(named: Decision, others: Sequence[Node], root: Node, task: Task, fits: Sequence[Record]) -> Decision:
+def _by_curve(
+    named: Decision, others: Sequence[Node], task: Task, fits: Sequence[Record], curves: CurveSearch
+) -> Decision:
     """The decision, or a law of unknown form where the one with a name leaves something that a curve does not."""
+    root = others[0]
     if named.status == "named" or not task.form_free or not _leaves(named, root):
         return named
     tried = any(_n_free(node) for node in others)
     single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
     for parent in (*([] if tried else [root]), *([named.node] if single else [])):
         task.report("fitting laws of unknown form", 0.92)
-        found = [_judged(node, [*others, node], root, task, fits) for node in curves_beside(parent, root, task)]
+        found = [_judged(node, [*others, node], root, task, fits) for node in curves(parent, root, task)]
         passed = [decision for decision in found if decision.status == "named"]
         if passed:
             return min(passed, key=lambda one: criterion(one.node, root, task))

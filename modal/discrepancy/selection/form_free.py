@@ -7,7 +7,7 @@ of the velocity is a friction that falls with speed).
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import cast
 
@@ -27,6 +27,23 @@ MOST_WORK = 5e7
 """End the search for curves beside one model after so much work, about ten CPU seconds."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveSearch:
+    """`curves_beside`, once beside each model: the decision asks again where the search has found nothing.
+
+    Attributes:
+        done: Model and what was found, by the model's `id`.
+    """
+
+    done: dict[int, tuple[Node, list[Node]]] = field(default_factory=dict)
+
+    def __call__(self, parent: Node, root: Node, task: Task) -> list[Node]:
+        """Models with a law of unknown form more, as the first time."""
+        if id(parent) not in self.done:
+            self.done[id(parent)] = parent, curves_beside(parent, root, task)
+        return self.done[id(parent)][1]
+
+
 def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     """Models with a law of unknown form more that leave nothing but noise.
 
@@ -38,7 +55,8 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     budget = Budget(MOST_WORK)
     if not budget.allows():  # the CPU time is spent
         return []
-    found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))
+    reached = min(task.reached, FAR_ABOVE)  # with fewest points too a curve that does comes as near in observer form
+    found = expand(parent, replace(task, catalogue=task.form_free, budget=budget, reached=reached))
     found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
     ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
