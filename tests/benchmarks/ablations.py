@@ -113,6 +113,7 @@ MECHANISMS = (
     Mechanism(says="a gain taken up by the calibration", where=f"{SMALLER}:absorbed_gain", off=none),
     Mechanism(says="masses that are not needed go back", where=f"{NODES}:needed_masses", off=first),
     Mechanism(says="a curve where a name leaves something", where=f"{DECISION}:_by_curve", off=first),
+    Mechanism(says="no firm corner where a smooth law does as well", where=f"{DECISION}:_cornered", off=first),
     Mechanism(says="a known value is not free", where=f"{DECISION}:_found_as_known", off=zero),
     Mechanism(says="no firm name for three effects or a bad fit", where=f"{DECISION}:_unproved", off=empty),
     Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:_undetermined", off=empty),

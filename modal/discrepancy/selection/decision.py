@@ -18,7 +18,7 @@ delay, the limit of a drive) nothing of its own does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -208,8 +208,10 @@ def _by_curve(
 ) -> Decision:
     """The decision, or a law of unknown form where the one with a name leaves something that a curve does not."""
     root = others[0]
-    if named.status == "named" or not task.form_free or not _leaves(named, root):
+    if not task.form_free or (named.status != "named" and not _leaves(named, root)):
         return named
+    if named.status == "named":
+        return _cornered(named, root, task, curves)
     tried = any(_n_free(node) for node in others)
     single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
     for parent in (*([] if tried else [root]), *([named.node] if single else [])):
@@ -219,6 +221,35 @@ def _by_curve(
         if passed:
             return min(passed, key=lambda one: criterion(one.node, root, task))
     return named
+
+
+def _cornered(named: Decision, root: Node, task: Task, curves: CurveSearch) -> Decision:
+    """The decision; not firm where a smooth law does as well as one that bends at a point.
+
+    A corner that the records do not resolve may be none: every hardening spring looks like a stop from far enough.
+    """
+    found = _found(named.node, root)
+    if len(found) != 1 or found[0].effect.n_memory or not getattr(found[0].effect, "has_corners", False):
+        return named
+    even = [node for node in curves(root, root, task) if log_likelihood_gain(node, named.node, task) < EVEN]
+    if not even:
+        return named
+    rival = max(even, key=lambda node: log_likelihood_gain(root, node, task))
+    return replace(
+        named,
+        status="unresolved",
+        reasons=(_as_well(rival, named.node, task),),
+        even=(*named.even[:-1], (*named.even[-1], *rival.effects[len(root.effects) :])),
+        notes=(),
+    )
+
+
+def _as_well(rival: Node, best: Node, task: Task) -> str:
+    """That another model explains the data as well, in words."""
+    margin = log_likelihood_gain(rival, best, task)
+    other = effects_at(rival.effects) or listed(list(rival.masses))
+    well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
+    return f"{other} explains the data {well} by {abs(margin):.0f})"
 
 
 def _n_free(node: Node) -> int:
@@ -253,10 +284,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         same = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.effects}
         rival = _strongest([node for node in near if same.isdisjoint(key for key, _ in node.effects)], root, task)
         if rival is not None:
-            margin = log_likelihood_gain(rival, best, task)
-            other = effects_at(rival.effects) or listed(list(rival.masses))
-            well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
-            reasons.append(f"{other} explains the data {well} by {abs(margin):.0f})")
+            reasons.append(_as_well(rival, best, task))
     tests = lack_of_fit(best, task, known=len(root.effects))
     refused, notes = what_is_left(tests, best, root)
     if best.held_out_level > NEAR_FLOOR:

@@ -145,3 +145,10 @@ def test_what_is_left_is_measured_by_what_it_is_said_to_be_measured_by(effects, 
 def test_what_depends_on_the_motion_of_a_law_counts_behind_something_less_probable():
     """A spring of fifth order under noise of 5 %: a gap spring leaves 8 % of both motions, 6 % of its own."""
     assert outside_catalogue.diagnosed("faint_quintic", 14004)["found"] == [["smooth_stiffness", "element_0"]]
+
+
+def test_a_corner_that_the_records_do_not_resolve_is_not_named_firmly():
+    """The same spring with a motion that a gap spring follows to the noise, and a smooth law too."""
+    line = outside_catalogue.diagnosed("faint_quintic", 14010)
+    assert line["status"] == "unresolved"
+    assert "smooth_stiffness" in line["even"][0]
