@@ -417,19 +417,28 @@ def _untried(best: Node, task: Task, *, most: float) -> list[str]:
 
 def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
-    if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
-        absorbed = absorbed_gain(root, task)
-        if absorbed is not None:
-            return _absorbed(root, absorbed)
-        tests = lack_of_fit(root, task)
-        worst = worst_left(tests)
-        words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
+    explained = max(root.held_out_level, root.fit_level) <= NEAR_FLOOR
+    absorbed = absorbed_gain(root, task) if explained else None
+    if absorbed is not None:
+        return _absorbed(root, absorbed)
+    tests = lack_of_fit(root, task)
+    worst = worst_left(tests)
+    words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
+    if explained:
         left = (f"no effect of the catalogue counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
         return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
     tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
     reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
-    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
+    if tests:
+        reasons = (words or LIKE_NOISE, *reasons)
+    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons, lack_of_fit=tests)
+
+
+LIKE_NOISE = (
+    "what is left depends on no motion, input or output, as noise does: nothing need be missing if the noise is weaker "
+    "in the quiet band, where the floor was read, than where the motion is; repeated records would tell"
+)
 
 
 def _absorbed(root: Node, found: AbsorbedGain) -> Decision:

@@ -8,7 +8,9 @@ import outside_catalogue
 import pytest
 import scipy
 from engine_records import experiment, nominal
+from outside_laws import outside_case
 
+import okid
 from modal.discrepancy import CATALOGUE, decide, diagnose
 from modal.discrepancy.results import LackOfFit
 from modal.discrepancy.selection.lack_of_fit import what_is_left
@@ -115,6 +117,18 @@ def test_coloured_noise_is_no_lack_of_fit():
     assert found.status == "named", found.warnings
     assert [one.effect for one in found.findings] == ["cubic_stiffness"]
     assert found.steps[-1].held_out_level < 1.2
+
+
+def test_coloured_noise_beside_nothing_is_said_to_look_like_noise():
+    warnings = []
+    for kind in ("coloured_noise", "base_motion"):
+        case = outside_case(kind, 14003)
+        (*fits, held) = (okid.Record(one.inputs, one.outputs, one.dt) for one in (*case.fit, *case.held_out))
+        few = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
+        warnings.append(diagnose(outside_catalogue.model_of(case), fits, held, catalogue=few).warnings)
+    assert any("as noise does" in words for words in warnings[0])
+    assert not any("as noise does" in words for words in warnings[1])
+    assert any("something that depends on the output" in words for words in warnings[1])
 
 
 @pytest.mark.parametrize(
