@@ -264,7 +264,7 @@ def _size(node: Node) -> int:
 
 def _leaves(decision: Decision, root: Node) -> bool:
     """Whether a model leaves something that is no noise."""
-    if decision.node.held_out_level > NEAR_FLOOR or decision.node is root:
+    if decision.node is root or not explains_both(decision.node):
         return True
     return bool(what_is_left(decision.lack_of_fit, decision.node, root)[0])
 
