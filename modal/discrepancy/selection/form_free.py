@@ -15,6 +15,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task, node_of
+from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
@@ -55,12 +56,13 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     budget = Budget(MOST_WORK)
     if not budget.allows():  # the CPU time is spent
         return []
-    reached = min(task.reached, FAR_ABOVE)  # with fewest points too a curve that does comes as near in observer form
+    near_enough = max(FAR_ABOVE, 1.0 + CLEAR * (root.fit_level - 1.0))  # for more points to do
+    reached = min(task.reached, near_enough)  # in observer form it comes nearer than in free run
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget, reached=reached))
     found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
     ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
-        node for node in ranked[:1] if node.fit_level <= FAR_ABOVE
+        node for node in ranked[:1] if node.fit_level <= near_enough
     ]
     each = (next((one for one in chain([node], _finer(node, task)) if _passes(one, root, task)), None) for node in near)
     return [node for node in each if node is not None]
