@@ -17,7 +17,7 @@ from modal.discrepancy.programs.black_box import diagnose_callable
 from modal.discrepancy.results import Calibrated, Diagnosis
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.decision import Decision, decide_nodes
-from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import only_noise
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.setup import (
@@ -169,11 +169,12 @@ def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) ->
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """
     as_given, root = roots(setup)
-    nodes = search_effects(root, setup.task, curves=curves_beside, settled=only_noise)
+    curves = CurveSearch()
+    nodes = search_effects(root, setup.task, curves=curves, settled=only_noise)
     location = locate_gap(setup, root, modes)
     setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
     setup.task.report("deciding", 0.9)
-    decision = decide_nodes(nodes, setup.task, setup.fit)
+    decision = decide_nodes(nodes, setup.task, setup.fit, curves)
     return diagnosis_of(setup, as_given, nodes, decision, location=location, notes=notes)
 
 
@@ -313,8 +314,8 @@ def decide(
 ) -> Decision:
     """Choose among models with different effects by held-out records.
 
-    A model whose linear part explains the data may come back with a gain that its free calibration has taken up, and a
-    law with its twin in its place (cubic stiffness, sine softening), as from `diagnose`.
+    A model whose linear part explains the data may come back with a gain that its free calibration has taken up, as
+    from `diagnose`.
 
     Args:
         models: The model without further effects first, then others with some (`with_effect`); all of them are fitted.

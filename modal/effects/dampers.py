@@ -30,7 +30,6 @@ import numpy as np
 from modal.effects.effect import (
     Force,
     ForceEffect,
-    Limit,
     Motion,
     ParameterKind,
     Situation,
@@ -320,7 +319,7 @@ class StribeckFriction(ForceEffect):
     signature = "odd lines; damping falls with the level, stick and slip at low ones"
     reference = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     needs = frozenset({"velocity"})
-    limits = (Limit(law="coulomb_friction", values=lambda v: (v[0] + 0.5 * v[1],), near=lambda v, size: True),)  # noqa: ARG005 - whatever its size
+    limits = ("coulomb_friction",)
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
         """Speeds below which the mass moves for a part of the time."""

@@ -20,7 +20,7 @@ than 1/2. So the level at the end of a step rises with that at its start however
 itself keeps half of its level over a step; and Newton's method on the whole trajectory settles from any start.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -167,34 +167,6 @@ class ParameterKind:
     local: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Limit:
-    """A law that another one turns into.
-
-    Attributes:
-        law: Key of the simpler law.
-        values: Its parameters by those of the richer one.
-        near: Whether the richer one may be near it, by its parameters and the standard deviation of the displacement.
-    """
-
-    law: str
-    values: Callable[[FloatArray], tuple[float, ...]]
-    near: Callable[[FloatArray, float], bool]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Twin:
-    """A law that is the same to third order beside a linear stiffness.
-
-    Attributes:
-        law: Its key.
-        values: Its parameters by those of the other one and the stiffness; None where there is no such law.
-    """
-
-    law: str
-    values: Callable[[FloatArray, float], tuple[float, ...] | None]
-
-
 N_PEAKS = 3
 """Try an effect with a frequency of its own at so many of the highest peaks of what the model leaves."""
 
@@ -232,8 +204,7 @@ class Effect:
         rate_independent: Whether these depend on where the motion went and not on how fast or when; a law that adds
             such a dependence to one without sets it to False.
         is_brim: Whether it is a flow that rises with the level alone, the steeper the higher (convex).
-        limits: Simpler laws that it turns into.
-        twin: The law that is nearly the same; None for none.
+        limits: Keys of simpler laws that it turns into.
         contains: Keys of effects that it fits as well with more numbers: no rival of theirs unless it fits better.
         like_a_mass: Whether a wrong mass may be taken for it, so that it is tried where one explains the records.
     """
@@ -248,8 +219,7 @@ class Effect:
     n_memory: ClassVar[int] = 0
     rate_independent: ClassVar[bool] = False
     is_brim: ClassVar[bool] = False
-    limits: ClassVar[tuple[Limit, ...]] = ()
-    twin: ClassVar[Twin | None] = None
+    limits: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[tuple[str, ...]] = ()
     like_a_mass: ClassVar[bool] = False
 

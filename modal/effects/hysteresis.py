@@ -25,7 +25,6 @@ import numpy as np
 from modal.effects.effect import (
     Force,
     ForceEffect,
-    Limit,
     Memory,
     Motion,
     ParameterKind,
@@ -393,7 +392,7 @@ class BoucWenHysteresis(ForceEffect):
     family = "hysteresis"
     signature = "loop; softens with the level, damping rises then falls; odd lines"
     reference = "Wen 1976, doi 10.1061/JMCEA3.0002106"
-    limits = (Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] <= size),)
+    limits = ("coulomb_friction",)
     n_memory = 1
     rate_independent = True
 
@@ -497,11 +496,7 @@ class SlackInHysteresis(ForceEffect):
     family = "hysteresis"
     signature = "loop with a flat at zero force, of the same width at every level; odd lines"
     reference = "Kuhnen 2003, doi 10.3166/ejc.9.407-418"
-    limits = (
-        # a link that seldom slips, and one that slips in most cycles
-        Limit(law="gap_spring", values=lambda v: (0.0, v[0], v[2]), near=lambda v, size: v[1] + v[2] >= size),
-        Limit(law="coulomb_friction", values=lambda v: (v[0] * v[1],), near=lambda v, size: v[1] + v[2] <= size),
-    )
+    limits = ("gap_spring", "coulomb_friction")  # a link that seldom slips, and one that slips in most cycles
     n_memory = 1
     rate_independent = True
     has_corners = True

@@ -11,7 +11,6 @@ from modal.effects.effect import (
     Motion,
     ParameterKind,
     Situation,
-    Twin,
     Values,
     cut_to_finite,
     least_length,
@@ -20,10 +19,6 @@ from modal.effects.effect import (
     positive_part,
 )
 from okid.arrays import FloatArray
-
-
-def _as_sine(values: FloatArray, stiffness: float) -> tuple[float, ...] | None:
-    return (float(np.sqrt(-stiffness / (6.0 * values[0]))),) if values[0] < 0.0 else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +48,6 @@ class CubicStiffness(ForceEffect):
     family = "odd stiffness"
     signature = "odd lines, third harmonic; the resonance moves with the level"
     reference = "Kerschen et al. 2006, doi 10.1016/j.ymssp.2005.04.008"
-    twin = Twin(law="sine_softening", values=_as_sine)
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
@@ -206,10 +200,6 @@ STRAIGHT = 1e-2
 """Take sine less angle from its series below this d / length_scale."""
 
 
-def _as_cubic(values: FloatArray, stiffness: float) -> tuple[float, ...] | None:
-    return (float(-stiffness / (6.0 * values[0] ** 2)),)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SineSoftening(ForceEffect):
     """Sine softening f = k L (sin(d / L) - d / L), with which the spring k d of the model becomes k L sin(d / L).
@@ -242,7 +232,6 @@ class SineSoftening(ForceEffect):
     per_stiffness = True
     signature = "odd lines; the resonance falls with the square of the level, the damping stays"
     reference = "Nelson, Olsson 1986, doi 10.1119/1.14703"
-    twin = Twin(law="cubic_stiffness", values=_as_cubic)
 
     def known_values(self, length_unit: str) -> tuple[float | None, ...]:
         """One radian, where the displacement is an angle."""

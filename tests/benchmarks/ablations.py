@@ -83,12 +83,6 @@ def zero(*_, **__):
     return 0
 
 
-def as_screened(_observed, screened, _task):
-    from modal.discrepancy.selection.beam import _promising
-
-    return _promising(screened)
-
-
 def as_they_come(items, *_):
     return list(items)
 
@@ -99,7 +93,6 @@ def whole_catalogue(_curves, task):
 
 MECHANISMS = (
     Mechanism(says="screen along a weaker gain", where=f"{NODES[:-5]}observed_fits:weaker_form", off=none),
-    Mechanism(says="try every effect once where no observer follows", where=f"{BEAM}:_candidates", off=as_screened),
     Mechanism(says="limits before richer laws", where=f"{SMALLER}:simple_first", off=as_they_come),
     Mechanism(says="one of three stiffnesses of a gap spring settled", where=f"{BEAM}:settled_stiffness", off=none),
     Mechanism(says="stop at a limit that leaves only noise", where=f"{BEAM}:_enough", off=false),
@@ -117,11 +110,10 @@ MECHANISMS = (
     ),
     Mechanism(says="room for what halves the fit alone", where=f"{BEAM}:_hopeful", off=false),
     Mechanism(says="effects without which it is as good go", where=f"{DECISION}:_pruned", off=first),
-    Mechanism(says="a limit in the place of a law", where=f"{DECISION}:_simplest", off=first),
-    Mechanism(says="twins in the place of a law", where=f"{SMALLER}:with_twins", off=empty),
     Mechanism(says="a gain taken up by the calibration", where=f"{SMALLER}:absorbed_gain", off=none),
     Mechanism(says="masses that are not needed go back", where=f"{NODES}:needed_masses", off=first),
     Mechanism(says="a curve where a name leaves something", where=f"{DECISION}:_by_curve", off=first),
+    Mechanism(says="no firm corner where a smooth law does as well", where=f"{DECISION}:_cornered", off=first),
     Mechanism(says="a known value is not free", where=f"{DECISION}:_found_as_known", off=zero),
     Mechanism(says="no firm name for three effects or a bad fit", where=f"{DECISION}:_unproved", off=empty),
     Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:_undetermined", off=empty),

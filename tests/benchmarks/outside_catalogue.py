@@ -5,7 +5,7 @@
 Cases come from `tests/reference/outside_laws.py` (an integrator of its own); model and records go in through public
 names only. One line of JSON a case in FILE; lines that are there are not made again. "Firm": named, no finding with
 `ambiguous_with`. "Firm and wrong": a firm finding that is not the truth's, or a surplus one, or "none" where the truth
-is no wrong mass that was found and no step of a converter. "Curve right": a form-free
+is no wrong mass that was found, no step of a converter and no noise of another colour. "Curve right": a form-free
 law of the right motion at the right place whose force, with the calibrated stiffness or damping beside it, lies in its
 95 % band over at least 90 % of the motion visited, or within 3 % of the largest force everywhere. The bound is the
 largest rate of firm and wrong ones that the count allows at 95 % (Clopper and Pearson).
@@ -39,10 +39,11 @@ def model_of(case):
             [[case.masses[0]]], [[case.dampings[0]]], [[0.0]], force_map=[[1.0]], sensor_map=[[1.0]],
             sensor_kind="velocity", length_unit="rad", force_unit="N m",
         )  # fmt: skip
-    n = len(case.masses)
+    n, angle = len(case.masses), case.kind == "pendulum"
     return modal.StructuralModel.chain(
-        case.masses, case.stiffnesses, case.dampings, force_dofs=[0], sensor_dofs=range(n), sensor_kind="displacement"
-    )
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[0], sensor_dofs=range(n), sensor_kind="displacement",
+        length_unit="rad" if angle else "m", force_unit="N m" if angle else "N",
+    )  # fmt: skip
 
 
 def diagnosed(kind, seed):
@@ -89,10 +90,10 @@ def diagnosed(kind, seed):
 
 
 def nothing_right(case, found):
-    """Whether no effect is the truth: wrong masses that were found, or steps of a converter, which are noise."""
+    """Whether no effect is the truth: wrong masses that were found, or steps of a converter and coloured noise."""
     masses = {one.name: one.value for one in found.calibrated if one.name.startswith("mass of")}
     off = [abs(masses.get(f"mass of dof_{i}", np.nan) - mass) / mass for i, mass in enumerate(case.true_masses)]
-    return case.kind == "quantised" or (case.kind == "wrong_mass" and max(off) < 0.02)
+    return case.kind in ("quantised", "coloured_noise") or (case.kind == "wrong_mass" and max(off) < 0.02)
 
 
 def curve_right(case, law, found):

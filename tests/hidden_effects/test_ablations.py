@@ -55,3 +55,19 @@ def test_the_table_counts_what_is_lost():
     table = report(lines).splitlines()
     assert table[0].startswith("3 cases, with all mechanisms: 2 right, 1 open, 0 wrong")
     assert "| 2 | 2 | 1; tank 1 | 0 | 1 | 0.50 |" in table[4]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "seed", "answers"),
+    [
+        ("by_curve", "faint_quintic", 14000, ("right", "open")),
+        ("found_as_known", "pendulum", 14000, ("right", "open")),
+        ("cornered", "faint_quintic", 14010, ("open", "wrong")),
+    ],
+)
+def test_a_mechanism_is_needed_by_its_case(name, kind, seed, answers):
+    """The answers with it and without."""
+    (mechanism,) = (one for one in MECHANISMS if one.name == name)
+    assert ablations.answered("outside", kind, seed) == answers[0]
+    with replaced(mechanism, lambda _: mechanism.off):
+        assert ablations.answered("outside", kind, seed) == answers[1]

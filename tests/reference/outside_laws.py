@@ -85,8 +85,10 @@ SHARP = {
 OTHER = (
     "van_der_pol", "parametric_stiffness", "maxwell", "lugre", "two_hidden_masses", "actuator_lag", "sensor_lag",
     "cross_talk", "record_offsets", "wrong_mass", "second_input", "base_motion", "one_way_friction", "quantised",
+    "faint_quintic", "pendulum", "clipped", "late_sensor", "coloured_noise",
 )  # fmt: skip
 KINDS = (*STIFFNESS, *DAMPING, *SHARP, *OTHER)
+"""New ones stand at the end: the seed counts from the place."""
 RIGHT = {
     "stribeck": ("stribeck_friction",),
     "one_sided_friction": ("coulomb_friction", "constant_force"),
@@ -95,6 +97,7 @@ RIGHT = {
     "record_offsets": ("record_offset",),
     "wrong_mass": (),
     "one_way_friction": ("coulomb_friction", "constant_force"),
+    "pendulum": ("sine_softening",),
 }
 
 
@@ -147,7 +150,7 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     rng = np.random.default_rng([KINDS.index(kind), seed, 77])
     if kind == "one_way_friction":
         return _motor(rng, kind, seed)
-    n = 2 if kind in ("wrong_mass", "cross_talk", "second_input", "base_motion") else 1
+    n = 2 if kind in ("wrong_mass", "cross_talk", "second_input", "base_motion", "late_sensor") else 1
     frequency = rng.uniform(2.0, 8.0)
     masses = rng.uniform(1.0, 4.0, n)
     stiffnesses = masses * (2 * np.pi * frequency) ** 2 * rng.uniform(1.0, 1.6, n)
@@ -180,21 +183,27 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     rest = np.zeros((len(LEVELS), 2 * n))
     linear = _run(world(none), drive, rest, dt, 3)
     loud = int(np.argmax(LEVELS))
+    if kind == "pendulum":  # wide enough for a sine, and hardly wide enough to tell it from a cubic law
+        reach = rng.uniform(0.5, 0.7) / np.abs(linear[loud, :, 0]).max()
+        drive, linear = reach * drive, reach * linear
     d_size, v_size = (3.0 * linear[loud, :, j].std() for j in (0, n))
     share = rng.uniform(*SHARE)
     law, motion, n_more, more, push = none, "", 0, None, None
     hidden = None
     inputs = drive
-    if kind in STIFFNESS or kind in DAMPING or kind in SHARP:
-        shape = {**STIFFNESS, **DAMPING, **SHARP}[kind]
-        motion = "displacement" if kind in STIFFNESS else "velocity"
-        scale, j = (d_size, 0) if kind in STIFFNESS else (v_size, n)
-        reference = stiffnesses[0] * linear[loud, :, 0] if kind in STIFFNESS else 3 * dampings[0] * linear[loud, :, n]
+    form = kind.removeprefix("faint_")
+    if form in STIFFNESS or form in DAMPING or form in SHARP:
+        shape = {**STIFFNESS, **DAMPING, **SHARP}[form]
+        motion = "displacement" if form in STIFFNESS else "velocity"
+        scale, j = (d_size, 0) if form in STIFFNESS else (v_size, n)
+        reference = stiffnesses[0] * linear[loud, :, 0] if form in STIFFNESS else 3 * dampings[0] * linear[loud, :, n]
         height = share * reference.std() / shape(linear[loud, :, j] / scale).std()
         if kind == "tanh_spring":
             height = 0.5 * height
         hidden = lambda x: height * shape(x / scale)  # noqa: E731
         law = lambda d, v, z, t: hidden(d if motion == "displacement" else v)  # noqa: E731
+    elif kind == "pendulum":
+        law = lambda d, v, z, t: stiffnesses[0] * (np.sin(d) - d)  # noqa: E731
     elif kind == "van_der_pol":
         law = lambda d, v, z, t: 3 * dampings[0] * (d / d_size * 3) ** 2 * v  # noqa: E731
     elif kind == "parametric_stiffness":
@@ -254,7 +263,17 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     elif kind == "quantised":
         step = 0.15 * outputs[loud].std()
         outputs = step * np.round(outputs / step)
-    noisy = outputs + 0.01 * outputs.std(axis=1, keepdims=True) * rng.standard_normal(outputs.shape)
+    elif kind == "late_sensor":
+        late = int(rng.integers(3, 3 * N_STEPS))
+        fine = _run_fine(slope, inputs, begin, dt)[:, :, 1]
+        outputs[:, :, 1] = np.pad(fine, ((0, 0), (late, 0)))[:, : fine.shape[1] : N_STEPS]
+    noise = rng.standard_normal(outputs.shape)
+    if kind == "coloured_noise":
+        noise = np.array([_noise(rng, n_samples, 0.05) for _ in LEVELS])[:, :, None]
+    part = {"faint_quintic": 0.05, "coloured_noise": 0.03}.get(kind, 0.01)
+    noisy = outputs + part * outputs.std(axis=1, keepdims=True) * noise
+    if kind == "clipped":
+        noisy = np.clip(noisy, -0.6 * np.abs(noisy).max(), 0.6 * np.abs(noisy).max())
     records = tuple(
         OutsideRecord(
             inputs=drive[r], outputs=noisy[r], displacement=states[r, :, 0], velocity=states[r, :, n], dt=dt,

@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import (
     SMALLEST_FALL,
     Node,
@@ -82,30 +82,12 @@ def seen(node: Node, task: Task) -> tuple[Estimate, list[Candidate]]:
         other = screen_candidates(weaker, task.fit, task.catalogue)
         if _most(other) > TELLING * _most(screened):
             return weaker, _in_order(_promising(other))
-    return observed, _in_order(_candidates(observed, screened, task))
+    return observed, _in_order(_promising(screened))
 
 
 def _most(candidates: Sequence[Candidate]) -> float:
     """What the best of a screen takes away."""
     return candidates[0].fall if candidates else 0.0
-
-
-def _candidates(observed: Estimate, screened: Sequence[Candidate], task: Task) -> list[Candidate]:
-    """What is worth a fit: by the screen, and every effect once where the screen knows little.
-
-    Without an observer form the screen goes along the motion of a wrong model. Of a mass that is struck and then held
-    by friction it sees neither the right law nor even its sign.
-    """
-    candidates = _promising(screened)
-    if observed.gain is not None or observed.level <= FAR_ABOVE or _convincing(screened):
-        return candidates
-    every = screen_candidates(observed, task.fit, task.catalogue, signs="turned")
-    tried = {one.key for one in candidates}
-    first: dict[str, Candidate] = {}
-    for one in every:
-        if one.key not in tried:
-            first.setdefault(one.key, one)
-    return [*candidates, *first.values()]
 
 
 def _convincing(candidates: Sequence[Candidate]) -> bool:

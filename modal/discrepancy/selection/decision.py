@@ -18,7 +18,7 @@ delay, the limit of a drive) nothing of its own does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -46,15 +46,13 @@ from modal.discrepancy.fitting.nodes import (
     needed_masses,
 )
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
-from modal.discrepancy.selection.form_free import curves_beside
+from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
     has_limit,
     run_without,
-    with_limits,
-    with_twins,
     without,
 )
 from modal.discrepancy.setup import circumstances_of
@@ -175,15 +173,18 @@ class Decision(Displayed):
     laws: tuple[LawCurve, ...] = ()
 
 
-def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> Decision:
+def decide_nodes(
+    nodes: Sequence[Node], task: Task, fits: Sequence[Record], curves: CurveSearch | None = None
+) -> Decision:
     """Choose among the models that the search has fitted, the first being the linear one.
 
     Args:
         nodes: The models.
         task: What they were fitted to, and laws of unknown form for where none of them is enough.
         fits: The records to fit.
+        curves: What the search has found of such laws.
     """
-    root = nodes[0]
+    root, curves = nodes[0], CurveSearch() if curves is None else curves
     earned = [node for node in nodes if node is root or counts(root, node, task)]
     best = _best(earned, root, task)
     if best is not root:
@@ -195,29 +196,60 @@ def decide_nodes(nodes: Sequence[Node], task: Task, fits: Sequence[Record]) -> D
     if best is root:
         nothing = _nothing(root, task)
         found = nothing.status == "none" or nothing.node is not root
-        return nothing if found else _by_curve(nothing, nodes, root, task, fits)
+        return nothing if found else _by_curve(nothing, nodes, task, fits, curves)
     if len(best.effects) == len(root.effects):
         return _only_masses(best, root, earned, task)
-    richer, best = best, _simplest(best, root, task)
-    twins = [best, *(with_twins(best, task, nodes) if best.held_out_level <= NEAR_FLOOR else [])]
-    best = max(twins, key=lambda node: log_likelihood_gain(root, node, task))
-    others = [*nodes, richer, *twins]
-    return _by_curve(_judged(best, others, root, task, fits), others, root, task, fits)
+    others = [*nodes, best]
+    return _by_curve(_judged(best, others, root, task, fits), others, task, fits, curves)
 
 
-def _by_curve(named: Decision, others: Sequence[Node], root: Node, task: Task, fits: Sequence[Record]) -> Decision:
+def _by_curve(
+    named: Decision, others: Sequence[Node], task: Task, fits: Sequence[Record], curves: CurveSearch
+) -> Decision:
     """The decision, or a law of unknown form where the one with a name leaves something that a curve does not."""
-    if named.status == "named" or not task.form_free or not _leaves(named, root):
+    root = others[0]
+    if not task.form_free or (named.status != "named" and not _leaves(named, root)):
         return named
+    if named.status == "named":
+        return _cornered(named, root, task, curves)
     tried = any(_n_free(node) for node in others)
     single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
     for parent in (*([] if tried else [root]), *([named.node] if single else [])):
         task.report("fitting laws of unknown form", 0.92)
-        found = [_judged(node, [*others, node], root, task, fits) for node in curves_beside(parent, root, task)]
+        found = [_judged(node, [*others, node], root, task, fits) for node in curves(parent, root, task)]
         passed = [decision for decision in found if decision.status == "named"]
         if passed:
             return min(passed, key=lambda one: criterion(one.node, root, task))
     return named
+
+
+def _cornered(named: Decision, root: Node, task: Task, curves: CurveSearch) -> Decision:
+    """The decision; not firm where a smooth law does as well as one that bends at a point.
+
+    A corner that the records do not resolve may be none: every hardening spring looks like a stop from far enough.
+    """
+    found = _found(named.node, root)
+    if len(found) != 1 or found[0].effect.n_memory or not getattr(found[0].effect, "has_corners", False):
+        return named
+    even = [node for node in curves(root, root, task) if log_likelihood_gain(node, named.node, task) < EVEN]
+    if not even:
+        return named
+    rival = max(even, key=lambda node: log_likelihood_gain(root, node, task))
+    return replace(
+        named,
+        status="unresolved",
+        reasons=(_as_well(rival, named.node, task),),
+        even=(*named.even[:-1], (*named.even[-1], *rival.effects[len(root.effects) :])),
+        notes=(),
+    )
+
+
+def _as_well(rival: Node, best: Node, task: Task) -> str:
+    """That another model explains the data as well, in words."""
+    margin = log_likelihood_gain(rival, best, task)
+    other = effects_at(rival.effects) or listed(list(rival.masses))
+    well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
+    return f"{other} explains the data {well} by {abs(margin):.0f})"
 
 
 def _n_free(node: Node) -> int:
@@ -232,7 +264,7 @@ def _size(node: Node) -> int:
 
 def _leaves(decision: Decision, root: Node) -> bool:
     """Whether a model leaves something that is no noise."""
-    if decision.node.held_out_level > NEAR_FLOOR or decision.node is root:
+    if decision.node is root or not explains_both(decision.node):
         return True
     return bool(what_is_left(decision.lack_of_fit, decision.node, root)[0])
 
@@ -252,10 +284,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         same = {key for row in ambiguous_with(effect[0], circumstances=circumstances) for key in row.effects}
         rival = _strongest([node for node in near if same.isdisjoint(key for key, _ in node.effects)], root, task)
         if rival is not None:
-            margin = log_likelihood_gain(rival, best, task)
-            other = effects_at(rival.effects) or listed(list(rival.masses))
-            well = "as well (2 ln L lower" if margin >= 0.0 else "at least as well (2 ln L higher"
-            reasons.append(f"{other} explains the data {well} by {abs(margin):.0f})")
+            reasons.append(_as_well(rival, best, task))
     tests = lack_of_fit(best, task, known=len(root.effects))
     refused, notes = what_is_left(tests, best, root)
     if best.held_out_level > NEAR_FLOOR:
@@ -388,19 +417,28 @@ def _untried(best: Node, task: Task, *, most: float) -> list[str]:
 
 def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
-    if root.held_out_level <= NEAR_FLOOR and root.fit_level <= NEAR_FLOOR:
-        absorbed = absorbed_gain(root, task)
-        if absorbed is not None:
-            return _absorbed(root, absorbed)
-        tests = lack_of_fit(root, task)
-        worst = worst_left(tests)
-        words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
+    explained = max(root.held_out_level, root.fit_level) <= NEAR_FLOOR
+    absorbed = absorbed_gain(root, task) if explained else None
+    if absorbed is not None:
+        return _absorbed(root, absorbed)
+    tests = lack_of_fit(root, task)
+    worst = worst_left(tests)
+    words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
+    if explained:
         left = (f"no effect of the catalogue counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
         return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
     tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
     reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
-    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons)
+    if tests:
+        reasons = (words or LIKE_NOISE, *reasons)
+    return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons, lack_of_fit=tests)
+
+
+LIKE_NOISE = (
+    "what is left depends on no motion, input or output, as noise does: nothing need be missing if the noise is weaker "
+    "in the quiet band, where the floor was read, than where the motion is; repeated records would tell"
+)
 
 
 def _absorbed(root: Node, found: AbsorbedGain) -> Decision:
@@ -486,15 +524,6 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
     return best if best is root or counts(root, best, task) else root
-
-
-def _simplest(best: Node, root: Node, task: Task) -> Node:
-    """The model, or one with a limit of a law in its place that does as well on held-out records."""
-    if best.held_out_level > NEAR_FLOOR:
-        return best
-    most = min(SAME * best.held_out_level, NEAR_FLOOR)
-    enough = [one for one in with_limits(best, task) if one.held_out_level <= most and counts(root, one, task)]
-    return min(enough, key=lambda node: node.held_out_level, default=best)
 
 
 def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:

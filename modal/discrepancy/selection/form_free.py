@@ -7,7 +7,7 @@ of the velocity is a friction that falls with speed).
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import cast
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task, node_of
+from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
@@ -25,6 +26,23 @@ from okid.arrays import FloatArray
 
 MOST_WORK = 5e7
 """End the search for curves beside one model after so much work, about ten CPU seconds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveSearch:
+    """`curves_beside`, once beside each model: the decision asks again where the search has found nothing.
+
+    Attributes:
+        done: Model and what was found, by the model's `id`.
+    """
+
+    done: dict[int, tuple[Node, list[Node]]] = field(default_factory=dict)
+
+    def __call__(self, parent: Node, root: Node, task: Task) -> list[Node]:
+        """Models with a law of unknown form more, as the first time."""
+        if id(parent) not in self.done:
+            self.done[id(parent)] = parent, curves_beside(parent, root, task)
+        return self.done[id(parent)][1]
 
 
 def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
@@ -38,11 +56,13 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     budget = Budget(MOST_WORK)
     if not budget.allows():  # the CPU time is spent
         return []
-    found = expand(parent, replace(task, catalogue=task.form_free, budget=budget))
+    near_enough = max(FAR_ABOVE, 1.0 + CLEAR * (root.fit_level - 1.0))  # for more points to do
+    reached = min(task.reached, near_enough)  # in observer form it comes nearer than in free run
+    found = expand(parent, replace(task, catalogue=task.form_free, budget=budget, reached=reached))
     found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
     ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
     near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
-        node for node in ranked[:1] if node.fit_level <= FAR_ABOVE
+        node for node in ranked[:1] if node.fit_level <= near_enough
     ]
     each = (next((one for one in chain([node], _finer(node, task)) if _passes(one, root, task)), None) for node in near)
     return [node for node in each if node is not None]

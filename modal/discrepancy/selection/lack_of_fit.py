@@ -517,7 +517,11 @@ whatever it depends on."""
 
 def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
     """The test that noise alone fails least likely, where what is left is larger than errors of a simulation."""
-    return next((one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED), None)
+    return next(_no_noise(tests), None)
+
+
+def _no_noise(tests: Sequence[LackOfFit]) -> Iterator[LackOfFit]:
+    return (one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED)
 
 
 def only_noise(node: Node, root: Node, task: Task) -> bool:
@@ -530,15 +534,13 @@ def only_noise(node: Node, root: Node, task: Task) -> bool:
 
 def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[list[str], list[str]]:
     """Why a model is not firm for what it leaves, and what must be said beside a firm name."""
-    worst = worst_left(tests)
-    if worst is None or not worst.share > SLIGHT:
-        return [], []
     known = len(root.effects)
     found = best.coarse.assembly.placements[known:]
-    what = f"{something(worst)} is left, {_how_much(worst, found)}"
-    if worst.share > MUCH or any(_same_motion(worst, item) for item in found):
-        return [f"{what}: the law is another one, or has company"], []
-    return [], [f"besides, {what}"]
+    left = [one for one in _no_noise(tests) if one.share > SLIGHT]
+    for one in left:
+        if one.share > MUCH or any(_same_motion(one, item) for item in found):
+            return [f"{something(one)} is left, {_how_much(one, found)}: the law is another one, or has company"], []
+    return [], [f"besides, {something(one)} is left, {_how_much(one, found)}" for one in left[:1]]
 
 
 def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:

@@ -267,8 +267,7 @@ class Candidate(Displayed):
         placement: The effect at its place.
         common: Start of its common unknowns (parameters, then directions).
         local: (n_records, n) start of the unknowns that each record has for itself.
-        fall: Share of the residual's weighted square that it would take away, records and outputs alike; of a
-            "turned" one the share at the amplitude that its sign forbids.
+        fall: Share of the residual's weighted square that it would take away, records and outputs alike.
         deviation: Standard deviation of the first amplitude (for the detection limit); nan where it has none.
     """
 
@@ -295,7 +294,7 @@ def screen_candidates(
     catalogue: Mapping[str, Effect],
     *,
     smoothing: float = 0.05,
-    signs: Literal["bounded", "free", "turned"] = "bounded",
+    signs: Literal["bounded", "free"] = "bounded",
 ) -> tuple[Candidate, ...]:
     """Score every effect of the catalogue at every place, each at a few shapes.
 
@@ -304,8 +303,7 @@ def screen_candidates(
         problem: The records to fit.
         catalogue: The effects.
         smoothing: Width of sharp laws in the screen, as a share of the motion's scale.
-        signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is;
-            "turned": none is, and those start from the opposite amplitudes.
+        signs: "bounded": candidates whose amplitudes would cross their sign bounds are left out; "free": none is.
     """
     peaks = _peaks(current, problem)
     trials = [
@@ -404,13 +402,11 @@ def _score(
     scaled[np.diag_indices_from(scaled)] += ROUNDING
     weights = np.linalg.solve(scaled, score / size) / size
     signed = weights if signs == "free" else _signed(trial, weights, gram, score, local=local)
-    if signed is None and signs == "bounded":
+    if signed is None:
         return None
-    best = weights if signed is None else signed
-    weights = -weights if signed is None else signed
-    fall = float(2.0 * best @ score - best @ gram @ best)
+    fall = float(2.0 * signed @ score - signed @ gram @ signed)
     return replace(
-        _candidate(trial, weights, drive, local=local),
+        _candidate(trial, signed, drive, local=local),
         fall=fall / max(nuisance.total, TINY),
         deviation=float(np.sqrt(np.linalg.inv(scaled)[0, 0]) / size[0]),
     )

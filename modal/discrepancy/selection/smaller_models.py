@@ -1,8 +1,7 @@
-"""A model with an effect less, or with a simpler law in its place, fitted again: whether it needs what it has.
+"""A model with an effect less, or with one law in the place of two, fitted again: whether it needs what it has.
 
-A link that never slips is a gap spring, one that slips at once is dry friction. The search fits the most promising laws
-first and may end with the richer one, whose further parameter then stands for nothing; only a fit of its limit at the
-same place tells.
+A link that never slips is a gap spring, one that slips at once is dry friction: limits of a richer law, which are
+fitted before it.
 
 A calibration may take up a gain: where any linear force inside a state space is free (`internal_changes`), a wrong gain
 of a sensor or an input is hardly more than another set of such forces, and both explain the records. The model as given
@@ -17,13 +16,10 @@ import numpy as np
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import SMALLEST_GAIN, Node, Task, fitted_either_way, node_of, polished
-from modal.discrepancy.fitting.observed_fits import SOFT
 from modal.effects.catalogue import CATALOGUE
-from modal.effects.effect import Effect
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
 from modal.simulation.tolerances import NEAR_FLOOR
 from modal.simulation.trajectory import SHARP
-from modal.structure.placed import possible_places
 from modal.structure.reciprocity import INTERNAL_FORCE
 from okid.arrays import FloatArray
 
@@ -92,37 +88,6 @@ def _amplitudes(item: EffectPlacement) -> dict[str, int]:
     return {kinds[k].name: at for at, k in enumerate(item.common) if kinds[k].role == "amplitude"}
 
 
-def instead(node: Node, placement: int, law: EffectPlacement, values: Sequence[float], task: Task) -> Node:
-    """The model refitted with another law at the place of one of its effects, from these values.
-
-    The law has no states and no values of a record of its own. It is fitted softened first, because a sharp law along a
-    motion that it does not fit is hard to simulate.
-    """
-    fitted = node.coarse
-    assembly = fitted.assembly
-    items = list(assembly.placements)
-    items[placement] = law
-    own, span = assembly.own_of(placement), assembly.common_of(placement)
-    directions = fitted.unknowns.common[span][len(assembly.placements[placement].common) :]
-    common = np.concatenate(
-        [fitted.unknowns.common[: span.start], values, directions, fitted.unknowns.common[span.stop :]]
-    )
-    local = np.delete(fitted.unknowns.local, np.r_[own], axis=1)
-    changed, unknowns = replace(assembly, placements=tuple(items)), Unknowns(common=common, local=local)
-    states = _other_states(fitted, placement)
-    start = simulate_at(changed, unknowns, task.fit, states=states, smoothing=SOFT, start="near")
-    if start is None:
-        return _compared(None, node, task)
-    soft = estimate(start, task.fit, iterations=4, standstill=ROUGH)
-    whole = simulate_at(
-        assembly, fitted.unknowns, task.fit, states=fitted.trajectory.states, smoothing=SOFT, start="near"
-    )
-    if whole is not None and soft.cost > CLEARLY[0] * max(whole.cost, fitted.cost):
-        return _compared(None, node, task)
-    sharp = simulate_at(changed, soft.unknowns, task.fit, states=soft.trajectory.states, smoothing=SHARP)
-    return _compared(sharp, node, task)
-
-
 def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
     """A smaller model, fitted and judged only as far as it stays near the whole one."""
     if start is None:
@@ -142,7 +107,7 @@ Law = tuple[str, str]
 
 def has_limit(law: str, simpler: str) -> bool:
     """Whether a law turns into a simpler one."""
-    return law in CATALOGUE and any(limit.law == simpler for limit in CATALOGUE[law].limits)
+    return law in CATALOGUE and simpler in CATALOGUE[law].limits
 
 
 def is_limit(simple: Law, rich: Law) -> bool:
@@ -160,63 +125,6 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
         richer = [i for i, other in enumerate(ordered) if is_limit(law(item), law(other)) and near(item, other)]
         ordered.insert(min(richer, default=len(ordered)), item)
     return ordered
-
-
-def with_limits(node: Node, task: Task) -> list[Node]:
-    """The models with one of the node's effects replaced by a limit of it, at the same place.
-
-    One for each limit that is near, in the catalogue and not there already.
-    """
-    assembly, common = node.coarse.assembly, node.coarse.unknowns.common
-    found: list[Node] = []
-    for i, item in enumerate(assembly.placements):
-        values = common[assembly.common_of(i)][: len(item.common)]
-        limits = [limit for limit in item.effect.limits if limit.near(values, item.displacement_scale)]
-        for limit in limits:
-            law = task.catalogue.get(limit.law)
-            there = (limit.law, item.where) in node.effects
-            if law is CATALOGUE[limit.law] and not there and item.where in possible_places(assembly.plant, law):
-                found.append(instead(node, i, _placed(assembly, i, law), limit.values(values), task))
-    return found
-
-
-def with_twins(node: Node, task: Task, fitted: Sequence[Node] = ()) -> list[Node]:
-    """The models with one of the node's effects replaced by the law that is nearly the same.
-
-    The search may have lost it on the way, and without it a name would lead for want of a rival. One for each effect
-    that stands beside a linear stiffness and whose twin is in the catalogue, but for models `fitted` already.
-    """
-    assembly, common = node.coarse.assembly, node.coarse.unknowns.common
-    there = [set(one.effects) for one in fitted]
-    found: list[Node] = []
-    for i, item in enumerate(assembly.placements):
-        twin = item.effect.twin
-        if twin is None:
-            continue
-        key, law, linear = twin.law, task.catalogue.get(twin.law), assembly.stiffness_parameter(i)
-        if law is not CATALOGUE[key] or linear is None:
-            continue
-        if {*node.effects} - {node.effects[i]} | {(key, item.where)} in there:
-            continue
-        values = twin.values(common[assembly.common_of(i)], float(common[linear]))
-        if values is not None:
-            found.append(instead(node, i, _placed(assembly, i, law), values, task))
-    return found
-
-
-def _placed(assembly: Assembly, i: int, effect: Effect) -> EffectPlacement:
-    """The law at the place, its first stiffness held at zero where the linear one stands for it."""
-    item = assembly.placements[i]
-    shared = getattr(effect, "beside_stiffness", ())
-    held = (0,) if shared and assembly.stiffness_parameter(i) is not None else ()
-    return EffectPlacement(
-        effect=effect,
-        where=item.where,
-        port=item.port,
-        displacement_scale=item.displacement_scale,
-        velocity_scale=item.velocity_scale,
-        held=held,
-    )
 
 
 ITERATIONS, LONGEST = 20, 60

@@ -8,6 +8,7 @@ from everyday_mistakes import mistake
 import modal
 import okid
 from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy.selection import form_free
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.setup import prepare_setup, roots
 from modal.simulation import trajectory
@@ -43,6 +44,14 @@ def test_no_curve_is_begun_after_the_budget():
     with cpu_seconds(1e-9):
         assert curves_beside(root, root, setup.task) == []
     assert work_done() == before
+
+
+def test_curves_that_were_not_found_are_not_sought_again(monkeypatch):
+    sought = []
+    monkeypatch.setattr(form_free, "curves_beside", lambda parent, *_: sought.append(parent) or [])
+    curves, root, other = form_free.CurveSearch(), object(), object()
+    assert [curves(one, root, None) for one in (root, other, root)] == [[], [], []]
+    assert sought == [root, other]
 
 
 def test_a_budget_is_a_positive_number():

@@ -4,10 +4,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import outside_catalogue
 import pytest
 import scipy
 from engine_records import experiment, nominal
+from outside_laws import outside_case
 
+import okid
 from modal.discrepancy import CATALOGUE, decide, diagnose
 from modal.discrepancy.results import LackOfFit
 from modal.discrepancy.selection.lack_of_fit import what_is_left
@@ -116,6 +119,18 @@ def test_coloured_noise_is_no_lack_of_fit():
     assert found.steps[-1].held_out_level < 1.2
 
 
+def test_coloured_noise_beside_nothing_is_said_to_look_like_noise():
+    warnings = []
+    for kind in ("coloured_noise", "base_motion"):
+        case = outside_case(kind, 14003)
+        (*fits, held) = (okid.Record(one.inputs, one.outputs, one.dt) for one in (*case.fit, *case.held_out))
+        few = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
+        warnings.append(diagnose(outside_catalogue.model_of(case), fits, held, catalogue=few).warnings)
+    assert any("as noise does" in words for words in warnings[0])
+    assert not any("as noise does" in words for words in warnings[1])
+    assert any("something that depends on the output" in words for words in warnings[1])
+
+
 @pytest.mark.parametrize(
     ("effects", "share", "words"),
     [
@@ -139,3 +154,27 @@ def test_what_is_left_is_measured_by_what_it_is_said_to_be_measured_by(effects, 
     refused, _ = what_is_left([test], best, root)
     assert len(refused) == 1
     assert words in refused[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        # under noise of 5 % a gap spring leaves 8 % of both motions and, less surely, 6 % of its own
+        ("faint_quintic", 14004),
+        # a gap spring leaves nothing that a test sees, and 3.8 floors on the records to fit
+        ("quintic", 14010),
+        # 9 points leave 24 floors of 700, more points hardly any
+        pytest.param("power_spring", 14010, marks=pytest.mark.slow),
+    ],
+)
+def test_a_smooth_spring_without_a_name_is_a_curve(kind, seed):
+    line = outside_catalogue.diagnosed(kind, seed)
+    assert line["found"] == [["smooth_stiffness", "element_0"]]
+    assert line["curve"]
+
+
+def test_a_corner_that_the_records_do_not_resolve_is_not_named_firmly():
+    """The same spring with a motion that a gap spring follows to the noise, and a smooth law too."""
+    line = outside_catalogue.diagnosed("faint_quintic", 14010)
+    assert line["status"] == "unresolved"
+    assert "smooth_stiffness" in line["even"][0]
