@@ -21,8 +21,6 @@ import numpy as np
 from modal.estimation.response_fit import LARGEST_SIZE, MOST_DAMPING, ResponseFit, ResponseLines, orthonormal
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 
-__all__ = ["moved_by_dips"]
-
 STEP = 1e-7
 """Differentiate by steps of this size in the logarithm of a pole: a thousandth of the narrowest resonance's width."""
 FIRST_STEPS, MOST_STEPS = 8, 24

@@ -21,8 +21,6 @@ from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.wording.text import fit_text, listed
 from okid.errors import InvalidDataError
 
-__all__ = ["with_modes"]
-
 
 def with_modes(identification: Identification, *, add: Sequence[int] = (), drop: Sequence[int] = ()) -> Identification:
     """The identification with modes that the user takes for modes of the system, and without others.

@@ -32,15 +32,6 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = [
-    "LEAST_CURVATURE",
-    "NOT_UNDERSTOOD",
-    "NO_INTERVAL",
-    "feedback_bias",
-    "judged_deviations",
-    "output_error_uncertainty",
-]
-
 NOT_UNDERSTOOD = 1.3
 """Say that the noise is not understood where it moves a deviation by more: thrice the scatter of the blocks."""
 NO_INTERVAL = 3.0

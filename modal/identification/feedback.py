@@ -35,8 +35,6 @@ from okid.markov import solve_recursion
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["FALSE_ALARMS", "feedback_p_value", "inputs_made_by"]
-
 FALSE_ALARMS = 0.01
 """Speak of feedback where so few records without it would look as much like it."""
 OWN_PAST = 40

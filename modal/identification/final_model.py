@@ -43,8 +43,6 @@ from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
 
-__all__ = ["FinalModel", "fit_all_rows", "with_deviations"]
-
 Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1

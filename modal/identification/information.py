@@ -26,8 +26,6 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
 from okid.arrays import ComplexArray, FloatArray
 
-__all__ = ["innovation_uncertainty"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Form:

@@ -44,8 +44,6 @@ from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, Whiteness, centred, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["NoiseModel", "noise_model"]
-
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
 NOISE_ORDERS = (1, 2, 4, 8)

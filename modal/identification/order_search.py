@@ -24,20 +24,6 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.rows import as_records, check_enough_rows
 
-__all__ = [
-    "MODEL_ORDERS",
-    "OrderChoice",
-    "Search",
-    "SearchLimits",
-    "as_good",
-    "choose_orders",
-    "given_orders",
-    "search",
-    "search_limits",
-    "significantly_worse",
-    "untried_neighbours",
-]
-
 OBSERVER_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 RIDGES = (0.0, 1e-5, 1e-3, 1e-1)
 MODEL_ORDERS = (*range(1, 13), 14, 16, 18, 20, 24, 28, 32, 36, 40, 48, 56, 64)

@@ -57,8 +57,6 @@ from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
 from okid.rows import as_records, refuse_copies, spread_stretches
 
-__all__ = ["expected_work", "identify"]
-
 ITEM = np.dtype(float).itemsize
 COPIES, FIRST_LOOK = 14, 2
 """Expect a peak of so many copies of the records used (a whole run took 14.4 on 1e7 samples of 8 channels), or of all

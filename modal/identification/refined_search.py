@@ -52,8 +52,6 @@ from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, centred, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
-__all__ = ["MOST_STEPS", "RefinedModel", "output_error_data", "refined_model", "refined_search"]
-
 MOST_STEPS = 8
 """Steps after which nearly all refinements stand still; a trial with so many means: until it stands still."""
 SCOUT_STEPS = 3

@@ -42,8 +42,6 @@ from okid.frequency_response import (
 )
 from okid.markov import MarkovParameters
 
-__all__ = ["identify_response"]
-
 LARGEST_ORDER = 64
 """Try model orders up to this one, as for records."""
 LONGEST = 2048

@@ -38,17 +38,6 @@ from okid.readers.guard import check_file, foreign, sound_archive
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "Existing",
-    "Identification",
-    "OrderEvidence",
-    "load",
-    "read_part",
-    "save",
-    "write_parts",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class OrderEvidence(Displayed):

@@ -39,8 +39,6 @@ from okid.errors import IdentificationError, InvalidDataError
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-__all__ = ["has_absent_outputs", "identify_setups"]
-
 SAME_FREQUENCY = 6.0
 """Take a pole of a set-up for a mode of the joint model within so many of its standard deviations,"""
 SAME_SHAPE = 0.8

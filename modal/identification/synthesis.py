@@ -14,8 +14,6 @@ from okid.arrays import frozen, require
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse
 
-__all__ = ["Motion", "frequency_response", "output_model"]
-
 Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
 
 _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}

@@ -45,28 +45,6 @@ from okid.excitation import Excitation
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
-__all__ = [
-    "EXPLAINS",
-    "Judgement",
-    "caution_sentence",
-    "damping_sentence",
-    "damping_shown",
-    "damping_text",
-    "doubtful_sentence",
-    "explain_gain",
-    "explain_noise",
-    "explain_scoring",
-    "explain_search",
-    "fit_sentence",
-    "frequency_text",
-    "noise_words",
-    "order_evidence",
-    "records_apart",
-    "trust_of",
-    "warnings_in_words",
-    "with_feedback",
-]
-
 EXPLAINS = 0.5
 """Cross-validated fit below which the model does not explain the records and no mode is certain."""
 FOLLOWS_INPUT = 3.0
