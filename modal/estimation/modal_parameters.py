@@ -140,6 +140,8 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
 
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
+CHANCE = 0.01
+"""Add no answer to a blow that white noise would show so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
 LONGEST_MEMORY = 3
@@ -161,7 +163,7 @@ def nothing_yet(data: OutputError) -> RefinementStep:
 
 
 def with_weak_mode(
-    step: RefinementStep, data: OutputError, *, held_out: int = NONE, chance: float = np.inf
+    step: RefinementStep, data: OutputError, *, held_out: int = NONE, struck: bool = False
 ) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
@@ -170,8 +172,9 @@ def with_weak_mode(
         data: that it was fitted to.
         held_out: rows with this label are not looked at, unless rows take turns, which leaves no past without a gap:
             they help to find a mode, then, not to keep it.
-        chance: none is added that noise would be taken for more often, at any frequency and decay looked at; any is
-            unless given, for held-out rows to judge.
+        struck: the inputs act in short events. What is left is mostly answers then, with no noise beside them: what
+            takes most of the squared error is added, and nothing that white noise would be taken for. Else held-out
+            rows are to judge, and what stands highest above the noise beside it is added.
     """
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
     errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
@@ -185,20 +188,18 @@ def with_weak_mode(
     cross, own = _correlations(errors, inputs, n_lags)
     length = scipy.fft.next_fast_len(2 * n_lags, real=True)
     noise = np.array([1.0 / np.abs(np.fft.rfft(one, length)) ** 2 for one in _whitening(errors)])
-    flat = np.broadcast_to(noise.mean(axis=1, keepdims=True), noise.shape)
+    power = np.mean(np.concatenate(errors) ** 2, axis=0)[:, np.newaxis]
+    flat = np.broadcast_to(np.where(power > 0.0, power, 1.0), noise.shape)
     best, largest = None, 0.0
-    for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat, noise))):
+    for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat,) if struck else (flat, noise))):
         found = _answer_alone(pole, acting, data, left, held_out)
         after = [np.nan_to_num(error) for error in errors_of(found, left, held_out=seen)]
-        white = _whitening(after)
+        white = [np.ones(1) / np.sqrt(level[0]) for level in flat] if struck else _whitening(after)
         gain = 0.5 * (_energy(errors, white) - _energy(after, white))
         if gain > largest:
             best, largest = found, gain
     n_looked = _decays(n_lags).size * n_lags * len(own)
-    if best is None:
-        return None
-    n_fitted = len(noise) + int(best.parameters.states.any(axis=1).sum())  # complex: a shape, and what starts
-    if n_looked * scipy.special.gammaincc(n_fitted, largest) >= chance:
+    if best is None or (struck and n_looked * scipy.special.gammaincc(len(flat), largest) >= CHANCE):
         return None
     return step_at(_joined(step.parameters, best.parameters), data, held_out=held_out)
 

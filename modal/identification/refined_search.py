@@ -65,8 +65,6 @@ PATIENCE = 2
 """End after so many orders without gain, once refinement has paid or the order chosen without it is passed."""
 MOST_WEAK_MODES = 4
 """Modes that are looked for in what the chosen model leaves."""
-CHANCE = 0.01
-"""Grow from nothing by no pole whose answer noise would be taken for so often."""
 ROUNDS_BETWEEN = 3
 """Looks around the best order, more than one only while it is the smallest tried."""
 FEW = 8
@@ -160,7 +158,7 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
     step: RefinementStep | None = nothing_yet(shop.data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
-        step = None if step is None else with_weak_mode(step, shop.data, chance=CHANCE)
+        step = None if step is None else with_weak_mode(step, shop.data, struck=True)
         if step is None:
             break
         step = refine(step, shop.data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
@@ -400,7 +398,7 @@ def refined_model(
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     for _ in range(weak_modes):
-        larger = with_weak_mode(last, data)
+        larger = with_weak_mode(last, data, struck=by == "rows")
         last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)

@@ -186,13 +186,14 @@ def _refined(
     The first as it is without steps or a stable start.
     """
     best: tuple[RefinementStep, Realisation] | None = None
+    struck = any(block.step > 1 for block in again.data.blocks)
     least = STILL / (n_rows_of(again.data) * again.data.records[0].n_outputs)
     for model in models if again.n_steps else ():
         start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
         if start is not None:
             last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             while last.order < grown_to:
-                larger = with_weak_mode(last, again.data, held_out=held_out)
+                larger = with_weak_mode(last, again.data, held_out=held_out, struck=struck)
                 if larger is None:
                     break
                 last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
