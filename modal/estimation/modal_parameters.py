@@ -273,9 +273,7 @@ def _whitening(errors: Sequence[FloatArray]) -> list[FloatArray]:
     filters = []
     for output in range(errors[0].shape[1]):
         each = [error[:, output] for error in errors]
-        r = np.array(
-            [sum(float(one[lag:] @ one[: len(one) - lag]) for one in each) for lag in range(LONGEST_MEMORY + 1)]
-        )
+        r = np.array([sum(float(one[lag:] @ one[: -lag or None]) for one in each) for lag in range(LONGEST_MEMORY + 1)])
         r[0] += TINY + np.finfo(np.float64).eps * r[0]
         tails = [scipy.linalg.solve_toeplitz(r[:order], -r[1 : order + 1]) for order in range(1, LONGEST_MEMORY + 1)]
         candidates = [np.ones(1), *(np.r_[1.0, tail] for tail in tails)]
@@ -288,7 +286,10 @@ def _whitening(errors: Sequence[FloatArray]) -> list[FloatArray]:
 def _energy(errors: Sequence[FloatArray], filters: Sequence[FloatArray]) -> float:
     return float(
         sum(
-            np.square(np.convolve(error[:, o], one, "valid")).sum() for error in errors for o, one in enumerate(filters)
+            np.square(np.convolve(error[:, o], one, "valid")).sum()
+            for error in errors
+            for o, one in enumerate(filters)
+            if len(error) >= one.size  # else none of its rows has a whole past
         )
     )
 

@@ -206,3 +206,16 @@ def test_an_added_mode_starts_from_the_state_that_its_records_ask_for(case):
     assert left < 0.2
     resting = replace(larger.parameters, states=np.zeros_like(larger.parameters.states))
     assert step_at(resting, data).error > 2.0 * larger.error
+
+
+def test_a_record_shorter_than_the_memory_of_the_noise_hides_no_mode(case):
+    """A set-up cut to two rows ended the search in an error of numpy's."""
+    _, data, _ = case
+    (whole,) = data.records
+    for n_rows in (2, 3):
+        short = Record(whole.inputs[:n_rows], whole.outputs[:n_rows], whole.dt)
+        records = (whole, short)
+        rows = tuple(np.ones(record.n_samples, dtype=bool) for record in records)
+        both = OutputError(records=records, rows=rows, blocks=blocks_of(records, [[[], []]]))
+        found = with_weak_mode(nothing_yet(both), both, chance=0.01)
+        assert found.parameters.poles == with_weak_mode(nothing_yet(data), data, chance=0.01).parameters.poles
