@@ -173,3 +173,15 @@ def test_of_no_mode_there_is_nothing_to_say():
     record = Record(np.eye(1, 100).ravel(), np.ones(100), 0.01)
     assert ringing(model_of(), [record]).shape == (0,)
     assert sums_of_stronger(model_of(), np.empty(0)) == ()
+
+
+def test_of_modes_that_are_multiples_of_each_other_none_is_called_a_product():
+    """A rod of 1 % damping: its weak modes lie where products would, and so do those too strong for one."""
+    first = 2.0 * np.pi * 3.0 * (-0.01 + 1j)
+    power = np.array([1.0, 0.3, 0.02, 0.01])
+    gain = power / (1e-3 + power)
+    rod = model_of(*(k * first for k in (1, 2, 3, 4)))
+    assert sums_of_stronger(rod, gain) == ("", "", "", "")
+    other = model_of(first, 2.17 * first, 3.17 * first, 4.34 * first)  # only the weak ones lie there
+    assert sums_of_stronger(other, gain)[:2] == ("", "")
+    assert all(sums_of_stronger(other, gain)[2:])
