@@ -202,9 +202,10 @@ def sums_of_stronger(model: ModalModel, gain: FloatArray) -> tuple[str, ...]:
 
         sum over s of pi d^2 / (pi / dt  |Re s| ln 10^DECADES)
 
-    A sum with a mode and its own conjugate turns as the third does: that is told by other means. Where one of the
-    strongest modes is too strong for a product and its pole is such a sum all the same, the poles do not spread by chance:
-    those of a string, a rod or a shaft of one damping ratio are multiples of each other, and no sum tells anything.
+    A sum with a mode and its own conjugate turns as the third does: that is told by other means. Where the pole of one
+    that is too strong for a product is such a sum all the same, of none that could be its own product, poles do not
+    spread by chance: those of a string, a rod or a shaft of one damping ratio are multiples of each other, and no sum
+    tells anything.
 
     Args:
         model: modes of records that ring down.
@@ -223,16 +224,16 @@ def sums_of_stronger(model: ModalModel, gain: FloatArray) -> tuple[str, ...]:
     power = np.nan_to_num(gain / np.maximum(1.0 - gain, np.finfo(float).eps))
     order = np.argsort(-power, kind="stable")
     vibrating = [i for i in order.tolist() if model.modes[i].kind == "oscillatory" and model.modes[i].pole.real < 0.0]
-    words = [""] * len(model)
+    words, harmonic = [""] * len(model), False
     for i, mode in enumerate(model.modes):
         others = [j for j in vibrating[:PARENTS] if j != i]
         parents = [j for j in others if power[i] <= PRODUCT * power[j]]
         if mode.kind in ("oscillatory", "real") and parents:
             words[i] = _sum_of(mode, [model.modes[j] for j in parents], model.dt)
-        if i in vibrating[:PARENTS] and others and not words[i]:
-            if _sum_of(mode, [model.modes[j] for j in others], model.dt):
-                return ("",) * len(model)
-    return tuple(words)
+        alike = [j for j in others if power[j] > PRODUCT * power[i]]  # no product of this one, so no sum of it
+        if i in vibrating[:PARENTS] and alike and not words[i]:
+            harmonic = harmonic or bool(_sum_of(mode, [model.modes[j] for j in alike], model.dt))
+    return ("",) * len(model) if harmonic else tuple(words)
 
 
 def _sum_of(mode: Mode, parents: Sequence[Mode], dt: float) -> str:
