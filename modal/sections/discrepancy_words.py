@@ -54,7 +54,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         why = f": {names} explains them" if other_masses(diagnosis) else ""
         return f"The simulation lacks no effect that these data could show{why}."
     if not names:
-        return "Something is missing, but no effect of the catalogue explains it."
+        return "Something is left that no effect that was tried explains."
     if diagnosis.status == "named":
         return f"The simulation lacks {names}."
     return f"Not settled: the best guess is {names}."

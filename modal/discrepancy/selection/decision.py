@@ -437,11 +437,10 @@ def _nothing(root: Node, task: Task) -> Decision:
     worst = worst_left(tests)
     words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
     if explained:
-        left = (f"no effect of the catalogue counts, but {words}",) if words else ()
+        left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
         return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
-    tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
-    reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
+    reasons = ("no effect that was tried brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     if tests:
         reasons = (words or LIKE_NOISE, *reasons)
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons, lack_of_fit=tests)
