@@ -190,7 +190,7 @@ def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     elif masses := other_masses(diagnosis):
         first = f"Check the model's masses first: with {masses} it explains the records."
     else:
-        first = "Keep the model as it is: no effect explains enough to be added."
+        first = "Add no effect to the model: none that was tried explains enough."
     return (first, *diagnosis.advice)
 
 
