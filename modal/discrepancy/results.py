@@ -383,7 +383,7 @@ class Diagnosis(Displayed):
         if self.status == "named":
             return f"Missing: {names}; {left}."
         if not names:
-            return f"Something is missing, but no effect of the catalogue explains it: {left}."
+            return f"Something is left that no effect that was tried explains: {left}."
         if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
             return f"Unresolved: the best guess is {names}; {left}, but {told.warnings[-1]}."
         return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."

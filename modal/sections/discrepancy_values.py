@@ -118,8 +118,10 @@ def found_value(one: Parameter) -> str:
         '0, held'
         >>> found_value(Parameter(name="Fc", value=0.2, std=0.01, unit="N"))
         '0.200 ± 0.010'
+        >>> found_value(Parameter(name="a", value=0.0, std=0.0, unit="N/m"))  # a fit that went to nothing
+        '0'
     """
-    held = not (math.isfinite(one.std) and one.std > 0.0) and "over the records" not in one.meaning
+    held = math.isnan(one.std) and "over the records" not in one.meaning
     return f"{value_text(one.value)}, held" if held else value_text(one.value, one.std)
 
 

@@ -54,7 +54,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         why = f": {names} explains them" if other_masses(diagnosis) else ""
         return f"The simulation lacks no effect that these data could show{why}."
     if not names:
-        return "Something is missing, but no effect of the catalogue explains it."
+        return "Something is left that no effect that was tried explains."
     if diagnosis.status == "named":
         return f"The simulation lacks {names}."
     return f"Not settled: the best guess is {names}."
@@ -190,7 +190,7 @@ def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     elif masses := other_masses(diagnosis):
         first = f"Check the model's masses first: with {masses} it explains the records."
     else:
-        first = "Keep the model as it is: no effect explains enough to be added."
+        first = "Add no effect to the model: none that was tried explains enough."
     return (first, *diagnosis.advice)
 
 

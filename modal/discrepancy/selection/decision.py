@@ -60,6 +60,7 @@ from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
 from modal.simulation.assembly import Assembly, EffectPlacement
+from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import NEAR_FLOOR, SURE
 from modal.simulation.trajectory import Sensitivity
 from modal.structure.placed import possible_places
@@ -232,16 +233,27 @@ def _cornered(named: Decision, root: Node, task: Task, curves: CurveSearch) -> D
     if len(found) != 1 or found[0].effect.n_memory or not getattr(found[0].effect, "has_corners", False):
         return named
     even = [node for node in curves(root, root, task) if log_likelihood_gain(node, named.node, task) < EVEN]
-    if not even:
-        return named
-    rival = max(even, key=lambda node: log_likelihood_gain(root, node, task))
+    rival = _strongest(even, root, task)
+    if rival is None:
+        spent = not Budget().allows()  # the CPU time: no smooth law was tried to its end
+        return replace(named, status="unresolved", reasons=(NO_CURVE_TRIED,), notes=()) if spent else named
+    runner = _strongest([node for node in (named.runners[-1], rival) if node is not None], root, task)
+    margin = min(named.margins[-1], log_likelihood_gain(rival, named.node, task))
     return replace(
         named,
         status="unresolved",
-        reasons=(_as_well(rival, named.node, task),),
+        runners=(*named.runners[:-1], runner),
+        margins=(*named.margins[:-1], margin),
+        reasons=(f"{_as_well(rival, named.node, task)}; motion well short of the corner and far beyond it would tell",),
         even=(*named.even[:-1], (*named.even[-1], *rival.effects[len(root.effects) :])),
         notes=(),
     )
+
+
+NO_CURVE_TRIED = (
+    "the budget was spent before a smooth law was tried in place of one that bends at a point, and from far enough "
+    "every hardening spring looks like a stop; give more CPU seconds"
+)
 
 
 def _as_well(rival: Node, best: Node, task: Task) -> str:
@@ -425,11 +437,10 @@ def _nothing(root: Node, task: Task) -> Decision:
     worst = worst_left(tests)
     words = "" if worst is None else f"{something(worst)} is left, {percent(worst.size)} of the outputs"
     if explained:
-        left = (f"no effect of the catalogue counts, but {words}",) if words else ()
+        left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
         return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
-    tried = "no effect that was tried" if task.budget.spent else "no effect of the catalogue"
-    reasons = (f"{tried} brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
+    reasons = ("no effect that was tried brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     if tests:
         reasons = (words or LIKE_NOISE, *reasons)
     return Decision(status="unresolved", node=root, runners=(), margins=(), reasons=reasons, lack_of_fit=tests)

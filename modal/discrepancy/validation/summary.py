@@ -221,7 +221,7 @@ def advise(decision: Decision, fits: Sequence[Record], circumstances: frozenset[
         words.append("Measure at a second level, two or three times as strong: most effects are told apart by level.")
     if decision.status == "unresolved" and not decision.node.effects:
         words.append(
-            "Nothing in the catalogue explains the gap: measure at more places, look at the time windows and bands in "
+            "Nothing that was tried explains the gap: measure at more places, look at the time windows and bands in "
             "which it is greatest, or register an effect of your own."
         )
     if decision.status == "none":

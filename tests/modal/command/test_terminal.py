@@ -162,7 +162,7 @@ def test_the_gap_stands_before_and_after(diagnosis):
     [
         ("none", 0, ("Nothing missing.", "What the data could still hide", "k3 = 3100 N/m^3"), ("Why", "value ± std")),
         ("unresolved", 1, ("Not proved.", "Do not build on"), ("could still hide", "Simulate with")),
-        ("unresolved", 0, ("no effect of the catalogue explains it",), ("Why",)),
+        ("unresolved", 0, ("no effect that was tried explains",), ("Why",)),
     ],
 )
 def test_each_status_prints_its_parts(diagnosis_of, status, n_effects, there, missing):

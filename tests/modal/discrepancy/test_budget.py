@@ -34,6 +34,7 @@ def test_a_search_ends_with_its_budget_and_says_so():
     assert time.process_time() - start < 3.0
     assert found.status == "unresolved"
     assert any("ended before every effect was tried" in words for words in found.warnings)
+    assert "catalogue explains" not in found.verdict  # most of it was not even tried
 
 
 def test_no_curve_is_begun_after_the_budget():

@@ -146,7 +146,7 @@ def test_lines_of_a_block_stay_lines(pages):
             ("What is missing", "Simulate with the updated"),
         ),
         ("none", 0, ("What could still hide", "Go on with the calibrated"), ("What is missing", "What else was tried")),
-        ("unresolved", 0, ("no effect of the catalogue explains it",), ("What is missing", "The best guess")),
+        ("unresolved", 0, ("no effect that was tried explains",), ("What is missing", "The best guess")),
     ],
 )
 def test_each_status_has_its_page(diagnosis_of, status, n_effects, there, missing):

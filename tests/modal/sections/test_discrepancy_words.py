@@ -29,7 +29,7 @@ def with_first(diagnosis, **changes):
         ("named", 2, "The simulation lacks cubic stiffness and Coulomb friction at element_1."),
         ("named", 1, "The simulation lacks cubic stiffness at element_1."),
         ("unresolved", 1, "Not settled: the best guess is cubic stiffness at element_1."),
-        ("unresolved", 0, "Something is missing, but no effect of the catalogue explains it."),
+        ("unresolved", 0, "Something is left that no effect that was tried explains."),
         ("none", 0, "The simulation lacks no effect that these data could show."),
     ],
 )

@@ -12,7 +12,7 @@ from outside_laws import outside_case
 
 import okid
 from modal.discrepancy import CATALOGUE, decide, diagnose
-from modal.discrepancy.results import LackOfFit
+from modal.discrepancy.results import EVEN, LackOfFit
 from modal.discrepancy.selection.lack_of_fit import what_is_left
 from modal.simulation.tolerances import UNLIKELY
 
@@ -173,8 +173,26 @@ def test_a_smooth_spring_without_a_name_is_a_curve(kind, seed):
     assert line["curve"]
 
 
+def faint(**options):
+    """A spring that hardens smoothly, with a motion that a gap spring follows to the noise, and a smooth law too."""
+    case = outside_case("faint_quintic", 14010)
+    (*fits, held) = (okid.Record(one.inputs, one.outputs, one.dt) for one in (*case.fit, *case.held_out))
+    return diagnose(outside_catalogue.model_of(case), fits, held, **options)
+
+
 def test_a_corner_that_the_records_do_not_resolve_is_not_named_firmly():
-    """The same spring with a motion that a gap spring follows to the noise, and a smooth law too."""
-    line = outside_catalogue.diagnosed("faint_quintic", 14010)
-    assert line["status"] == "unresolved"
-    assert "smooth_stiffness" in line["even"][0]
+    found = faint()
+    (finding,) = found.findings
+    assert found.status == "unresolved"
+    assert "smooth_stiffness" in finding.ambiguous_with
+    assert [key for key, _ in finding.runner_up.effects] == ["smooth_stiffness"]
+    assert finding.evidence.margin < EVEN
+    assert any("far beyond it would tell" in words for words in found.warnings)
+
+
+def test_a_corner_is_not_named_firmly_where_no_time_was_left_for_a_smooth_law(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("modal.simulation.scheme.time", SimpleNamespace(process_time=lambda: clock[0]))
+    found = faint(budget=1.0, progress=lambda words, _: clock.append(clock.pop() + 2.0 * ("deciding" in words)))
+    assert found.status == "unresolved"
+    assert any("give more CPU seconds" in words for words in found.warnings)
