@@ -217,5 +217,5 @@ def test_a_record_shorter_than_the_memory_of_the_noise_hides_no_mode(case):
         records = (whole, short)
         rows = tuple(np.ones(record.n_samples, dtype=bool) for record in records)
         both = OutputError(records=records, rows=rows, blocks=blocks_of(records, [[[], []]]))
-        found = with_weak_mode(nothing_yet(both), both, chance=0.01)
-        assert found.parameters.poles == with_weak_mode(nothing_yet(data), data, chance=0.01).parameters.poles
+        found = with_weak_mode(nothing_yet(both), both)
+        assert found.parameters.poles == with_weak_mode(nothing_yet(data), data).parameters.poles
