@@ -366,6 +366,7 @@ class Trial(Displayed):
         error: relative held-out error, mean over outputs: 1 - fit.
         refinement_steps: output-error steps made on each fold's training rows before scoring.
         weak_modes: modes of the model order that were added from what the refined model left over.
+        answers: the last so many of these were found by their answers, the others by an observer.
     """
 
     observer_order: int
@@ -376,6 +377,7 @@ class Trial(Displayed):
     error: float
     refinement_steps: int = 0
     weak_modes: int = 0
+    answers: int = 0
 
     @property
     def grew(self) -> bool:
@@ -428,6 +430,7 @@ def trial_of(
     *,
     refinement_steps: int = 0,
     weak_modes: int = 0,
+    answers: int = 0,
 ) -> Trial:
     """A trial from the squared errors of each fold's blocks, (n_blocks, n_outputs) a fold."""
     squared = np.array([errors.sum(axis=0) for errors in blocks])
@@ -441,6 +444,7 @@ def trial_of(
         error=float(np.sqrt(squared.sum(axis=0) / whole).mean()),
         refinement_steps=refinement_steps,
         weak_modes=weak_modes,
+        answers=answers,
     )
 
 

@@ -8,24 +8,31 @@ Where a refinement starts: the modal form of a realisation, and the initial stat
 Weak modes that a refined model leaves over: found in its error, added, refined together with the others.
 
 An observer of the whole record sees a mode that is far below the others only with the noise of the reduction on top;
-the error of a refined model holds that mode and the noise, and nothing else. The answer to the inputs that takes most
-of the error is added, and the refinement of all poles together decides, on held-out rows, whether it stays.
+the error of a refined model holds that mode and the noise, and nothing else. An observer of the error proposes a pole,
+or the answer to an input that takes most of it; it is added, and the refinement of all poles together decides, on
+held-out rows, whether it stays.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
+from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, begins_at_rest, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.scaling import ChannelScaling
+from okid.errors import IdentificationError
+from okid.gram import lag_gram
+from okid.least_squares import solve
+from okid.record import Record
+from okid.scaling import ChannelScaling, channel_scaling
 
 WORST_COORDINATES = 1e8
 """Condition number from which the data's states and the model's are no longer the same."""
@@ -138,6 +145,15 @@ def _real_unless(values: ComplexArray, is_pair: BoolArray) -> ComplexArray:
     return np.where(is_pair, values, values.real).astype(np.complex128)
 
 
+Proposal = Literal["observer", "answer", "blow"]
+"""What a weak mode is found by."""
+CANDIDATE_ORDER = 8
+"""Give the model of the error so many states: the strongest of its poles is taken."""
+LONGEST_OBSERVER = 64
+ROWS_AN_UNKNOWN = 8
+"""Ask for so many rows for each unknown of that observer."""
+LARGEST_POLE = 0.9999
+N_LAGS = 200
 DECAYS_A_DECADE = 4
 """Look for a pole at so many decays: half a step beside its own a matched filter loses 2 % of what it gains."""
 CHANCE = 0.01
@@ -163,7 +179,7 @@ def nothing_yet(data: OutputError) -> RefinementStep:
 
 
 def with_weak_mode(
-    step: RefinementStep, data: OutputError, *, held_out: int = NONE, struck: bool = False
+    step: RefinementStep, data: OutputError, *, held_out: int = NONE, by: Proposal = "answer"
 ) -> RefinementStep | None:
     """The model with the strongest mode of its error added, not refined yet; None where there is none to add.
 
@@ -172,18 +188,25 @@ def with_weak_mode(
         data: that it was fitted to.
         held_out: rows with this label are not looked at, unless rows take turns, which leaves no past without a gap:
             they help to find a mode, then, not to keep it.
-        struck: the inputs act in short events. What is left is mostly answers then, with no noise beside them: what
-            takes most of the squared error is added, and nothing that white noise would be taken for. Else held-out
-            rows are to judge, and what stands highest above the noise beside it is added.
+        by: "observer": OKID and ERA on the inputs and the error, of whose poles the strongest is taken; they know how
+            the noise and the inputs are coloured, and ask for rows without gaps. "answer": what stands highest above
+            the noise beside it. "blow": what takes most of the squared error, and nothing that white noise would be
+            taken for; what short events leave is mostly answers, with no noise beside them.
     """
     seen = NONE if any(block.step > 1 for block in data.blocks) else held_out
-    errors = [np.nan_to_num(error) for error in errors_of(step, data, held_out=seen)]
+    measured = errors_of(step, data, held_out=seen)
+    errors = [np.nan_to_num(error) for error in measured]
     inputs = [record.inputs for record in data.records]
     if not all(any(one.any() for one in each) for each in (errors, inputs)):
         return None
     left = replace(
         data, records=tuple(replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True))
     )
+    if by == "observer":
+        several = tuple(replace(one, outputs=error) for one, error in zip(data.records, measured, strict=True))
+        proposed = _strongest_of_observer(several, left, held_out)
+        joined = None if proposed is None else _joined(step.parameters, proposed.parameters)
+        return None if joined is None else step_at(joined, data, held_out=held_out)
     n_lags = min(max(len(error) for error in errors), MOST_LAGS)
     cross, own = _correlations(errors, inputs, n_lags)
     length = scipy.fft.next_fast_len(2 * n_lags, real=True)
@@ -191,17 +214,66 @@ def with_weak_mode(
     power = np.mean(np.concatenate(errors) ** 2, axis=0)[:, np.newaxis]
     flat = np.broadcast_to(np.where(power > 0.0, power, 1.0), noise.shape)
     best, largest = None, 0.0
-    for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat,) if struck else (flat, noise))):
+    for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat,) if by == "blow" else (flat, noise))):
         found = _answer_alone(pole, acting, data, left, held_out)
         after = [np.nan_to_num(error) for error in errors_of(found, left, held_out=seen)]
-        white = [np.ones(1) / np.sqrt(level[0]) for level in flat] if struck else _whitening(after)
+        white = [np.ones(1) / np.sqrt(level[0]) for level in flat] if by == "blow" else _whitening(after)
         gain = 0.5 * (_energy(errors, white) - _energy(after, white))
         if gain > largest:
             best, largest = found, gain
     n_looked = _decays(n_lags).size * n_lags * len(own)
-    if best is None or (struck and n_looked * scipy.special.gammaincc(len(flat), largest) >= CHANCE):
+    if best is None or (by == "blow" and n_looked * scipy.special.gammaincc(len(flat), largest) >= CHANCE):
         return None
     return step_at(_joined(step.parameters, best.parameters), data, held_out=held_out)
+
+
+def _strongest_of_observer(records: tuple[Record, ...], left: OutputError, held_out: int) -> RefinementStep | None:
+    """The pole that takes most of the errors, of those that OKID and ERA find in them; NaN where no row counts."""
+    found = _model_of_error(records)
+    if found is None:
+        return None
+    candidates = starting_parameters(found, left, held_out=held_out)
+    if candidates is None:
+        return None
+    every = candidates.parameters
+    vibrating = np.flatnonzero(every.is_pair & (np.abs(every.poles) < LARGEST_POLE))
+    alone = [
+        ModalParameters(
+            poles=every.poles[[i]],
+            is_pair=every.is_pair[[i]],
+            inputs=every.inputs[[i]],
+            states=every.states[:, [i]],
+        )
+        for i in vibrating.tolist()
+    ]
+    steps = (step_at(one, left, held_out=held_out) for one in alone)
+    return min(steps, key=lambda one: one.error, default=None)
+
+
+def _model_of_error(records: tuple[Record, ...]) -> Realisation | None:
+    scaling = channel_scaling(records)
+    n_channels = records[0].n_inputs + records[0].n_outputs
+    n_samples = sum(record.n_samples for record in records)
+    longest = max(1, min(LONGEST_OBSERVER, n_samples // (ROWS_AN_UNKNOWN * n_channels)))
+    try:
+        gram = lag_gram(records, longest, scaling=scaling)
+        coefficients = solve(gram, FIRST_RIDGE)
+    except IdentificationError:
+        return None
+    found = decompose_coefficients(coefficients, N_LAGS, records[0].dt, CANDIDATE_ORDER)
+    if found is None:
+        return None
+    order = min(CANDIDATE_ORDER, found.rank, found.max_order)
+    model = corner(found, order)
+    while model is not None and np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
+        order -= 1
+        model = corner(found, order) if order > 0 else None
+    if model is None:
+        return None
+    out = scaling.output_scale[:, np.newaxis]
+    return Realisation(
+        model.A, model.B / scaling.input_scale, model.C * out, model.D * out / scaling.input_scale, model.dt
+    )
 
 
 def _answer_alone(pole: complex, acting: int, data: OutputError, left: OutputError, held_out: int) -> RefinementStep:

@@ -237,6 +237,7 @@ def _refined(
             start,
             trial.refinement_steps,
             weak_modes=trial.weak_modes,
+            answers=trial.answers,
             evidence=evidence,
             n_rest=n_rest,
             by=by,

@@ -34,7 +34,14 @@ from modal.estimation.cross_validation import (
     trial_of,
 )
 from modal.estimation.free_run import begins_at_rest, filled
-from modal.estimation.modal_parameters import errors_of, in_units, nothing_yet, starting_parameters, with_weak_mode
+from modal.estimation.modal_parameters import (
+    Proposal,
+    errors_of,
+    in_units,
+    nothing_yet,
+    starting_parameters,
+    with_weak_mode,
+)
 from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
 from modal.estimation.output_error import (
     GROWS_AFTER,
@@ -158,7 +165,7 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
     step: RefinementStep | None = nothing_yet(shop.data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
-        step = None if step is None else with_weak_mode(step, shop.data, struck=True)
+        step = None if step is None else with_weak_mode(step, shop.data, by="blow")
         if step is None:
             break
         step = refine(step, shop.data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
@@ -176,29 +183,40 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
 
 
 def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
-    """Trials with one weak mode more each, as long as held-out rows gain significantly by it."""
+    """Trials with one weak mode more each, as long as held-out rows gain: found by an observer, then by answers."""
     key = (chosen.observer_order, chosen.ridge, chosen.model_order)
     steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
     grown: list[Trial] = []
     last = chosen
+    by: Proposal = "observer"
     while len(grown) < MOST_WEAK_MODES:
-        larger = [with_weak_mode(step, shop.data, held_out=fold) for fold, step in enumerate(steps)]
-        if all(step is None for step in larger):
+        larger = [with_weak_mode(step, shop.data, held_out=fold, by=by) for fold, step in enumerate(steps)]
+        trial = None
+        if any(larger):
+            there = [  # a fold that has nothing to find keeps what it has found before the others
+                refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
+                for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
+            ]
+            errors = [
+                step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])
+                for fold, step in enumerate(there)
+            ]
+            trial = trial_of(
+                *key[:2],
+                last.model_order + 2,
+                errors,
+                shop.ground.power,
+                refinement_steps=MOST_STEPS,
+                weak_modes=len(grown) + 1,
+                answers=last.answers + (by == "answer"),
+            )
+        if trial is not None and significantly_worse(last, trial):
+            grown.append(trial)
+            last, steps = trial, there
+        elif by == "observer":
+            by = "answer"
+        else:
             break
-        steps = [  # a fold that has nothing to find keeps what it has found before the others
-            refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
-            for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
-        ]
-        errors = [
-            step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])
-            for fold, step in enumerate(steps)
-        ]
-        n = last.model_order + 2
-        trial = trial_of(*key[:2], n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=len(grown) + 1)
-        if not significantly_worse(last, trial):
-            break
-        grown.append(trial)
-        last = trial
     return grown
 
 
@@ -366,6 +384,7 @@ def refined_model(
     n_steps: int,
     *,
     weak_modes: int = 0,
+    answers: int = 0,
     evidence: Realisation | None = None,
     least_gain: float = SMALLEST_GAIN,
     n_rest: int = 0,
@@ -378,6 +397,7 @@ def refined_model(
         start: from OKID and ERA, with Hankel factors.
         n_steps: as chosen on held-out rows; `MOST_STEPS` means until it stands still.
         weak_modes: modes to add from what the refined model leaves over.
+        answers: find the last so many of them by their answers.
         evidence: realisation of the order that includes them, whose Hankel factors the result keeps; `start` unless
             given.
         least_gain: relative decrease of the error by a step below which it is the last.
@@ -397,8 +417,9 @@ def refined_model(
     weights = np.eye(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
-    for _ in range(weak_modes):
-        larger = with_weak_mode(last, data, struck=by == "rows")
+    for i in range(weak_modes):
+        driven: Proposal = "observer" if i < weak_modes - answers else "answer"
+        larger = with_weak_mode(last, data, by="blow" if by == "rows" else driven)
         last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     ratio = _whiteness_ratio(last, data)

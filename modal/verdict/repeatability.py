@@ -193,7 +193,7 @@ def _refined(
         if start is not None:
             last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             while last.order < grown_to:
-                larger = with_weak_mode(last, again.data, held_out=held_out, struck=struck)
+                larger = with_weak_mode(last, again.data, held_out=held_out, by="blow" if struck else "answer")
                 if larger is None:
                     break
                 last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]

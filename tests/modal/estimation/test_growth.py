@@ -34,9 +34,10 @@ def case():
     return system, data, step
 
 
-def test_the_weak_mode_is_found_in_the_error(case):
+@pytest.mark.parametrize("by", ["observer", "answer", "blow"])
+def test_the_weak_mode_is_found_in_the_error(case, by):
     system, data, step = case
-    grown = refine(with_weak_mode(step, data), data, n_steps=15)[-1]
+    grown = refine(with_weak_mode(step, data, by=by), data, n_steps=15)[-1]
     assert grown.parameters.poles.size == step.parameters.poles.size + 1
     added = grown.parameters.poles[-1]
     weak = np.exp(system.poles[-1] * system.dt)
@@ -57,8 +58,9 @@ def test_held_out_rows_are_not_looked_at(case):
     spoilt = record.outputs.copy()
     spoilt[1000:2000] = 1e3
     other = OutputError(records=(Record(record.inputs, spoilt, record.dt),), rows=data.rows, blocks=data.blocks)
-    here, there = (with_weak_mode(step, which, held_out=0) for which in (data, other))
-    np.testing.assert_allclose(here.parameters.poles, there.parameters.poles, atol=1e-12)
+    for by in ("observer", "answer"):
+        here, there = (with_weak_mode(step, which, held_out=0, by=by) for which in (data, other))
+        np.testing.assert_allclose(here.parameters.poles, there.parameters.poles, atol=1e-12)
 
 
 def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
@@ -115,7 +117,7 @@ def test_nothing_is_added_to_white_noise(case):
         noise = np.random.default_rng(seed).standard_normal((4000, 2))
         record = Record(data.records[0].inputs, noise, data.records[0].dt)
         alone = OutputError(records=(record,), rows=data.rows, blocks=data.blocks)
-        assert with_weak_mode(nothing_yet(alone), alone, struck=True) is None
+        assert with_weak_mode(nothing_yet(alone), alone, by="blow") is None
 
 
 def red(rng, n_outputs, pole=0.95):
@@ -132,8 +134,8 @@ def test_a_weak_mode_stands_above_the_noise_beside_it_and_not_above_all_of_it():
     record = Record(inputs, 0.05 * answer / answer.std(axis=0) + red(rng, 2), system.dt)
     data = OutputError(records=(record,), rows=(np.ones(4000, dtype=bool),), blocks=blocks_of((record,), [[[]]]))
     frequencies = [
-        np.angle(with_weak_mode(nothing_yet(data), data, struck=struck).parameters.poles[0]) / (2 * np.pi * system.dt)
-        for struck in (False, True)
+        np.angle(with_weak_mode(nothing_yet(data), data, by=by).parameters.poles[0]) / (2 * np.pi * system.dt)
+        for by in ("answer", "blow")
     ]
     assert abs(frequencies[0] - 31.0) < 0.3
     assert frequencies[1] < 10.0
