@@ -26,6 +26,7 @@ from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coe
 from modal.estimation.free_run import ModalForm, ModalRecursion, begins_at_rest, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import OutputError, RefinementStep, step_at
+from modal.estimation.whitening import output_filters
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.errors import IdentificationError
@@ -160,8 +161,6 @@ CHANCE = 0.01
 """Add no answer to a blow that white noise would show so often, at any frequency and decay that is looked at."""
 FASTEST = 0.5
 """Decay per sample up to which a pole is looked for."""
-LONGEST_MEMORY = 3
-"""Take the noise that is left for an autoregression of at most this order."""
 MOST_LAGS = 1 << 14
 """Look for no pole that rings for longer [samples]: one that does is found as one that rings so long, and refined."""
 
@@ -210,14 +209,14 @@ def with_weak_mode(
     n_lags = min(max(len(error) for error in errors), MOST_LAGS)
     cross, own = _correlations(errors, inputs, n_lags)
     length = scipy.fft.next_fast_len(2 * n_lags, real=True)
-    noise = np.array([1.0 / np.abs(np.fft.rfft(one, length)) ** 2 for one in _whitening(errors)])
+    noise = np.array([1.0 / np.abs(np.fft.rfft(one, length)) ** 2 for one in output_filters(errors)])
     power = np.mean(np.concatenate(errors) ** 2, axis=0)[:, np.newaxis]
     flat = np.broadcast_to(np.where(power > 0.0, power, 1.0), noise.shape)
     best, largest = None, 0.0
     for pole, acting in dict.fromkeys(_strongest_answers(cross, own, (flat,) if by == "blow" else (flat, noise))):
         found = _answer_alone(pole, acting, data, left, held_out)
         after = [np.nan_to_num(error) for error in errors_of(found, left, held_out=seen)]
-        white = [np.ones(1) / np.sqrt(level[0]) for level in flat] if by == "blow" else _whitening(after)
+        white = [np.ones(1) / np.sqrt(level[0]) for level in flat] if by == "blow" else output_filters(after)
         gain = 0.5 * (_energy(errors, white) - _energy(after, white))
         if gain > largest:
             best, largest = found, gain
@@ -337,22 +336,6 @@ def _strongest_answers(cross: FloatArray, own: FloatArray, levels: Sequence[Floa
             if gains[j, k] > best[i][0]:
                 best[i] = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
     return [(pole, acting) for _, pole, acting in best]
-
-
-def _whitening(errors: Sequence[FloatArray]) -> list[FloatArray]:
-    """The filter of each output that leaves white noise of unit power: an autoregression of its errors, by BIC."""
-    n_rows = sum(len(error) for error in errors)
-    filters = []
-    for output in range(errors[0].shape[1]):
-        each = [error[:, output] for error in errors]
-        r = np.array([sum(float(one[lag:] @ one[: -lag or None]) for one in each) for lag in range(LONGEST_MEMORY + 1)])
-        r[0] += TINY + np.finfo(np.float64).eps * r[0]
-        tails = [scipy.linalg.solve_toeplitz(r[:order], -r[1 : order + 1]) for order in range(1, LONGEST_MEMORY + 1)]
-        candidates = [np.ones(1), *(np.r_[1.0, tail] for tail in tails)]
-        power = [max(float(one @ r[: one.size]), TINY) / n_rows for one in candidates]
-        best = np.argmin([n_rows * np.log(left) + order * np.log(n_rows) for order, left in enumerate(power)])
-        filters.append(candidates[best] / np.sqrt(power[best]))
-    return filters
 
 
 def _energy(errors: Sequence[FloatArray], filters: Sequence[FloatArray]) -> float:

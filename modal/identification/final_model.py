@@ -22,23 +22,28 @@ from modal.estimation.cross_validation import (
     corner,
     hankel_limits,
     markov_lags,
+    scaled_model,
     training_decomposition,
+    trial_of,
 )
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.modal_parameters import in_data_states
+from modal.estimation.modal_parameters import in_data_states, in_units, starting_parameters
+from modal.estimation.output_error import refine
+from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.propagation import propagated
+from modal.estimation.whitening import common_filter, filtered, stretches
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
-from modal.identification.order_search import Search
-from modal.identification.refined_search import RefinedModel, refined_model
+from modal.identification.order_search import Search, search
+from modal.identification.refined_search import RefinedModel, output_error_data, refined_model, refined_search
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import FloatArray
-from okid.errors import InsufficientDataError, NumericalError, quiet
+from okid.errors import IdentificationError, InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
@@ -47,6 +52,10 @@ Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
+FEW_STEPS = 2
+"""Take a model of all rows to the rows of a fold in so many steps: it starts beside where they end."""
+COLOURED = 0.5
+"""Search again in what makes the noise white where that is less than this share of its power."""
 MOST_MADE = 8
 """Models made of all rows before the first one is taken for want of a better."""
 LARGEST_ORDER = 64
@@ -150,6 +159,122 @@ def fit_all_rows(
         f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
         "be trusted; give a longer record, or remove a drift from the outputs."
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class White:
+    """Records filtered until their noise is white, and what a search there has found.
+
+    Attributes:
+        records: (n_samples - p, ...) filtered inputs and outputs.
+        filter: (p + 1,) a(q), monic.
+        share: of the noise's power that is left behind it.
+        found: the search there.
+        trial: the chosen model scored on the held-out rows of the records as they came.
+    """
+
+    records: tuple[Record, ...]
+    filter: FloatArray
+    share: float
+    found: Search
+    trial: Trial
+
+
+def fit_in_white(
+    records: Sequence[Record], found: Search, final: FinalModel, *, progress: Callable[[float], None]
+) -> tuple[White, FinalModel] | None:
+    """The model that is searched for, and fitted, where the noise of the first one is white.
+
+    None where the noise is nearly white as it is, and where the second model does not explain held-out rows better in
+    white noise, or explains the records as they came worse: what is left is not noise then, but what is not linear.
+
+    Args:
+        records: as the first search saw them.
+        found: by the first search, with the trial that was taken.
+        final: its model of all rows.
+        progress: called with the share done.
+    """
+    rows = [record.complete_rows() for record in records]
+    runs = model_runs(replace(final.realisation, K=None), records)
+    a, share = common_filter(stretches(runs.left, rows))
+    if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
+        return None
+    white = tuple(filtered(record, a) for record in records)
+    second = _searched(white, found.ground.by, progress)
+    here = None if second is None else _likelier(found, final, *second)
+    if second is None or here is None:
+        return None
+    search_there, model = second
+    _, shown = _with_observer(records, search_there.chosen, search_there.trials, {})
+    shown = final if shown is None else shown
+    gain = estimate_gain(model.realisation, records)  # innovations are those of the filtered records, their gain is not
+    model = replace(
+        model,
+        observer=shown.observer,
+        markov=shown.markov,
+        gain=gain,
+        realisation=replace(model.realisation, K=None if gain is None else gain.gain),
+    )
+    return White(records=white, filter=a, share=share, found=search_there, trial=here), model
+
+
+def _searched(
+    records: Sequence[Record], by: Folds, progress: Callable[[float], None]
+) -> tuple[Search, FinalModel] | None:
+    """A search of its own and the refined model of all rows; None with too few of them, or where nothing is stable."""
+    try:
+        found = search(records, folds=by, progress=lambda done: progress(0.5 * done))
+        found = refined_search(found, progress=lambda done: progress(0.5 + 0.3 * done))
+        found, final = fit_all_rows(records, found, progress=lambda done: progress(0.8 + 0.2 * done))
+    except IdentificationError:
+        return None
+    return None if final.refined is None else (found, final)
+
+
+def _likelier(found: Search, final: FinalModel, there: Search, second: FinalModel) -> Trial | None:
+    """The second model's trial on the held-out rows of the first search, where it is the better one; else None.
+
+    It must be better there, by more than a standard error, and worse here by less than it is better there.
+    """
+    models = [_of_folds(one, made.realisation) for one, made in ((found, final), (there, second))]
+    (old, new), (old_there, new_there) = ([_scored(one, own) for own in models] for one in (found, there))
+    if old is None or new is None or old_there is None or new_there is None:
+        return None
+    gained = _certainty(new_there, old_there)
+    return new if gained > 1.0 and gained > _certainty(old, new) else None
+
+
+def _certainty(better: Trial, worse: Trial) -> float:
+    """Standard errors, over held-out blocks, by which one trial is better than the other."""
+    gain = worse.block_errors - better.block_errors
+    return float(gain.sum() / (np.sqrt(gain.size) * gain.std(ddof=1))) if gain.size > 1 and gain.std() > 0.0 else 0.0
+
+
+def _of_folds(found: Search, model: Realisation) -> list[Realisation]:
+    """The model of all rows taken to the training rows of each fold; none where it cannot run."""
+    data, scaling = output_error_data(found.ground), found.ground.scaling
+    models = []
+    for fold in range(len(found.ground.folds)):
+        start = starting_parameters(scaled_model(model, scaling), data, held_out=fold)
+        if start is None:
+            return []
+        models.append(in_units(refine(start, data, held_out=fold, n_steps=FEW_STEPS)[-1], model, scaling))
+    return models
+
+
+def _scored(found: Search, models: Sequence[Realisation]) -> Trial | None:
+    """The trial of a model of each fold on the rows held out there; None without them."""
+    data, ground = output_error_data(found.ground), found.ground
+    errors = []
+    for fold, model in enumerate(models):
+        step = starting_parameters(scaled_model(model, ground.scaling), data, held_out=fold)
+        if step is None:
+            return None
+        errors.append(step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold]))
+    if not errors:
+        return None
+    like = found.chosen
+    return trial_of(like.observer_order, like.ridge, models[0].order, errors, ground.power)
 
 
 def _with_observer(

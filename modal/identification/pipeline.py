@@ -15,13 +15,14 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
-from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
+from modal.identification.final_model import FinalModel, White, fit_all_rows, fit_in_white, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
 from modal.identification.result import Identification
 from modal.identification.set_ups import has_absent_outputs, identify_setups
 from modal.identification.words import (
+    explain_filter,
     explain_gain,
     explain_noise,
     explain_scoring,
@@ -221,7 +222,11 @@ def identify(
             feedback=suspected,
             progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
-        result = _identified(several, kind_found, preparation, taken, final=final, wanted=found.chosen, tell=tell)
+        free = refinement == order == "auto" and kind_found.kind == "driven" and not suspected
+        white, final = _in_white(preparation.records, taken, final, asked=free, tell=tell)
+        result = _identified(
+            several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
+        )
         if isinstance(input_delay, str) and several[0].n_inputs:
             factor = round(preparation.records[0].dt / several[0].dt)
             result = _with_real_modes(
@@ -243,6 +248,17 @@ def identify(
         return result
 
 
+def _in_white(
+    records: Sequence[Record], found: Search, final: FinalModel, *, asked: bool, tell: Callable[[str, float], None]
+) -> tuple[White | None, FinalModel]:
+    """The model where its noise is white, if that was asked for and explains more; else the one that is there."""
+    if not asked or not records[0].n_inputs:
+        return None, final
+    words = "searching again where the noise is white"
+    again = fit_in_white(records, found, final, progress=lambda done: tell(words, FITTED + 0.05 * done))
+    return (None, final) if again is None else again
+
+
 def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:
     """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they were mended."""
     several = [record.select(outputs=output_names) for record in records]
@@ -258,38 +274,46 @@ def _identified(
     *,
     final: FinalModel,
     wanted: Trial,
+    white: White | None = None,
     tell: Callable[[str, float], None],
 ) -> Identification:
-    """The modes of the final model judged, and all of it said in words."""
+    """The modes of the final model judged, and all of it said in words.
+
+    Where its noise was made white, the modes are judged on what is filtered: there each is found again, or not, by what
+    stands beside it.
+    """
     prepared = preparation.records
+    asked = prepared if white is None else white.records
+    searched = found if white is None else white.found
     n_rest = preparation.n_rest
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
-    fit = measure_fit(found.chosen, found.power, runs)
+    fit = measure_fit(found.chosen if white is None else white.trial, found.power, runs)
     tell("identifying again with other halves, orders and ridges", FITTED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
     reruns = repeat(
-        prepared,
+        asked,
         observer_order=observer.order,
         ridge=observer.ridge,
         model_order=model.order,
         decomposition=decomposition,
-        refinement_steps=0 if final.refined is None else found.chosen.refinement_steps,
+        refinement_steps=0 if final.refined is None else searched.chosen.refinement_steps,
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
-        grows=found.chosen.weak_modes > 0,
+        grows=searched.chosen.weak_modes > 0,
     )
-    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, prepared)
+    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
     left = runs.left
-    lines = between_lines(unjudged, prepared, left, output_scale=reruns.output_scale)
+    left_there = left if white is None else model_runs(replace(model, K=None), asked).left
+    lines = between_lines(unjudged, asked, left_there, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
     unsteady = unsteady_drive(prepared, left) if kind.kind == "ambient" else ()
     modes = judge(
         unjudged,
         reruns,
-        gain=driven_gain(unjudged, prepared, left, output_scale=reruns.output_scale),
+        gain=driven_gain(unjudged, asked, left_there),
         lines=lines,
         n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
         * model.n_outputs,
@@ -298,7 +322,7 @@ def _identified(
         missed=missed,
         observer_order=observer.order,
         ridge=observer.ridge,
-        refinement_steps=found.chosen.refinement_steps,
+        refinement_steps=searched.chosen.refinement_steps,
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if by_inputs else None,
         # averages in which nothing acts tell nothing of what follows
@@ -338,13 +362,14 @@ def _identified(
             input_units=prepared[0].input_units,
             input_hold=prepared[0].input_hold,
         ),
-        order_evidence=order_evidence(decomposition, model.order, found, reruns=reruns),
+        order_evidence=order_evidence(decomposition, model.order, searched, reruns=reruns),
         choices=(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
-            *explain_search(found, wanted=wanted),
+            *explain_search(searched, wanted=wanted if white is None else searched.chosen),
+            *(() if white is None else explain_filter(white.filter, white.share)),
             *(() if final.leaves_white_noise else explain_noise(final.noise, final.why)),
             *explain_gain(final.gain),
         ),
@@ -355,7 +380,11 @@ def _identified(
             *kind.warnings,
             *preparation.warnings,
             *unsteady,
-            *(changing_modes(modes, prepared, left, output_scale=reruns.output_scale) if kind.kind == "driven" else ()),
+            *(
+                changing_modes(modes, asked, left_there, output_scale=reruns.output_scale)
+                if kind.kind == "driven"
+                else ()
+            ),
             *warnings_in_words(
                 prepared,
                 fit=fit,
@@ -363,8 +392,8 @@ def _identified(
                 lines=lines,
                 modes=modes,
                 excitation=excitation if by_inputs else None,
-                residuals=residuals if innovations is None or not found.chosen.grew else innovations,
-                found=found,
+                residuals=residuals if innovations is None or not searched.chosen.grew else innovations,
+                found=searched,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),
             *noise_words(modes, inflation),

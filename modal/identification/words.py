@@ -178,6 +178,16 @@ def explain_noise(noise: NoiseModel | None, why: str) -> tuple[Choice, ...]:
     return (Choice(what="noise", value=value, reason=why),)
 
 
+def explain_filter(a: FloatArray, share: float) -> tuple[Choice, ...]:
+    """That the model was searched for in filtered records, and by which filter."""
+    terms = "".join(f" {'+' if one > 0 else '-'} {abs(one):.3g} q^-{k}" for k, one in enumerate(a) if k)
+    reason = (
+        f"behind it the noise is white, with {100 * share:.2g} % of its power; noise at other frequencies does not "
+        "drown weak modes there, and held-out rows are explained better"
+    )
+    return (Choice(what="noise filter", value=f"1{terms}", reason=reason),)
+
+
 def explain_gain(gain: GainEstimate | None) -> tuple[Choice, ...]:
     """Why the refined model has the gain that it has; nothing where it has the one that it was cut with."""
     if gain is None:

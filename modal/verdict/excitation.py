@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import filled
+from modal.estimation.whitening import output_filters, stretches
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
@@ -57,15 +58,15 @@ def driven_gain(
     records: Sequence[Record],
     left: Sequence[FloatArray],
     *,
-    output_scale: FloatArray,
     rows: Sequence[BoolArray] | None = None,
 ) -> FloatArray:
     """Share of the squared error without what the inputs make a mode do that this removes.
 
         gain_i = 1 - |e|^2 / |e + y_i|^2
 
-    with e what the model's free run leaves, initial states fitted, and y_i the mode's answer to the inputs from rest;
-    what the mode could do by itself, from any state in each output, and a constant are projected out of both. A line
+    with e what the model's free run leaves, initial states fitted, and y_i the mode's answer to the inputs from rest,
+    both behind the filter that makes e white (`modal.estimation.whitening`): a mode is weighed by the noise beside it.
+    What the mode could do by itself, from any state in each output, and a constant are projected out of both. A line
     that the inputs do not drive is all free motion, and its answer to them is chance; left in, the fitted state would
     make up for that answer, and the answer seem to matter.
 
@@ -73,7 +74,6 @@ def driven_gain(
         model: modes of the model that ran.
         records: that it ran through; missing inputs count as zero.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
-        output_scale: (n_outputs,) sizes of the outputs.
         rows: (n_samples,) a record, True where a row counts; all unless given.
 
     Returns:
@@ -90,22 +90,41 @@ def driven_gain(
     counted = [np.ones(record.n_samples, dtype=np.bool_) for record in records] if rows is None else rows
     with_it, without = np.zeros(len(modes)), np.zeros(len(modes))
     n_rows = 0
-    for record, errors, there in zip(records, left, counted, strict=True):
+    usable = [np.isfinite(errors).all(axis=1) & there for errors, there in zip(left, counted, strict=True)]
+    seen = stretches(left, usable)
+    if not seen:
+        return gains
+    filters = output_filters(seen)
+    memory = max(one.size for one in filters) - 1
+    for record, errors, kept in zip(records, left, usable, strict=True):
         inputs = np.nan_to_num(record.inputs)
-        kept: BoolArray = np.isfinite(errors).all(axis=1) & there
-        if not kept.any():
+        runs = [(first, last) for first, last in runs_of(kept) if last - first > memory]
+        if not runs:
             continue
-        n_rows += int(kept.sum())
-        rest = errors[kept] / output_scale
+        times = np.concatenate([np.arange(first + memory, last) for first, last in runs])
+        n_rows += times.size
+        rest = _white(errors, filters, runs, memory)
+        every = np.ones(record.n_samples, dtype=np.bool_)
         for i in driven:
-            part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, kept)
-            free = _free_motion(complex(poles[i]), np.flatnonzero(kept))
-            for total, values in ((with_it, rest), (without, rest + part / output_scale)):
+            part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, every)
+            free = _free_motion(complex(poles[i]), times)
+            for total, values in ((with_it, rest), (without, rest + _white(part, filters, runs, memory))):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
         least = np.finfo(float).eps * with_it[driven] + np.finfo(float).tiny  # nothing without: nothing is gained
         gains[driven] = 1 - with_it[driven] / np.maximum(without[driven], least)
     return gains
+
+
+def _white(
+    values: FloatArray, filters: Sequence[FloatArray], runs: Sequence[tuple[int, int]], memory: int
+) -> FloatArray:
+    """(n_rows, n_outputs) behind the filter of each output, of runs of rows from the first on with a whole past."""
+    columns = [
+        np.concatenate([np.convolve(values[first + memory + 1 - a.size : last, o], a, "valid") for first, last in runs])
+        for o, a in enumerate(filters)
+    ]
+    return np.column_stack(columns)
 
 
 def _free_motion(pole: complex, times: NDArray[np.intp]) -> FloatArray:

@@ -92,6 +92,7 @@ def repeat(
     other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
     other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
     dt = records[0].dt
+    sizes = (_most(model_order), model_order) if grows else (model_order,)
     runs = []
     second_half = tuple(~rows for rows in first_half)
     if folds == "rows":
@@ -102,16 +103,16 @@ def repeat(
     for half, (label, gram, unseen) in enumerate(
         (("first half", one, second_half), ("second half", whole - one, first_half))
     ):
-        model = _model(_carried(gram, model_order), ridge, scaling, dt, model_order)
-        if model is not None:
-            starts = (model,) if folds == "blocks" or refined is None else (model, refined)
-            model = _refined(starts, again, held_out=1 - half)
+        cuts = [_model(_carried(gram, model_order), ridge, scaling, dt, n) for n in sizes]
+        models = [model for model in cuts if model is not None]
+        if models:
+            starts = models if folds == "blocks" or refined is None else [*models, refined]
+            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grows else 0)
             modes = extract_modes(model)
-            gain = _gain(model, modes, records, unseen, scaling.output_scale)
+            gain = _gain(model, modes, records, unseen)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
-    sizes = (_most(model_order), model_order) if grows else (model_order,)
     cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
@@ -204,11 +205,7 @@ def _refined(
 
 
 def _gain(
-    model: Realisation,
-    modes: ModalModel,
-    records: Sequence[Record],
-    unseen: Sequence[BoolArray],
-    output_scale: FloatArray,
+    model: Realisation, modes: ModalModel, records: Sequence[Record], unseen: Sequence[BoolArray]
 ) -> FloatArray | None:
     """Gain of the modes on rows that the model has not seen; None where it cannot run freely."""
     if not model.n_inputs:
@@ -217,7 +214,7 @@ def _gain(
         runs = model_runs(replace(model, K=None), records)
     except NumericalError:
         return None
-    return driven_gain(modes, records, runs.left, output_scale=output_scale, rows=unseen)
+    return driven_gain(modes, records, runs.left, rows=unseen)
 
 
 def _every_second_block(n_samples: int) -> BoolArray:

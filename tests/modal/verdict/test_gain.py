@@ -35,7 +35,7 @@ def rests(realisation, record):
 
 
 def gain_of(realisation, model, record, rows, scale=np.ones(3)):  # noqa: B008  never changed
-    return driven_gain(model, [record], [rests(realisation, record)], output_scale=scale, rows=[rows])
+    return driven_gain(model, [record], [rests(realisation, record)], rows=[rows])
 
 
 def naive(realisation, model, record, rows, scale):
@@ -71,7 +71,7 @@ def test_a_line_that_a_fitted_state_explains_is_not_driven():
     start = np.hstack([(pole**k).real, (pole**k).imag])
     run = -driven + start @ np.linalg.lstsq(start, hum.outputs + driven, rcond=None)[0]
     model = extract_modes(realisation)
-    gain = driven_gain(model, [hum], [hum.outputs - run], output_scale=np.ones(2))
+    gain = driven_gain(model, [hum], [hum.outputs - run])
     assert gain[0] < 0.05
 
 
@@ -106,7 +106,7 @@ def test_true_modes_gain_and_a_mode_driven_by_chance_loses(case):
 def test_several_records_add_up(case):
     realisation, model, record, rows = case
     left = rests(realisation, record)
-    twice = driven_gain(model, [record, record], [left, left], rows=[rows, rows], output_scale=np.ones(3))
+    twice = driven_gain(model, [record, record], [left, left], rows=[rows, rows])
     np.testing.assert_allclose(twice, gain_of(realisation, model, record, rows))
 
 
@@ -114,7 +114,7 @@ def test_all_rows_count_unless_some_are_given(case):
     realisation, model, record, rows = case
     left = [rests(realisation, record)]
     np.testing.assert_array_equal(
-        driven_gain(model, [record], left, output_scale=np.ones(3)),
+        driven_gain(model, [record], left),
         gain_of(realisation, model, record, np.ones_like(rows)),
     )
 
@@ -139,7 +139,7 @@ def test_growing_modes_have_no_gain_and_do_no_harm(case):
 def test_without_inputs_or_rows_nothing_is_known(case):
     realisation, model, record, rows = case
     alone = Record([], record.outputs, record.dt)
-    assert np.isnan(driven_gain(model, [alone], [record.outputs], output_scale=np.ones(3))).all()
+    assert np.isnan(driven_gain(model, [alone], [record.outputs])).all()
     assert np.isnan(gain_of(realisation, model, record, np.zeros_like(rows))).all()
 
 
