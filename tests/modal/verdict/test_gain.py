@@ -34,13 +34,22 @@ def rests(realisation, record):
     return left
 
 
-def gain_of(realisation, model, record, rows, scale=np.ones(3)):  # noqa: B008  never changed
+def gain_of(realisation, model, record, rows):
     return driven_gain(model, [record], [rests(realisation, record)], rows=[rows])
 
 
-def naive(realisation, model, record, rows, scale):
-    """One sample after the other, one mode's answer to the inputs left out at a time, free motion by least squares."""
-    left = rests(realisation, record) / scale
+def naive(realisation, model, record, rows, memory=0.0):
+    """One sample after the other, one mode's answer to the inputs left out at a time, free motion by least squares.
+
+    Rows follow each other; the noise of each output remembers so much of its last sample.
+    """
+
+    def white(values):
+        values = values[rows]
+        return values[1:] - memory * values[:-1] if memory else values
+
+    left = rests(realisation, record)
+    scale = np.sqrt((white(left) ** 2).mean(axis=0))
     gains = []
     for mode in model:
         part, free = np.zeros_like(record.outputs), np.ones((len(left), 3))
@@ -50,8 +59,8 @@ def naive(realisation, model, record, rows, scale):
             free[k, 1:] = (pole**k).real, (pole**k).imag
             state = pole * state + mode.participation @ u
         sizes = []
-        for values in (left[rows], (left + part / scale)[rows]):
-            mine = free[rows] / np.maximum(np.abs(free[rows]).max(axis=0), 1e-300)
+        mine = white(free / np.maximum(np.abs(free[rows]).max(axis=0), 1e-300))
+        for values in (white(left) / scale, white(left + part) / scale):
             sizes.append(((values - mine @ np.linalg.lstsq(mine, values, rcond=1e-10)[0]) ** 2).sum())
         gains.append(1 - sizes[0] / sizes[1])
     return np.array(gains)
@@ -77,9 +86,25 @@ def test_a_line_that_a_fitted_state_explains_is_not_driven():
 
 def test_it_is_the_loss_when_a_modes_answer_is_left_out(case):
     realisation, model, record, rows = case
-    scale = np.array([1.0, 3.0, 0.2])
-    gain = gain_of(realisation, model, record, rows, scale)
-    np.testing.assert_allclose(gain, naive(realisation, model, record, rows, scale), atol=1e-10)
+    np.testing.assert_allclose(
+        gain_of(realisation, model, record, rows), naive(realisation, model, record, rows), atol=1e-10
+    )
+
+
+def test_a_mode_is_weighed_by_the_noise_beside_it(case):
+    """Noise of low frequencies says little against a mode above it: all errors in one sum would say much."""
+    realisation, model, record, rows = case
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal(record.outputs.shape)
+    for k in range(1, len(noise)):
+        noise[k] += 0.95 * noise[k - 1]
+    clean = record.outputs - rests(realisation, record)
+    red = replace(record, outputs=clean + clean.std(axis=0) * noise)
+    gain = gain_of(realisation, model, red, rows)
+    true, blind = (naive(realisation, model, red, rows, memory) for memory in (0.95, 0.0))
+    np.testing.assert_allclose(gain, true, rtol=0.05, atol=2e-3)
+    fastest = max(range(len(model)), key=lambda i: model.modes[i].frequency)
+    assert gain[fastest] > 2 * blind[fastest]
 
 
 def test_true_modes_gain_and_a_mode_driven_by_chance_loses(case):
