@@ -450,7 +450,8 @@ class Sections:
             b1[free] += own[:, 0]
             b2[free] += own[:, 1]
             at += 2 * n_drives
-            s = np.sqrt(complex(square)) if square else complex(np.finfo(float).eps)
+            s = np.sqrt(complex(square)) if abs(square) > ROUNDING**2 else complex(ROUNDING)
+            square = (s * s).real
             upper: ComplexArray = (b2 / 2 + b1 / (2 * s)).astype(np.complex128)
             poles.append(mean + s)
             columns.append(upper)
@@ -482,7 +483,7 @@ def _mean_and_root(parameters: ModalParameters, first: int, second: int) -> tupl
     if second == -1:
         return pole.real, 1j * pole.imag
     other = complex(parameters.poles[second])
-    return (pole + other).real / 2, complex((pole - other).real / 2)
+    return (pole + other).real / 2, complex(max((pole - other).real / 2, ROUNDING))
 
 
 def _sections(parameters: ModalParameters) -> _Layout:

@@ -103,6 +103,7 @@ def fit_all_rows(
     n_rest: int = 0,
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
+    noise: bool = True,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
@@ -115,6 +116,7 @@ def fit_all_rows(
         n_rest: rows of rest among theirs, which hold no noise.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
+        noise: False leaves it without a model of its own.
         progress: called with the share that is behind at most, before each step.
 
     Returns:
@@ -143,6 +145,7 @@ def fit_all_rows(
                     n_rest=n_rest,
                     by=found.ground.by,
                     feedback=feedback,
+                    modelled=noise,
                     order_given=len(found.limits.model_orders) == 1,
                     progress=progress,
                 )
@@ -200,12 +203,11 @@ def fit_in_white(
     if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
         return None
     white = tuple(filtered(record, a) for record in records)
-    second = _searched(white, found.ground.by, progress)
-    here = None if second is None else _likelier(found, final, *second)
-    if second is None or here is None:
+    second = _searched(white, found, final, progress)
+    if second is None:
         return None
-    search_there, model = second
-    _, shown = _with_observer(records, search_there.chosen, search_there.trials, {})
+    there, model, trial = second
+    _, shown = _with_observer(records, there.chosen, there.trials, {})
     shown = final if shown is None else shown
     gain = estimate_gain(model.realisation, records)  # innovations are those of the filtered records, their gain is not
     model = replace(
@@ -215,39 +217,41 @@ def fit_in_white(
         gain=gain,
         realisation=replace(model.realisation, K=None if gain is None else gain.gain),
     )
-    return White(records=white, filter=a, share=share, found=search_there, trial=here), model
+    return White(records=white, filter=a, share=share, found=there, trial=trial), model
 
 
 def _searched(
-    records: Sequence[Record], by: Folds, progress: Callable[[float], None]
-) -> tuple[Search, FinalModel] | None:
-    """A search of its own and the refined model of all rows; None with too few of them, or where nothing is stable."""
+    records: Sequence[Record], found: Search, final: FinalModel, progress: Callable[[float], None]
+) -> tuple[Search, FinalModel, Trial] | None:
+    """A search in the filtered records, its refined model, and the trial of this on the rows that the first one saw.
+
+    None where it is not better in the filtered records, by more than a standard error of held-out blocks, or is worse
+    in the records as they came by more than that; and where rows are too few, or nothing is stable.
+    """
     try:
-        found = search(records, folds=by, progress=lambda done: progress(0.5 * done))
-        found = refined_search(found, progress=lambda done: progress(0.5 + 0.3 * done))
-        found, final = fit_all_rows(records, found, progress=lambda done: progress(0.8 + 0.2 * done))
+        there = search(records, folds=found.ground.by, progress=lambda done: progress(0.5 * done))
+        there = refined_search(there, progress=lambda done: progress(0.5 + 0.3 * done))
+        _, refined = fit_all_rows(records, there, noise=False)
+        first, second = _of_folds(found, final.realisation), _of_folds(there, refined.realisation)
+        here, better = _likelier(found, first, second), _likelier(there, second, first)
+        if here is None or better is None or not better[1] > max(1.0, here[1]):
+            return None
+        there, model = fit_all_rows(records, there, progress=lambda done: progress(0.8 + 0.2 * done))
     except IdentificationError:
         return None
-    return None if final.refined is None else (found, final)
+    return None if model.refined is None else (there, model, here[0])
 
 
-def _likelier(found: Search, final: FinalModel, there: Search, second: FinalModel) -> Trial | None:
-    """The second model's trial on the held-out rows of the first search, where it is the better one; else None.
-
-    It must be better there, by more than a standard error, and worse here by less than it is better there.
-    """
-    models = [_of_folds(one, made.realisation) for one, made in ((found, final), (there, second))]
-    (old, new), (old_there, new_there) = ([_scored(one, own) for own in models] for one in (found, there))
-    if old is None or new is None or old_there is None or new_there is None:
+def _likelier(
+    found: Search, models: Sequence[Realisation], others: Sequence[Realisation]
+) -> tuple[Trial, float] | None:
+    """The trial of the other models, and by how many standard errors of held-out blocks the models are better."""
+    trial, other = _scored(found, models), _scored(found, others)
+    if trial is None or other is None:
         return None
-    gained = _certainty(new_there, old_there)
-    return new if gained > 1.0 and gained > _certainty(old, new) else None
-
-
-def _certainty(better: Trial, worse: Trial) -> float:
-    """Standard errors, over held-out blocks, by which one trial is better than the other."""
-    gain = worse.block_errors - better.block_errors
-    return float(gain.sum() / (np.sqrt(gain.size) * gain.std(ddof=1))) if gain.size > 1 and gain.std() > 0.0 else 0.0
+    gain = other.block_errors - trial.block_errors
+    moves = gain.size > 1 and gain.std() > 0.0
+    return other, float(gain.sum() / (np.sqrt(gain.size) * gain.std(ddof=1))) if moves else 0.0
 
 
 def _of_folds(found: Search, model: Realisation) -> list[Realisation]:
@@ -350,6 +354,7 @@ def _refined(
     n_rest: int,
     by: Folds,
     feedback: bool,
+    modelled: bool,
     order_given: bool,
     progress: Callable[[float], None],
 ) -> FinalModel:
@@ -374,7 +379,7 @@ def _refined(
     harmless = feedback and refined is not None and not _biased(refined)
     found: Feedback = "none" if not feedback else "harmless" if harmless else "biasing"
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
-    if base.K is None:
+    if base.K is None or not modelled:
         return made
     if n_rest:
         return replace(made, why="rows of rest, which hold no noise, stand before the record")

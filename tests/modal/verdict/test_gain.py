@@ -58,10 +58,11 @@ def naive(realisation, model, record, rows, memory=0.0):
             part[k] = (mode.shape * state).real * (2 if mode.kind == "oscillatory" else 1)
             free[k, 1:] = (pole**k).real, (pole**k).imag
             state = pole * state + mode.participation @ u
-        sizes = []
         mine = white(free / np.maximum(np.abs(free[rows]).max(axis=0), 1e-300))
-        for values in (white(left) / scale, white(left + part) / scale):
-            sizes.append(((values - mine @ np.linalg.lstsq(mine, values, rcond=1e-10)[0]) ** 2).sum())
+        sizes = [
+            ((values - mine @ np.linalg.lstsq(mine, values, rcond=1e-10)[0]) ** 2).sum()
+            for values in (white(left) / scale, white(left + part) / scale)
+        ]
         gains.append(1 - sizes[0] / sizes[1])
     return np.array(gains)
 

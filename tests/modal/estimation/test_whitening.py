@@ -1,0 +1,100 @@
+"""Noise as an autoregression, on noise and systems made here and in tests/reference."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+from systems import modal_system, simulate
+
+from modal.estimation.whitening import common_filter, filtered, output_filters, stretches
+from modal.identification import pipeline
+from okid.record import Record
+
+RED = np.array([1.0, -0.95])
+
+
+def red_noise(rng, shape):
+    return scipy.signal.lfilter([1.0], RED, rng.standard_normal(shape), axis=0)
+
+
+def test_the_filter_of_an_autoregression_is_found_and_leaves_its_innovations():
+    rng = np.random.default_rng(1)
+    a = np.array([1.0, -1.2, 0.8])
+    white = rng.standard_normal((20000, 2)) * [1.0, 30.0]
+    noise = scipy.signal.lfilter([1.0], a, white, axis=0)
+    found, share = common_filter([noise[:9000], noise[9000:]])
+    np.testing.assert_allclose(found, a, atol=0.03)
+    assert share == pytest.approx((white.var(axis=0) / noise.var(axis=0)).mean(), rel=0.05)
+    for one, filter_ in enumerate(output_filters([noise])):
+        assert np.convolve(noise[:, one], filter_, "valid").var() == pytest.approx(1.0, rel=0.02)
+
+
+def test_white_noise_needs_no_filter():
+    found, share = common_filter([np.random.default_rng(2).standard_normal((3000, 3))])
+    assert found.tolist() == [1.0]
+    assert share == 1.0
+
+
+def test_a_filtered_record_is_of_the_same_system():
+    rng = np.random.default_rng(3)
+    system = modal_system(rng, frequencies=(4.0, 11.0), damping_ratios=(0.01, 0.02), n_inputs=2, n_outputs=3)
+    inputs = rng.standard_normal((600, 2))
+    inputs[:10] = 0.0  # the filter forgets rest
+    record = Record(inputs, simulate(system, inputs), system.dt)
+    other = filtered(record, RED)
+    assert other.n_samples == 599
+    np.testing.assert_allclose(other.outputs, simulate(system, other.inputs), atol=1e-12)
+
+
+def test_gaps_grow_by_the_memory_of_the_filter():
+    outputs = np.ones((50, 1))
+    outputs[20:23] = np.nan
+    record = filtered(Record(np.ones((50, 1)), outputs, 0.01), RED)
+    assert np.flatnonzero(~record.complete_rows()).tolist() == [19, 20, 21, 22]
+    assert [len(one) for one in stretches([record.outputs], [record.complete_rows()])] == [19, 26]
+
+
+@pytest.fixture(scope="module")
+def drowned():
+    """Three modes, of which two are weak, in red noise of a fifth of the outputs."""
+    rng = np.random.default_rng(41)
+    frequencies, ratios = (6.0, 24.0, 38.0), (0.01, 0.006, 0.005)
+    system = modal_system(
+        rng, frequencies=frequencies, damping_ratios=ratios, n_inputs=1, n_outputs=2, mode_sizes=(1.0, 0.03, 0.03)
+    )
+    inputs = rng.standard_normal((3000, 1))
+    outputs = simulate(system, inputs)
+    noise = red_noise(rng, outputs.shape)
+    outputs += 0.2 * outputs.std(axis=0) * noise / noise.std(axis=0)
+    return frequencies, Record(inputs, outputs, system.dt)
+
+
+def found_of(result, frequencies):
+    certain = np.array([mode.frequency for mode in result.modes.system])
+    return [one for one in frequencies if certain.size and abs(certain - one).min() < 0.005 * one]
+
+
+def test_weak_modes_far_above_the_noise_beside_them_are_found(drowned, monkeypatch):
+    frequencies, record = drowned
+    result = pipeline.identify(record)
+    assert found_of(result, frequencies) == list(frequencies)
+    assert len(result.modes.system) == 3
+    assert [choice.what for choice in result.choices].count("noise filter") == 1
+    assert result.records[0].n_samples == record.n_samples
+    for mode in result.modes.system:
+        true = min(frequencies, key=lambda one: abs(one - mode.frequency))
+        assert abs(mode.frequency - true) < 4 * mode.frequency_std
+    monkeypatch.setattr(pipeline, "fit_in_white", lambda *_, **__: None)
+    without = pipeline.identify(record)
+    assert len(found_of(without, frequencies)) < 3
+    assert result.fit.mean > without.fit.mean - 0.01
+
+
+def test_missing_rows_make_no_false_mode(drowned):
+    frequencies, record = drowned
+    outputs = record.outputs.copy()
+    outputs[1500:1520, 0] = np.nan
+    result = pipeline.identify(replace(record, outputs=outputs))
+    assert 6.0 in found_of(result, frequencies)
+    assert len(result.modes.system) == len(found_of(result, frequencies))
