@@ -11,7 +11,7 @@ struck record holds no force, and a decay has no innovations.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -109,8 +109,24 @@ def find_kind(records: Sequence[Record], given: GivenKind = "auto") -> KindFound
     if given != "auto":
         _check_given(given, has_inputs=has_inputs)
         starts = tuple(_free_from(record.outputs) for record in records) if given == "decay" else ()
-        return _found(given, "given as an argument", starts=starts)
+        found = _found(given, "given as an argument", starts=starts)
+        return replace(found, warnings=_contradicted(records, given))
     return _by_inputs(records) if has_inputs else _by_outputs(records)
+
+
+def _contradicted(records: Sequence[Record], given: GivenKind) -> tuple[str, ...]:
+    """A sentence where the data decide for another kind than the caller gave."""
+    try:
+        told = find_kind(records)
+    except InvalidDataError:  # they are of several kinds
+        return ()
+    if told.warnings or told.kind == given:
+        return ()
+    sentence = (
+        f'kind="{given}" was given, but the data say "{told.kind}": {told.choice.reason}. Folds, evidence and words '
+        f'are those of "{given}" records and may be untrue of these; leave kind out unless you know better.'
+    )
+    return (sentence,)
 
 
 def _check_given(given: GivenKind, *, has_inputs: bool) -> None:

@@ -116,6 +116,12 @@ def test_what_the_caller_says():
     blow, free = made("transient", 500), made("decay", 500)
     assert find_kind(blow, "driven").choice.reason == "given as an argument"
     assert find_kind(free, "ambient").kind == "ambient"
+    (told,) = find_kind(blow, "driven").warnings
+    assert 'kind="driven" was given, but the data say "transient": 99 % of the power' in told
+    assert 'the data say "decay"' in find_kind(free, "ambient").warnings[0]
+    assert find_kind(blow, "transient").warnings == find_kind(free, "decay").warnings == ()
+    several = [Record([], one.outputs[:, :1], 0.01) for kind in ("decay", "ambient") for one in made(kind, 501)]
+    assert find_kind(several, "ambient").warnings == ()  # of several kinds: the data say none
     for records, kind in (
         (free, "driven"),
         (free, "transient"),
