@@ -250,7 +250,11 @@ def _free_from(outputs: FloatArray) -> int:
         return 0
     parts = outputs[: n_rows * FINE_PARTS].reshape(FINE_PARTS, n_rows, -1)
     power = variance(parts, axis=1)
-    levels = (power / np.maximum(power.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    each = power / np.maximum(power.max(axis=0), np.finfo(float).tiny)
+    # an output that shows little of this motion hides no other
+    before = [each[: max(0, k - 1), j].max(initial=0.0) for j, k in enumerate(each.argmax(axis=0).tolist())]
+    tells: BoolArray = (np.array(before) > 0.0) & (np.array(before) * FAR_ABOVE <= 1.0)
+    levels = (each[:, tells] if tells.any() else each).mean(axis=1)
     strongest = int(levels.argmax())
     # the part before the strongest may hold the first rows of the motion
     quiet = levels[: max(0, strongest - 1)]
