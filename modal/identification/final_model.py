@@ -215,7 +215,7 @@ def fit_in_white(
         observer=shown.observer,
         markov=shown.markov,
         gain=gain,
-        realisation=replace(model.realisation, K=None if gain is None else gain.gain),
+        realisation=replace(model.realisation, K=gain.gain),
     )
     return White(records=white, filter=a, share=share, found=there, trial=trial), model
 

@@ -11,7 +11,7 @@ struck record holds no force, and a decay has no innovations.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -109,8 +109,24 @@ def find_kind(records: Sequence[Record], given: GivenKind = "auto") -> KindFound
     if given != "auto":
         _check_given(given, has_inputs=has_inputs)
         starts = tuple(_free_from(record.outputs) for record in records) if given == "decay" else ()
-        return _found(given, "given as an argument", starts=starts)
+        found = _found(given, "given as an argument", starts=starts)
+        return replace(found, warnings=_contradicted(records, given))
     return _by_inputs(records) if has_inputs else _by_outputs(records)
+
+
+def _contradicted(records: Sequence[Record], given: GivenKind) -> tuple[str, ...]:
+    """A sentence where the data decide for another kind than the caller gave."""
+    try:
+        told = find_kind(records)
+    except InvalidDataError:  # they are of several kinds
+        return ()
+    if told.warnings or told.kind == given:
+        return ()
+    sentence = (
+        f'kind="{given}" was given, but the data say "{told.kind}": {told.choice.reason}. Folds, evidence and words '
+        f'are those of "{given}" records and may be untrue of these; leave kind out unless you know better.'
+    )
+    return (sentence,)
 
 
 def _check_given(given: GivenKind, *, has_inputs: bool) -> None:
@@ -234,7 +250,11 @@ def _free_from(outputs: FloatArray) -> int:
         return 0
     parts = outputs[: n_rows * FINE_PARTS].reshape(FINE_PARTS, n_rows, -1)
     power = variance(parts, axis=1)
-    levels = (power / np.maximum(power.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    each = power / np.maximum(power.max(axis=0), np.finfo(float).tiny)
+    # an output that shows little of this motion hides no other
+    before = [each[: max(0, k - 1), j].max(initial=0.0) for j, k in enumerate(each.argmax(axis=0).tolist())]
+    tells: BoolArray = (np.array(before) > 0.0) & (np.array(before) * FAR_ABOVE <= 1.0)
+    levels = (each[:, tells] if tells.any() else each).mean(axis=1)
     strongest = int(levels.argmax())
     # the part before the strongest may hold the first rows of the motion
     quiet = levels[: max(0, strongest - 1)]

@@ -26,8 +26,9 @@ from modal.estimation.free_run import filled
 from modal.estimation.whitening import output_filters, stretches
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
+from modal.preparation.kind import acting_rows
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
-from modal.verdict.probability import LEAST_HEIGHT, RESOLVED
+from modal.verdict.probability import HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, f_ratio
 from modal.wording.text import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -45,8 +46,6 @@ NEARLY_ALL = 0.99
 """Count the strongest lines that hold this share of their power: a fit at best tells a hundredth."""
 WEAK_LINE = 1e-3
 """Leave out beside the lines what stands above its neighbourhood more than chance lets one record do in a thousand."""
-LEAST_BESIDE = 5.0
-"""Ask for this F ratio beside the lines: below it what the inputs make a mode do may be chance."""
 MOST_SHOWN = 6
 """Name so many lines in a sentence."""
 MOSTLY = 0.5
@@ -59,6 +58,7 @@ def driven_gain(
     left: Sequence[FloatArray],
     *,
     rows: Sequence[BoolArray] | None = None,
+    by_itself: bool = True,
 ) -> FloatArray:
     """Share of the squared error without what the inputs make a mode do that this removes.
 
@@ -75,6 +75,7 @@ def driven_gain(
         records: that it ran through; missing inputs count as zero.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
         rows: (n_samples,) a record, True where a row counts; all unless given.
+        by_itself: whether the mode could also move by itself in these rows, which is projected out.
 
     Returns:
         (n_modes,) at most 1, negative where the run is better without; nan for growing modes, and for all without
@@ -107,7 +108,7 @@ def driven_gain(
         every = np.ones(record.n_samples, dtype=np.bool_)
         for i in driven:
             part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, every)
-            free = _free_motion(complex(poles[i]), times)
+            free = _free_motion(complex(poles[i]), times) if by_itself else np.empty((len(rest), 0))
             for total, values in ((with_it, rest), (without, rest + _white(part, filters, runs, memory))):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
@@ -387,35 +388,35 @@ def _height(peak: _Peak, standing: Sequence[_Peak], lines: FloatArray, values: C
     return float(levels[0] / max(*levels[1:], np.finfo(float).tiny) * np.exp(np.sqrt(2.0 / n_values)))
 
 
-def ringing(model: ModalModel, records: Sequence[Record]) -> FloatArray:
-    """(n_modes,) power that the inputs leave in each mode when they end, over what they would if nothing cancelled.
+def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray]) -> FloatArray:
+    """(n_modes,) F ratio of what each mode does while no input acts, from the first blow or release on.
 
-    With d(k) = participation' u(k) and K the last row in which anything acts, |sum d(k) lambda^(K-k)|^2 over
-    sum |d(k) lambda^(K-k)|^2, of the record where it is largest: the spectral density of the inputs at the pole itself,
-    in units of its mean. A blow has zeros in its spectrum, and a pole on one of them answers while the blow lasts,
-    whatever happens then, and is over with it.
+    A blow has zeros in its spectrum. A pole on one of them answers while the blow lasts, whatever happens then (an
+    amplifier that is overloaded, a sensor that shifts), and is over with it. A mode rings on.
+
+    Args:
+        model: modes of the model that ran.
+        records: that it ran through.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+
+    Returns:
+        nan where no row is without an input.
 
     Example:
         >>> blow = np.r_[1.0, 1.0, np.zeros(98)]  # nothing at half the sampling rate
         >>> modes = tuple(Mode(pole=-0.1 + 2j * np.pi * f, kind="oscillatory", frequency=f, damping_ratio=0.1 / f / 6.3,
         ...                    shape=np.ones(1), participation=np.ones(1)) for f in (10.0, 49.999))
         >>> model = ModalModel(modes=modes, dt=0.01, indicator_caution=0.1)
-        >>> ringing(model, [Record(blow, np.ones(100), 0.01)]).round(3).tolist()
-        [1.809, 0.0]
+        >>> noise = np.random.default_rng(0).standard_normal((100, 1))
+        >>> (ringing(model, [Record(blow, np.ones(100), 0.01)], [noise]) > 5.0).tolist()
+        [True, False]
     """
-    poles, _ = discrete_poles(model.modes, model.dt)
-    poles = poles / np.maximum(1.0, np.abs(poles))  # what grows is no mode, and would grow beyond all numbers
-    participations = np.array([mode.participation for mode in model.modes]).reshape(len(model), records[0].n_inputs)
-    found = np.zeros(len(model))
-    for record in records:
-        inputs = np.nan_to_num(record.inputs)
-        acting = np.flatnonzero(inputs.any(axis=1))
-        drive = inputs[acting] @ participations.T
-        with np.errstate(under="ignore"):
-            left = drive * poles ** (acting.max(initial=0) - acting)[:, np.newaxis]
-        whole = np.square(np.abs(left)).sum(axis=0)
-        found = np.maximum(found, np.square(np.abs(left.sum(axis=0))) / np.maximum(whole, np.finfo(float).tiny))
-    return found
+    acting = [own.any(axis=1) for own in acting_rows(records)]
+    rows = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
+    gains = driven_gain(model, records, left, rows=rows, by_itself=False)
+    n_rows = sum(int((np.isfinite(errors).all(axis=1) & there).sum()) for errors, there in zip(left, rows, strict=True))
+    n_values = n_rows * records[0].n_outputs
+    return np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
 
 
 def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
@@ -459,6 +460,6 @@ def line_doubt(lines: BetweenLines | None, ratio: float) -> tuple[str, ...]:
         lines: of the inputs; None where they are no few lines.
         ratio: F ratio of the mode beside them, nan where nothing of its band lies beside them.
     """
-    if lines is None or ratio >= LEAST_BESIDE:
+    if lines is None or ratio >= HARDLY_DRIVEN:
         return ()
     return (f"the inputs are {lines.shown}, and beside them nothing shows it: a fit to the lines, not a mode",)

@@ -38,6 +38,7 @@ from modal.modes.shape_comparison import (
 from modal.verdict.constancy import sums_of_stronger
 from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
+    HARDLY_DRIVEN,
     clipping_doubt,
     colour_doubt,
     damping_doubt,
@@ -130,8 +131,6 @@ DOUBTED = 0.55
 """Largest probability of a pole with a doubt about what drives it: about the share of such poles that were true."""
 LEAST_PART = 0.42
 """Overlap that every kind of change must leave of a mode of the system."""
-HARDLY_DRIVEN = 5.0
-"""F ratio below which a mode that was found again may still be chance."""
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
@@ -233,8 +232,8 @@ def judge(
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
         height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.excitation`); None
             where unknown.
-        ringing: (n_modes,) what the inputs leave in each mode when they end (`modal.verdict.excitation`); None where
-            the records are no answers to blows or releases.
+        ringing: (n_modes,) F ratio of what each mode does when the inputs are over (`modal.verdict.excitation`); None
+            where the records are no answers to blows or releases.
         rings_down: whether the records are decays, in which nothing that was measured drives.
 
     Example:

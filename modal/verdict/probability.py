@@ -59,6 +59,8 @@ def probability(r: float, ratio: float = np.nan) -> float:
     return float(1 / (1 + np.exp(11.5 - 14.1 * r - 0.95 * evidence)))
 
 
+HARDLY_DRIVEN = 5.0
+"""Below this F ratio what inputs make a mode do may be chance: in all rows, beside lines, or after a blow."""
 LEAST_FIT = 0.5
 """Doubt all modes without inputs below this cross-validated fit one step ahead."""
 MOST_MISSED = 0.5
@@ -194,8 +196,6 @@ def unanswered_doubt(mode: Mode, chance: float) -> tuple[str, ...]:
     return (f"nothing follows the inputs at {mode.frequency:.4g} Hz beyond chance: noise, leakage or a disturbance",)
 
 
-RINGS = 1e-6
-"""Doubt a mode in which a blow leaves less of its power: 60 dB, as where inputs do not move."""
 COMES_BACK = 0.5
 """Doubt a mode of what rings down from this damping ratio on: within one period it falls to less than 3 %."""
 
@@ -205,18 +205,19 @@ def free_doubt(mode: Mode, ringing: float, made_of: str) -> tuple[str, ...]:
 
     Args:
         mode: of what rings down.
-        ringing: see `modal.verdict.excitation.ringing`.
+        ringing: F ratio, see `modal.verdict.excitation.ringing`.
         made_of: see `modal.verdict.constancy.sums_of_stronger`.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
         ...             shape=np.ones(1), participation=np.ones(1))
-        >>> free_doubt(mode, 1.0, "2.1 - 0.66")
+        >>> free_doubt(mode, 100.0, "2.1 - 0.66")
         ('its pole is a sum of stronger ones (2.1 - 0.66 Hz): what is not quite linear makes it',)
     """
     doubts = []
-    if not ringing >= RINGS:
-        doubts.append(f"the blow has nothing at {mode.frequency:.4g} Hz: what seems to answer is over when it ends")
+    if ringing < HARDLY_DRIVEN:
+        where = f"nothing rings at {mode.frequency:.4g} Hz beyond chance"
+        doubts.append(f"{where}: what seems to answer is over with the blow")
     if mode.damping_ratio > COMES_BACK and mode.kind in ("oscillatory", "real"):
         share = f"damping {100 * mode.damping_ratio:.0f} %"
         doubts.append(f"{share}: does not come back once; filters of sensors and amplifiers answer so, too")

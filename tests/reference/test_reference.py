@@ -7,6 +7,7 @@ import pytest
 import scipy
 from signals import random_inputs, with_noise
 from systems import TruthSystem, chain_matrices, initial_state, markov, random_chain, random_system, simulate, structure
+from textbook_modal import textbook_lscf
 
 
 def from_modes(system: TruthSystem, n_lags: int) -> np.ndarray:
@@ -86,3 +87,13 @@ def test_noise_has_the_size_that_was_asked_for():
     clean = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
     noise = with_noise(rng, clean, 0.05) - clean
     np.testing.assert_allclose(noise.std(axis=0) / clean.std(axis=0), 0.05, rtol=0.05)
+
+
+def test_common_denominator_poles_of_an_exact_table():
+    frequencies, dt = np.arange(257) * 50.0 / 256, 0.01
+    poles = np.array([-0.6 + 40.0j, -1.1 + 130.0j, -0.9 + 138.0j])
+    residues = np.random.default_rng(0).standard_normal((3, 2, 2))
+    z = np.exp(2j * np.pi * frequencies * dt)[:, None, None, None]
+    of_all = [(residues / (z - np.exp(p * dt)[:, None, None])).sum(axis=1) for p in (poles, poles.conj())]
+    found = textbook_lscf(sum(of_all), frequencies, 6)
+    np.testing.assert_allclose(found[np.argsort(found.imag)], poles, rtol=1e-8)

@@ -1,6 +1,7 @@
-"""Textbook ERA and textbook mode indicators, loop by loop, from Markov parameters; nothing of okid, era or modal.
+"""Textbook ERA, its mode indicators, loop by loop, from Markov parameters, and LSCF; nothing of okid, era or modal.
 
-Juang, Applied System Identification, 1994, chapter 5; Pappa, Elliott, Schenk, NASA TM-107607, 1992.
+Juang, Applied System Identification, 1994, chapter 5; Pappa, Elliott, Schenk, NASA TM-107607, 1992. And poles from
+frequency responses by least squares with a common denominator (LSCF): Guillaume, Verboven, Vanlanduit, ISMA 1998.
 """
 
 from dataclasses import dataclass
@@ -83,6 +84,25 @@ def textbook_indicators(model: TextbookModel) -> list[dict[str, float]]:
     for entry in result:
         entry["msv"] /= largest
     return result
+
+
+def textbook_lscf(response: np.ndarray, frequencies: np.ndarray, order: int) -> np.ndarray:
+    """Poles [1/s] with imaginary part > 0 from responses (n_lines, n_outputs, n_inputs) at lines [Hz] from 0 up.
+
+    Each response is N_oi(z) / D(z) with z = exp(s / (2 f_last)) and real coefficients up to z^order; N is eliminated,
+    and the lowest coefficient of D is 1, which puts poles without meaning outside the unit circle.
+    """
+    dt = 0.5 / frequencies[-1]
+    powers = np.exp(2j * np.pi * np.outer(frequencies, np.arange(order + 1)) * dt)
+    normal = np.zeros((order + 1, order + 1))
+    own = (powers.conj().T @ powers).real
+    for H in response.reshape(len(frequencies), -1).T:
+        mine = -H[:, None] * powers
+        cross = (powers.conj().T @ mine).real
+        normal += (mine.conj().T @ mine).real - cross.T @ np.linalg.solve(own, cross)
+    denominator = np.r_[1.0, -np.linalg.solve(normal[1:, 1:], normal[1:, 0])]
+    roots = np.roots(denominator[::-1]).astype(complex)
+    return np.log(roots[roots.imag > 0]) / dt
 
 
 def _emac(first: np.ndarray, last: np.ndarray, growth: complex) -> float:

@@ -89,6 +89,16 @@ def test_what_rests_before_it_rings_down_is_a_decay(row, struck):
     assert "not measured" in found.choice.reason
 
 
+def test_an_output_that_hardly_moves_hides_no_release():
+    """Held away from rest, let go at row 600; the third sensor sits near a node and shows little but its noise."""
+    k, rng = np.arange(1400), np.random.default_rng(8)
+    motion = np.r_[np.ones(600), np.exp(-0.01 * k) * np.cos(0.4 * k)]
+    outputs = np.outer(motion, [-0.75, 0.86, 0.05]) + 0.03 * rng.standard_normal((2000, 3))
+    found = find_kind([Record([], outputs, 0.01)])
+    assert found.kind == "decay"
+    assert found.starts[0] in range(600, 620)
+
+
 def test_a_blow_that_nobody_measured_gives_the_modes():
     result = identify(at_rest_until(400, struck=True, n_rows=1500))
     assert result.record_kind == "decay"
@@ -116,6 +126,12 @@ def test_what_the_caller_says():
     blow, free = made("transient", 500), made("decay", 500)
     assert find_kind(blow, "driven").choice.reason == "given as an argument"
     assert find_kind(free, "ambient").kind == "ambient"
+    (told,) = find_kind(blow, "driven").warnings
+    assert 'kind="driven" was given, but the data say "transient": 99 % of the power' in told
+    assert 'the data say "decay"' in find_kind(free, "ambient").warnings[0]
+    assert find_kind(blow, "transient").warnings == find_kind(free, "decay").warnings == ()
+    several = [Record([], one.outputs[:, :1], 0.01) for kind in ("decay", "ambient") for one in made(kind, 501)]
+    assert find_kind(several, "ambient").warnings == ()  # of several kinds: the data say none
     for records, kind in (
         (free, "driven"),
         (free, "transient"),
