@@ -375,12 +375,13 @@ def _settled(future: "Future[Any]", unit: Unit, records: Path) -> Outcome:
     except Exception as error:
         if not (isinstance(error, WorkerDiedError) or type(error).__name__ == "KilledWorker"):  # the latter is dask's
             raise
+        how = " ".join(str(error).split()).rstrip(".")
         dead = Outcome(
             record=unit.record,
             paths=unit.paths,
             hash=unit.hash,
             status="failed",
-            message=f"{' '.join(str(error).split())}; the file may be damaged, or its record too large for the memory.",
+            message=f"{how}; the file may be damaged, or its record too large for the memory.",
             lasting=False,
         )
         return write_failure(dead, folder_of(unit, records))

@@ -154,7 +154,7 @@ def test_a_crashing_file_costs_one_file(runs, sequential, tmp_path):
     assert (process.returncode, errors) == (1, "")
     found = rows(Batch(out))
     assert found["crash"]["status"] == "failed"
-    assert "died twice, the second time alone (signal 11, SIGSEGV)" in found["crash"]["message"]
+    assert "died twice, the second time alone (signal 11, SIGSEGV); the file" in found["crash"]["message"]
     assert [row["status"] for row in found.values()].count("done") == 4
     ours, theirs = kept(out), kept(sequential.folder)
     assert ours == theirs
