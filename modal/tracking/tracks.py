@@ -209,12 +209,20 @@ def _numbers(table: Any, names: Sequence[str]) -> npt.NDArray[np.intp]:
 
 def _shapes(table: Any) -> ComplexArray:
     """(n_rows, n_outputs), nan where a row has fewer."""
-    listed = table.column("shape").to_pylist()
-    n_outputs = max((len(shape or ()) for shape in listed), default=0)
-    shapes = np.full((len(listed), n_outputs), np.nan, dtype=np.complex128)
-    for row, shape in zip(shapes, listed, strict=True):
-        for k, one in enumerate(shape or ()):
-            row[k] = complex(one["real"], one["imag"]) if isinstance(one, dict) else one
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    column = table.column("shape").combine_chunks()
+    if pa.types.is_null(column.type):
+        return np.empty((len(column), 0), dtype=np.complex128)
+    counts = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
+    values = pc.list_flatten(column)
+    if pa.types.is_struct(values.type):
+        real, imag = (values.field(part).to_numpy(zero_copy_only=False) for part in ("real", "imag"))
+        values = real + 1j * imag
+    place = np.arange(counts.max(initial=0)) < counts[:, np.newaxis]
+    shapes = np.full(place.shape, np.nan, dtype=np.complex128)
+    shapes[place] = values
     return shapes
 
 
