@@ -23,7 +23,7 @@ STRUCTURES = {"frame": three_storey_frame.frame(), "modules": many_records.modul
 def frame_run(tmp_path_factory):
     """The frame's story into a folder: exit status and folder."""
     folder = tmp_path_factory.mktemp("frame") / "result"
-    return three_storey_frame.main([str(folder)]), folder
+    return three_storey_frame.main(["-o", str(folder)]), folder
 
 
 # --- the structures --------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_many_records_writes_the_comparison_and_both_results(tmp_path, capsys, s
     """With results that are there already: what is under test is the folder and the words."""
     ready = iter(states)
     monkeypatch.setattr(many_records, "identify", lambda _records: next(ready))
-    assert many_records.main([str(tmp_path / "out")]) == 0
+    assert many_records.main(["-o", str(tmp_path / "out")]) == 0
     before, after = (read_result(tmp_path / "out" / f"{name}.npz") for name in ("before", "after"))
     assert len(compare_results(before, after).pairs) == many_records.ROW.n_modules
     assert "2 of 4 matched modes" in (tmp_path / "out" / "comparison.html").read_text(encoding="utf-8")
@@ -194,5 +194,5 @@ def test_many_records_writes_the_comparison_and_both_results(tmp_path, capsys, s
     assert "2 of 4 matched modes changed beyond chance" in told
     assert "hidden: joint 3, 1.00 %" in told
     ready = iter(states)
-    many_records.main([str(tmp_path / "out")])
+    many_records.main(["-o", str(tmp_path / "out")])
     assert "not written: " in capsys.readouterr().out  # what is there is not touched
