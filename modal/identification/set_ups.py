@@ -13,7 +13,8 @@ shapes are the means of what the set-ups give, and information adds,
 **Without inputs.** What drives the structure is another force in every set-up, so neither levels nor innovations can be
 shared: only poles and shapes are common. Each set-up is identified by its outputs alone; a part of a shape is scaled to
 the others by the references, alpha_s = (phi_ref,s^H phi_ref) / |phi_ref,s|^2, and poles and scaled parts are averaged
-with their information. To first order that is what one fit of common poles and shapes to all set-ups gives.
+with their information. To first order that is what one fit of common poles and shapes to all set-ups gives. The joint
+pole is what the verdict asks for its doubts: what one set-up alone cannot tell from an undamped line, all may.
 
 References:
     Reynders, Magalhaes, De Roeck, Cunha, Merging strategies for multi-setup operational modal analysis, 27th
@@ -34,6 +35,9 @@ from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, without_input_delay
+from modal.verdict.excitation import undriven_doubt
+from modal.verdict.judgement import DOUBTED
+from modal.verdict.probability import SPREAD, pole_doubts, probability
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.markov import MarkovParameters
@@ -498,7 +502,8 @@ def _followed(
         left.remove(k)
     for k, own in seen.items():
         free[k].remove(own)
-    return _averaged(mode, list(seen.values()), shape, information)
+    longest = max(record.duration for record in records)
+    return _averaged(mode, list(seen.values()), shape, information, dt=records[0].dt, duration=longest)
 
 
 def _spread(mode: Mode) -> FloatArray:
@@ -510,17 +515,22 @@ def _spread(mode: Mode) -> FloatArray:
     return spread
 
 
-def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray) -> Mode:
-    """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least."""
+def _averaged(
+    mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray, *, dt: float, duration: float
+) -> Mode:
+    """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least.
+
+    Doubts that a pole raises by itself are asked of the joint pole, which all set-ups together know better.
+    """
     frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
     damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
     largest = int(np.abs(shape).argmax())
-    by_certainty = sorted(found, key=lambda one: one.probability)
+    by_certainty = sorted(map(_by_data, found), key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
-    doubt = "" if weakest.verdict == "system" else f"; the least sure of them: {weakest.reason}"
-    return replace(
+    told = [one.damping_resolved or one.damping_ratio_std > SPREAD * one.damping_ratio for one in found]
+    joint = replace(
         mode,
         pole=2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
         frequency=frequency,
@@ -532,10 +542,31 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
         mass_std=None,
         probability=middle.probability,
         verdict=middle.verdict,
-        damping_resolved=all(one.damping_resolved for one in found),
+        doubts=middle.doubts,
+        damping_resolved=all(told) and damping_std <= SPREAD * damping,
         repeatability=min(one.repeatability for one in found),
-        reason=f"found in all {len(found)} set-ups{doubt}",
     )
+    words = [f"found in all {len(found)} set-ups"]
+    doubts = (*undriven_doubt(joint, np.nan, duration), *pole_doubts(joint, dt))
+    if joint.verdict == "system" and doubts:
+        words += doubts
+        joint = replace(
+            joint,
+            verdict="doubtful",
+            probability=min(joint.probability, DOUBTED),
+            doubts=tuple(("pole", doubt) for doubt in doubts),
+        )
+    elif weakest.verdict != "system":
+        words.append(f"the least sure of them: {weakest.reason}")
+    return replace(joint, reason="; ".join(words))
+
+
+def _by_data(mode: Mode) -> Mode:
+    """The mode of a set-up without the doubts that its pole alone raises."""
+    left = tuple(doubt for doubt in mode.doubts if doubt[0] == "data")
+    if left or not mode.doubts:
+        return replace(mode, doubts=left)
+    return replace(mode, verdict="system", probability=probability(mode.repeatability), doubts=())
 
 
 def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
