@@ -40,12 +40,8 @@ from modal.batch.task import (
 from modal.recording.records import save_batch_recording
 from modal.report.folder import refuse_names, sweep
 from okid.arrays import listener, whole_number
-from okid.errors import IdentificationError, InvalidDataError
+from okid.errors import ExecutorError, IdentificationError, InvalidDataError
 from okid.record import InputHold
-
-
-class ExecutorError(IdentificationError):
-    """What was to do the work cannot: an executor that broke, a scheduler that is not there."""
 
 
 class WorkerDiedError(ExecutorError):
