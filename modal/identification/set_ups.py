@@ -523,7 +523,7 @@ def _averaged(
     Doubts that a pole raises by itself are asked of the joint pole, which all set-ups together know better.
     """
     frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
-    damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
+    damping, damping_std = _mean_damping(found)
     largest = int(np.abs(shape).argmax())
     by_certainty = sorted(map(_by_data, found), key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
@@ -578,6 +578,20 @@ def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, 
         return float(value.mean()), float("nan")
     weight = std**-2.0
     return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
+
+
+def _mean_damping(found: Sequence[Mode]) -> tuple[float, float]:
+    """As `_mean`, each deviation at the common damping ratio: what noise drives has a variance in proportion to it.
+
+    At its own estimate a set-up with too little damping would count most, and draw the mean down by its relative
+    variance: a half where a short record leaves 70 %.
+    """
+    own, stds = np.array([one.damping_ratio for one in found]), np.array([one.damping_ratio_std for one in found])
+    if not (np.isfinite(stds) & (stds > 0.0) & (own > 0.0)).all():
+        return _mean(own.tolist(), stds.tolist())
+    weight = own / stds**2
+    mean = float((weight * own).sum() / weight.sum())
+    return mean, float(np.sqrt(mean / weight.sum()))
 
 
 def _filled(
