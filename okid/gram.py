@@ -310,12 +310,13 @@ def _chunks(records: Sequence[Record], order: int) -> Iterator[tuple[Any, Any]]:
 
 def _sent(array: FloatArray, rows: slice) -> "_Mapped | FloatArray":
     """The place of some rows in their file, or the rows themselves."""
-    part, base = array[rows], array
+    part = array[rows]
+    base: object = array
     while isinstance(base, np.ndarray) and not (isinstance(base, np.memmap) and not isinstance(base.base, np.memmap)):
-        base = base.base
-    path = getattr(base, "filename", None)  # of a file without a name: none, or the number of a handle
-    if not (isinstance(path, str | Path) and Path(path).is_file() and array.dtype == np.float64):
-        return part
+        base = base.base  # to the map itself: a view of it knows no place of its own
+    path = base.filename if isinstance(base, np.memmap) else None
+    if not (isinstance(base, np.memmap) and isinstance(path, str | Path) and Path(path).is_file()):
+        return part  # a file without a name has none, or the number of a handle
     beyond = part.__array_interface__["data"][0] - base.__array_interface__["data"][0]
     return _Mapped(str(path), base.offset + beyond, part.shape, part.strides)
 
