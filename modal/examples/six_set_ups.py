@@ -25,8 +25,8 @@ from modal.examples.story import LinearStructure, command_line, print_written, r
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
-from okid.rows import join_setups
 from okid.record import Record
+from okid.rows import join_setups
 
 N_FLOORS, DT = 8, 1 / 64
 STAY, ROVE = (4, 7), (0, 1, 2, 3, 5, 6)

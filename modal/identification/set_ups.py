@@ -26,11 +26,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from era.realisation import Realisation
-from era.simulation import estimate_initial_state, predict, simulate
+from era.simulation import estimate_initial_state, simulate
+from modal.identification.information import mean_by_information
 from modal.identification.result import Identification
-from modal.identification.synthesis import output_model
-from modal.modes.modal_form import continuous_poles, modal_basis
+from modal.identification.synthesis import output_model, with_absent_outputs
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
@@ -338,8 +337,10 @@ def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Ide
         gained[outputs] += weight
         sums[outputs] += weight * scale * own.shape
     sure = [own for own in found if own is not None and own.frequency_std > 0.0 and own.damping_ratio_std > 0.0]
-    frequency, frequency_std = _mean([own.frequency for own in sure], [own.frequency_std for own in sure])
-    damping, damping_std = _mean([own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure])
+    frequency, frequency_std = mean_by_information([own.frequency for own in sure], [own.frequency_std for own in sure])
+    damping, damping_std = mean_by_information(
+        [own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure]
+    )
     if not sure:
         frequency, damping = mode.frequency, mode.damping_ratio
     known = bool((gained > 0.0).all())
@@ -431,7 +432,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         reason="each was identified by its outputs alone; the references scale what the others saw",
     )
     model = output_model(modes)
-    placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
+    placed = [with_absent_outputs(result, modes, one.outputs) for one, result in zip(setups, results, strict=True)]
     predicted = tuple(record for _, some in placed for record in some)
     return replace(
         first,
@@ -502,8 +503,8 @@ def _followed(
         left.remove(k)
     for k, own in seen.items():
         free[k].remove(own)
-    longest = max(record.duration for record in records)
-    return _averaged(mode, list(seen.values()), shape, information, dt=records[0].dt, duration=longest)
+    together = sum(max(records[member].duration for member in setups[k].members) for k in seen)
+    return _averaged(mode, list(seen.values()), shape, information, dt=records[0].dt, duration=together)
 
 
 def _spread(mode: Mode) -> FloatArray:
@@ -520,10 +521,16 @@ def _averaged(
 ) -> Mode:
     """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least.
 
-    Doubts that a pole raises by itself are asked of the joint pole, which all set-ups together know better.
+    Doubts that a pole raises by itself are asked of the joint pole over the `duration` of all set-ups [s]: of its
+    damping they tell as much as one record so long.
     """
-    frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
-    damping, damping_std = _mean_damping(found)
+    frequency, frequency_std = mean_by_information(
+        [one.frequency for one in found], [one.frequency_std for one in found]
+    )
+    # each deviation at its own estimate: a mean of 1 / damping, as one fit of all gives, and not drawn up by short ones
+    damping, damping_std = mean_by_information(
+        [one.damping_ratio for one in found], [one.damping_ratio_std for one in found]
+    )
     largest = int(np.abs(shape).argmax())
     by_certainty = sorted(map(_by_data, found), key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
@@ -567,61 +574,6 @@ def _by_data(mode: Mode) -> Mode:
     if left or not mode.doubts:
         return replace(mode, doubts=left)
     return replace(mode, verdict="system", probability=probability(mode.repeatability), doubts=())
-
-
-def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
-    """Average by information and its deviation; the plain one and nan where a deviation is not known."""
-    value, std = np.array(values), np.array(deviations)
-    if not value.size:
-        return float("nan"), float("nan")
-    if not (np.isfinite(std).all() and (std > 0.0).all()):
-        return float(value.mean()), float("nan")
-    weight = std**-2.0
-    return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
-
-
-def _mean_damping(found: Sequence[Mode]) -> tuple[float, float]:
-    """As `_mean`, each deviation at the common damping ratio: what noise drives has a variance in proportion to it.
-
-    At its own estimate a set-up with too little damping would count most, and draw the mean down by its relative
-    variance: a half where a short record leaves 70 %.
-    """
-    own, stds = np.array([one.damping_ratio for one in found]), np.array([one.damping_ratio_std for one in found])
-    if not (np.isfinite(stds) & (stds > 0.0) & (own > 0.0)).all():
-        return _mean(own.tolist(), stds.tolist())
-    weight = own / stds**2
-    mean = float((weight * own).sum() / weight.sum())
-    return mean, float(np.sqrt(mean / weight.sum()))
-
-
-def _filled(
-    records: Sequence[Record], one: _SetUp, result: Identification, modes: ModalModel
-) -> tuple[list[Record], list[Record]]:
-    """The records of a set-up and their predictions, absent outputs from the states of the joined modes alone."""
-    model, basis = result.realisation, modal_basis(result.realisation)
-    own, absent = list(one.outputs), [o for o in range(records[0].n_outputs) if o not in one.outputs]
-    C, K = np.zeros((records[0].n_outputs, model.order)), np.zeros((model.order, records[0].n_outputs))
-    C[own], K[:, own] = model.C, 0.0 if model.K is None else model.K
-    poles = continuous_poles(basis.poles, model.dt)
-    for mode in modes:
-        at = int(np.abs(poles - mode.pole).argmin())
-        here = basis.outputs[:, at]
-        scale = np.vdot(mode.shape[own], here) / np.vdot(mode.shape[own], mode.shape[own])
-        C[absent] += 2.0 * (mode.shape[absent, np.newaxis] * scale * basis.left[at]).real
-    virtual = Realisation(model.A, np.zeros((model.order, 0)), C, np.zeros((len(C), 0)), model.dt, K=K)
-    measured, predicted = [], []
-    for record in result.records:
-        outputs = np.zeros((record.n_samples, records[0].n_outputs))
-        outputs[:, own] = record.outputs
-        whole = replace(
-            record, outputs=outputs, output_names=records[0].output_names, output_units=records[0].output_units
-        )
-        run = predict(virtual, whole).outputs
-        outputs = outputs.copy()
-        outputs[:, absent] = run[:, absent]
-        measured.append(replace(whole, outputs=outputs))
-        predicted.append(replace(whole, outputs=run))
-    return measured, predicted
 
 
 def _joint_fit(setups: Sequence[_SetUp], results: Sequence[Identification], n_outputs: int) -> Fit:

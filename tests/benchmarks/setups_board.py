@@ -1,10 +1,11 @@
 """Set-ups against structures whose modes are known: roving sensors, driven or not, and a roving hammer.
 
-    python tests/benchmarks/setups_board.py driven|ambient|hammer --seeds 1-10
+    python tests/benchmarks/setups_board.py driven|ambient|hum|hammer --seeds 1-10
 
 - driven: 5 set-ups of 8 sensors, 2 of them references, one force at a fixed point, levels different by up to 10, 2 %
   noise on every output; error over the joint Cramer-Rao bound of all set-ups (references' shapes shared).
 - ambient: 3 set-ups of 3 velocities, 2 of them references, on a chain of 5 masses, white forces that nobody measured.
+- hum: the same, and two lines that never end, as loud as the modes.
 - hammer: 20 points struck, 2 sensors, 16 modes; the residues judge the modal scaling.
 
 In the row PoSER poles and shapes are plain means of what each set-up gives by itself, shapes scaled by the references
@@ -98,13 +99,21 @@ def _shared_information(system, force, noise, *, n_references):
     return marginal / np.outer(scale[kept], scale[kept])
 
 
-def ambient(seed):
+def hum(seed):
+    return ambient(seed, n_lines=2)
+
+
+def ambient(seed, *, n_lines=0):
     rng = np.random.default_rng(seed)
     chain = random_chain(rng, n_masses=5, n_inputs=5, sensor_kinds="velocity", damping_ratio=0.01, dt=DT)
-    records = []
+    records, lines, hum_shapes = [], rng.uniform(2.0, 40.0, n_lines), rng.standard_normal((n_lines, 5))
     for k, level in enumerate(np.geomspace(1.0, 10.0, 3)[rng.permutation(3)]):
         sensors = [1, 4, (0, 2, 3)[k]]
         clean = simulate(selected(chain, sensors), level * rng.standard_normal((4500, 5)))[500:]
+        loud = clean.std()
+        for frequency, shape in zip(lines, hum_shapes, strict=True):
+            phase = 2 * np.pi * frequency * DT * np.arange(len(clean)) + rng.uniform(0.0, 2 * np.pi)
+            clean = clean + loud * np.outer(np.sin(phase), shape[sensors])
         values = clean + 0.02 * clean.std(axis=0) * rng.standard_normal(clean.shape)
         records.append(_record([], values, [], sensors, f"set-up {k}"))
     return records, chain, chain.shapes, None
@@ -189,10 +198,10 @@ def poser(records, results, n_points):
 
 def main():  # noqa: PLR0912 - a row after the other
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("driven", "ambient", "hammer"))
+    parser.add_argument("kind", choices=("driven", "ambient", "hum", "hammer"))
     parser.add_argument("--seeds", default="1-10", help="first-last")
     given = parser.parse_args()
-    make = {"driven": driven, "ambient": ambient, "hammer": hammer}[given.kind]
+    make = {"driven": driven, "ambient": ambient, "hum": hum, "hammer": hammer}[given.kind]
     first, last = map(int, given.seeds.split("-"))
     low: list[bool] = []
     z, over, assurances, twins, twin_assurances = [], [], [], [], []

@@ -163,7 +163,7 @@ def ambient_mode(damping, doubts=()):
 
 
 def averaged(modes):
-    return _averaged(modes[0], modes, np.ones(2), np.full(2, 1e4), dt=0.01, duration=60.0)
+    return _averaged(modes[0], modes, np.ones(2), np.full(2, 1e4), dt=0.01, duration=180.0)
 
 
 def test_what_one_set_up_cannot_tell_from_a_line_all_may():
@@ -177,8 +177,7 @@ def test_what_one_set_up_cannot_tell_from_a_line_all_may():
     joint = averaged(doubted)
     assert (joint.verdict, joint.doubts) == ("system", ())
     assert joint.probability > 0.9
-    assert joint.damping_ratio == pytest.approx(np.mean(dampings))  # each with its own deviation it would be 0.0018
-    assert joint.damping_ratio_std == pytest.approx(ambient_mode(np.mean(dampings)).damping_ratio_std / np.sqrt(3))
+    assert joint.damping_ratio == pytest.approx(3 / sum(1 / damping for damping in dampings))
     line = [replace(ambient_mode(2e-5 * k), **_doubted("pole", "a line")) for k in (1, 2, 3)]
     assert "an undamped line" in averaged(line).reason
     assert averaged(line).verdict == "doubtful"
