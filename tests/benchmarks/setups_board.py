@@ -196,7 +196,7 @@ def poser(records, results, n_points):
     return means
 
 
-def main():  # noqa: PLR0912 - a row after the other
+def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=("driven", "ambient", "hum", "hammer"))
     parser.add_argument("--seeds", default="1-10", help="first-last")
@@ -250,20 +250,27 @@ def main():  # noqa: PLR0912 - a row after the other
                 k = int(np.abs(truth.frequencies - frequency).argmin())
                 twins.append(np.array([frequency - truth.frequencies[k], ratio - truth.damping_ratios[k]]) / bounds[k])
                 twin_assurances.append(assurance(shape, shapes[:, k]))
-    z = np.array(z)
-    print(f"found {n_found} of {n_true}, false {n_false}")
-    if len(z):
-        print(f"within 1.96 deviations: frequency {100 * np.mean(np.abs(z[:, 0]) < 1.96):.1f} %, damping "
-              f"{100 * np.mean(np.abs(z[:, 1]) < 1.96):.1f} %; rms z {_rms(z)}")  # fmt: skip
-        lowest = z[low]
-        print(f"lowest modes: damping mean z {lowest[:, 1].mean():.2f}, rms {_rms(lowest)}")
-        print(f"assurance: least {min(assurances):.5f}, below 0.999: {sum(a < 0.999 for a in assurances)}")
+        print(f"  so far: found {n_found} of {n_true}, false {n_false}")
+        if z:
+            show(given.kind, np.array(z), np.array(low), over, assurances, twins, twin_assurances)
+
+
+def show(kind, z, low, over, assurances, twins, twin_assurances):
+    """What was found so far, in figures."""
+    within = 100 * np.mean(np.abs(z) < 1.96, axis=0)
+    print(f"  within 1.96 deviations: frequency {within[0]:.1f} %, damping {within[1]:.1f} %; rms z {_rms(z)}")
+    if low.any():
+        print(f"  lowest modes: damping mean z {z[low, 1].mean():.2f}, rms {_rms(z[low])}")
+    print(f"  assurance: least {min(assurances):.5f}, below 0.999: {sum(one < 0.999 for one in assurances)}")
     if over:
-        print(f"rms error / bound {_rms(over)}, both {np.sqrt(np.mean(np.square(over))):.3f}")
-    if twins and given.kind == "hammer":
-        print(f"largest relative error of a mode's residues: {max(twins):.4f}, median {np.median(twins):.4f}")
+        print(f"  rms error / bound {_rms(over)}, both {np.sqrt(np.mean(np.square(over))):.3f}")
+    if twins and kind == "hammer":
+        print(f"  largest relative error of a mode's residues: {max(twins):.4f}, median {np.median(twins):.4f}")
     elif twins:
-        print(f"PoSER: rms error / bound {_rms(twins)}, {len(twins)} modes, least assurance {min(twin_assurances):.5f}")
+        print(
+            f"  PoSER: rms error / bound {_rms(twins)}, {len(twins)} modes, least assurance {min(twin_assurances):.5f}"
+        )
+    sys.stdout.flush()
 
 
 def _rms(values):
