@@ -196,7 +196,7 @@ def poser(records, results, n_points):
     return means
 
 
-def main():
+def main():  # noqa: PLR0912 - one structure after the other
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=("driven", "ambient", "hum", "hammer"))
     parser.add_argument("--seeds", default="1-10", help="first-last")
