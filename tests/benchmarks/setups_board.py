@@ -196,7 +196,7 @@ def poser(records, results, n_points):
     return means
 
 
-def main():  # noqa: PLR0912 - one structure after the other
+def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=("driven", "ambient", "hum", "hammer"))
     parser.add_argument("--seeds", default="1-10", help="first-last")
@@ -252,10 +252,11 @@ def main():  # noqa: PLR0912 - one structure after the other
                 twin_assurances.append(assurance(shape, shapes[:, k]))
         print(f"  so far: found {n_found} of {n_true}, false {n_false}")
         if z:
-            show(given.kind, np.array(z), np.array(low), over, assurances, twins, twin_assurances)
+            lists = {"over": over, "assurances": assurances, "twins": twins, "twin_assurances": twin_assurances}
+            show(given.kind, np.array(z), np.array(low), **lists)
 
 
-def show(kind, z, low, over, assurances, twins, twin_assurances):
+def show(kind, z, low, *, over, assurances, twins, twin_assurances):
     """What was found so far, in figures."""
     within = 100 * np.mean(np.abs(z) < 1.96, axis=0)
     print(f"  within 1.96 deviations: frequency {within[0]:.1f} %, damping {within[1]:.1f} %; rms z {_rms(z)}")
