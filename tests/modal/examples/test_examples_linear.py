@@ -212,6 +212,7 @@ def test_a_year_of_a_bridge_finds_its_damage_within_days(tmp_path, capsys):
         assert 0 <= alarm.since - start <= alarm.time - start <= 4 * year_of_a_bridge.DAY
 
 
+@pytest.mark.slow
 def test_six_set_ups_give_one_mast(capsys):
     assert six_set_ups.main([]) == 0
     said = capsys.readouterr().out
