@@ -299,9 +299,15 @@ def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> Non
         seen |= seen.all() or ~np.isnan(chunk).all(axis=0)
         if seen.all():
             return
-    empty = ", ".join(repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number)
+    empty = [repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number]
+    if len(empty) == 1:
+        raise InvalidDataError(
+            f"{kind} {empty[0]} holds no number in any of its {array.shape[0]} samples; leave it out."
+        )
     if empty:
-        raise InvalidDataError(f"{kind} {empty} holds no number in any of its {array.shape[0]} samples; leave it out.")
+        raise InvalidDataError(
+            f"{kind}s {', '.join(empty)} hold no number in any of their {array.shape[0]} samples; leave them out."
+        )
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

@@ -78,6 +78,10 @@ class NumericalError(IdentificationError):
     """An algorithm met a state from which it cannot give an honest answer."""
 
 
+class ExecutorError(IdentificationError):
+    """What was to do the work cannot: an executor that broke, a scheduler that is not there."""
+
+
 class IdentificationWarning(UserWarning):
     """The result stands, but the caller should act on what the text says."""
 

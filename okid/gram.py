@@ -13,18 +13,23 @@ Lag correlations of many channels at once, by overlapped FFT blocks.
     R(j) = sum_{k counted} z(k) z(k-j)',   j = 0 ... order
 
 costs about 8 N c^2 operations for c channels instead of 2 N c^2 (order + 1). Blocks add up, so memory is bounded and a
-mapped file is read once.
+mapped file is read once. So do chunks, by the processes of any executor (`chunked_gram`): each counts once, in the
+order of the rows, whoever is done first.
 """
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import InvalidDataError
+from okid.errors import ExecutorError, IdentificationError, InvalidDataError
 from okid.record import Record
-from okid.rows import complete_rows, runs_of, scaled_block, usable_rows
+from okid.rows import Samples, complete_rows, runs_of, scaled_block, usable_rows
 from okid.scaling import CACHE_VALUES, ChannelScaling
 
 _KEPT_VALUES = 3 << 20
@@ -196,9 +201,15 @@ def lag_gram(
         ((9, 9), 47)
     """
     _check_masks(records, rows)
-    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    return _summed(records, order, scaling, rows)
+
+
+def _summed(
+    records: Sequence[Samples], order: int, scaling: ChannelScaling, rows: Sequence[BoolArray] | None
+) -> LagGram:
+    n_inputs, n_outputs = records[0].inputs.shape[1], records[0].outputs.shape[1]
     n_channels = n_inputs + n_outputs
-    longest = max(record.n_samples for record in records)
+    longest = max(record.outputs.shape[0] for record in records)
     correlation = LagCorrelation(max(1, longest - order), n_channels, order)
     edges = _Edges(order, n_channels)
     for number, record in enumerate(records):
@@ -209,6 +220,110 @@ def lag_gram(
     return LagGram(
         matrix=_closed(edges.matrix(lags)), n_rows=edges.n_rows, order=order, n_inputs=n_inputs, n_outputs=n_outputs
     )
+
+
+SENT_VALUES = 1 << 22
+"""Hand so many values to a process at once: 32 MiB, a tenth of a second of work."""
+AHEAD = 16
+"""Hand out so many chunks before the first of them has come back: at most half a gigabyte of values on the way."""
+
+
+def chunked_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling, executor: Executor) -> LagGram:
+    """As `lag_gram`, summed chunk by chunk by whoever an executor has; a chunk of a mapped file is sent by its place.
+
+    Args:
+        records: of one system.
+        order: largest lag.
+        scaling: mean and size of every channel, decided once for all chunks.
+        executor: any `concurrent.futures.Executor`; its processes must see the same files.
+
+    Raises:
+        ExecutorError: the executor broke; no chunk is left out in silence.
+
+    Example:
+        >>> from concurrent.futures import ThreadPoolExecutor
+        >>> from okid.scaling import channel_scaling
+        >>> record = Record(np.sin(np.arange(50.0)), np.cos(np.arange(50.0)), 0.1)
+        >>> with ThreadPoolExecutor(1) as one:
+        ...     chunked_gram([record], 3, scaling=channel_scaling([record]), executor=one).n_rows
+        47
+    """
+    chunks = _chunks(records, order)
+    n_chunks = n_done = 0
+    waiting: deque[Future[LagGram]] = deque()
+    total: LagGram | None = None
+    try:
+        while True:
+            while len(waiting) < AHEAD and (chunk := next(chunks, None)) is not None:
+                waiting.append(executor.submit(_gram_of_chunk, chunk, order, scaling))
+                n_chunks += 1
+            if not waiting:
+                break
+            own = waiting.popleft().result()
+            total = own if total is None else total + own
+            n_done += 1
+    except IdentificationError:
+        raise
+    except Exception as error:  # a broken pool, submitting after shutdown, a lost scheduler
+        why = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no reason given'}"
+        raise ExecutorError(
+            f"the executor broke ({why}) after {n_done} chunks of the records were summed; nothing is kept, so call "
+            "again with a new executor, or with modal.batch.Workers, which starts a dead process again."
+        ) from error
+    finally:
+        for future in waiting:
+            future.cancel()
+    if total is None:  # no record is longer than the order
+        return _summed(records, order, scaling, None)
+    return total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mapped:
+    """Where an array stands in a file that another process can map, too."""
+
+    path: str
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+
+    def array(self) -> FloatArray:
+        whole = np.memmap(self.path, np.uint8, "r")
+        found: FloatArray = np.ndarray(self.shape, np.float64, whole, self.offset, self.strides)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chunk:
+    inputs: FloatArray
+    outputs: FloatArray
+
+
+def _chunks(records: Sequence[Record], order: int) -> Iterator[tuple[Any, Any]]:
+    """Inputs and outputs of each chunk, `order` rows of the past before its own."""
+    for record in records:
+        step = max(order, SENT_VALUES // (record.n_inputs + record.n_outputs))
+        for start in range(order, record.n_samples, step):
+            rows = slice(start - order, min(start + step, record.n_samples))
+            yield _sent(record.inputs, rows), _sent(record.outputs, rows)
+
+
+def _sent(array: FloatArray, rows: slice) -> "_Mapped | FloatArray":
+    """The place of some rows in their file, or the rows themselves."""
+    part = array[rows]
+    base: object = array
+    while isinstance(base, np.ndarray) and not (isinstance(base, np.memmap) and not isinstance(base.base, np.memmap)):
+        base = base.base  # to the map itself: a view of it knows no place of its own
+    path = base.filename if isinstance(base, np.memmap) else None
+    if not (isinstance(base, np.memmap) and isinstance(path, str | Path) and Path(path).is_file()):
+        return part  # a file without a name has none, or the number of a handle
+    beyond = part.__array_interface__["data"][0] - base.__array_interface__["data"][0]
+    return _Mapped(str(path), base.offset + beyond, part.shape, part.strides)
+
+
+def _gram_of_chunk(parts: tuple[Any, Any], order: int, scaling: ChannelScaling) -> LagGram:
+    inputs, outputs = (part.array() if isinstance(part, _Mapped) else part for part in parts)
+    return _summed([_Chunk(inputs, outputs)], order, scaling, None)
 
 
 def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling, n_turns: int, turn: int) -> LagGram:
@@ -300,11 +415,11 @@ class _Edges:
 
 
 def _add_record(
-    correlation: LagCorrelation, edges: _Edges, record: Record, scaling: ChannelScaling, mask: BoolArray | None
+    correlation: LagCorrelation, edges: _Edges, record: Samples, scaling: ChannelScaling, mask: BoolArray | None
 ) -> None:
-    order, step = edges.order, correlation.n_chunk_rows
-    for start in range(order, record.n_samples, step):
-        stop = min(start + step, record.n_samples)
+    order, step, n_samples = edges.order, correlation.n_chunk_rows, record.outputs.shape[0]
+    for start in range(order, n_samples, step):
+        stop = min(start + step, n_samples)
         n_rows = stop - start
         counted = None if mask is None else mask[start:stop]
         if counted is not None and not counted.any():

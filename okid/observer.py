@@ -9,6 +9,7 @@ any initial state is right.
 
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +18,7 @@ import numpy as np
 from okid.arrays import FloatArray
 from okid.display import Displayed
 from okid.errors import IdentificationWarning, InsufficientDataError
-from okid.gram import LagGram, lag_gram
+from okid.gram import LagGram, chunked_gram, lag_gram
 from okid.least_squares import ObserverCoefficients, RegressionRows, solve
 from okid.record import Record
 from okid.rows import as_records, check_enough_rows, check_rows_left
@@ -93,7 +94,9 @@ class ObserverFit(Displayed):
         return self.feedthrough.shape[0]
 
 
-def fit_observer(records: Record | Sequence[Record], *, order: int, ridge: float | None = None) -> ObserverFit:
+def fit_observer(
+    records: Record | Sequence[Record], *, order: int, ridge: float | None = None, executor: Executor | None = None
+) -> ObserverFit:
     """Fit the observer equation to one record or to several of one system.
 
     The first `order` samples of every record are dropped, so any initial state is right; a missing sample drops the
@@ -104,11 +107,15 @@ def fit_observer(records: Record | Sequence[Record], *, order: int, ridge: float
         order: number of past samples, at least (number of states) / n_outputs; `modal.choose_orders` chooses it, and
             the ridge with it, by the error of a free run on held-out rows.
         ridge: added to the unit diagonal of the Gram matrix, growing as ridge (1 + lag); None adds nothing.
+        executor: who sums the Gram matrix over chunks of the records: None for this process, any
+            `concurrent.futures.Executor`, or `modal.batch.Workers`, whose processes are started again when they die. It
+            pays from about 1e8 values on, or where files are remote; a mapped file must be seen by its processes, too.
 
     Raises:
         InvalidDataError: an order or ridge that is none, or records that do not belong together.
         InsufficientDataError: too few samples for the order, too few left between missing ones, or a channel that never
             moves.
+        ExecutorError: the executor broke.
 
     Warns:
         IdentificationWarning: the inputs do not excite enough for the order, or the regressors are nearly dependent.
@@ -130,7 +137,10 @@ def fit_observer(records: Record | Sequence[Record], *, order: int, ridge: float
     order = int(order)
     scaling = channel_scaling(several)
     check_channels_move(several, scaling)
-    gram = lag_gram(several, order, scaling=scaling)
+    if executor is None:
+        gram = lag_gram(several, order, scaling=scaling)
+    else:
+        gram = chunked_gram(several, order, scaling=scaling, executor=executor)
     check_rows_left(several, order, gram.n_rows)
     source = RegressionRows(records=several, scaling=scaling)
     coefficients = solve(gram, 0.0 if ridge is None else ridge, source=source)

@@ -13,6 +13,7 @@ every fold some of everything, and since Gram matrices of disjoint rows add, a t
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -231,9 +232,23 @@ def complete_rows(block: FloatArray) -> BoolArray:
     return complete
 
 
-def scaled_block(record: Record, start: int, stop: int, scaling: ChannelScaling, *, out: FloatArray) -> bool:
+class Samples(Protocol):
+    """What has measured rows: a record, or a stretch of one."""
+
+    @property
+    def inputs(self) -> FloatArray:
+        """(n_samples, n_inputs)."""
+        ...
+
+    @property
+    def outputs(self) -> FloatArray:
+        """(n_samples, n_outputs)."""
+        ...
+
+
+def scaled_block(record: Samples, start: int, stop: int, scaling: ChannelScaling, *, out: FloatArray) -> bool:
     """Write scaled [u, y] of rows start ... stop into `out`; True when no sample in it is missing."""
-    n_inputs = record.n_inputs
+    n_inputs = record.inputs.shape[1]
     np.subtract(record.inputs[start:stop], scaling.input_mean, out=out[:, :n_inputs])
     np.subtract(record.outputs[start:stop], scaling.output_mean, out=out[:, n_inputs:])
     out *= scaling.reciprocal

@@ -40,12 +40,8 @@ from modal.batch.task import (
 from modal.recording.records import save_batch_recording
 from modal.report.folder import refuse_names, sweep
 from okid.arrays import listener, whole_number
-from okid.errors import IdentificationError, InvalidDataError
+from okid.errors import ExecutorError, IdentificationError, InvalidDataError
 from okid.record import InputHold
-
-
-class ExecutorError(IdentificationError):
-    """What was to do the work cannot: an executor that broke, a scheduler that is not there."""
 
 
 class WorkerDiedError(ExecutorError):
@@ -375,12 +371,13 @@ def _settled(future: "Future[Any]", unit: Unit, records: Path) -> Outcome:
     except Exception as error:
         if not (isinstance(error, WorkerDiedError) or type(error).__name__ == "KilledWorker"):  # the latter is dask's
             raise
+        how = " ".join(str(error).split()).rstrip(".")
         dead = Outcome(
             record=unit.record,
             paths=unit.paths,
             hash=unit.hash,
             status="failed",
-            message=f"{' '.join(str(error).split())}; the file may be damaged, or its record too large for the memory.",
+            message=f"{how}; the file may be damaged, or its record too large for the memory.",
             lasting=False,
         )
         return write_failure(dead, folder_of(unit, records))

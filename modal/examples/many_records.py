@@ -16,7 +16,7 @@ and no one sees that by eye: the largest change of a frequency is 0.2 percent.
 The truth is known: the eigenvalue problem of the masses and springs, whose motion `scipy.signal.lsim` computes
 (`modal.examples.story`).
 
-Run `python -m modal.examples.many_records [FOLDER]`; with a folder it writes the comparison and both results
+Run `python -m modal.examples.many_records [-o DIR]`; with a folder it writes the comparison and both results
 (`modal-report diff before.npz after.npz` compares them anew).
 
 References:
@@ -24,7 +24,6 @@ References:
     Strain Analysis 14(2), 1979, doi 10.1243/03093247V142049.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -35,7 +34,7 @@ import numpy as np
 from modal.comparison.changes import Comparison, compare_results
 from modal.comparison.shifts import summary_of
 from modal.comparison.words import comparison_headline, pair_sentence
-from modal.examples.story import LinearStructure, print_written, random_forces
+from modal.examples.story import LinearStructure, command_line, print_written, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.comparison import write_comparison
@@ -198,19 +197,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Compare three days with three other days, and name the joint.
 
     Args:
-        arguments: a folder for the files, or nothing; the command line's unless given.
+        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where something changed beyond chance, 1 otherwise.
     """
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    rng = np.random.default_rng(1)
+    what = "A row of modules tested before and after somebody worked on a bolt: which one was loosened?"
+    given = command_line(what, arguments, written="the comparison and both results")
+    rng = np.random.default_rng(given.seed)
     states = [records_of(modules(loss=loss), rng) for loss in (0.0, ROW.loss)]
     before, after = (identify(records) for records in states)
     comparison = compared(before, after)
     print(summary(comparison))
-    for folder in map(Path, given[:1]):
-        print_written(partial(_written, folder, before, after, comparison))
+    if given.output is not None:
+        print_written(partial(_written, given.output, before, after, comparison))
     return 0 if comparison.changed else 1
 
 

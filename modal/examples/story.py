@@ -1,4 +1,4 @@
-"""What the stories share: the command of a missing effect, how it is told, and a linear structure that is tested.
+"""What the stories share: their command line, how a missing effect is told, and a linear structure that is tested.
 
 The structure's true modes come from the eigenvalue problem, its motion from `scipy.signal.lsim`. The masses and springs
 are known, every mode has the same damping ratio:
@@ -43,15 +43,32 @@ def tell(
     Returns:
         0 when an effect was named, 1 otherwise.
     """
-    parser = argparse.ArgumentParser(description=what)
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write the report and the recording into DIR")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise, the excitation and the starts (default 1)")
-    given = parser.parse_args(arguments)
+    given = command_line(what, arguments, written="the report and the recording")
     diagnosis = study(np.random.default_rng(given.seed))
     print(summary(diagnosis))
     if given.output is not None:
         print_written(lambda: write_report(diagnosis, given.output))
     return 0 if diagnosis.status == "named" else 1
+
+
+def command_line(what: str, arguments: Sequence[str] | None, *, written: str, seed: int = 1) -> argparse.Namespace:
+    """The options that every story has: `output`, a folder or None, and `seed`.
+
+    Args:
+        what: the story, one sentence.
+        arguments: of the command line, its own unless given.
+        written: what goes into the folder.
+        seed: unless another one is given.
+
+    Example:
+        >>> command_line("A story.", [], written="the report").seed
+        1
+    """
+    parser = argparse.ArgumentParser(description=what)
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=f"write {written} into DIR")
+    words = f"of the noise, the excitation and the starts (default {seed})"
+    parser.add_argument("--seed", type=int, default=seed, help=words)
+    return parser.parse_args(arguments)
 
 
 def print_written(write: Callable[[], Iterable[Path]]) -> None:

@@ -25,14 +25,13 @@ mass does, and with it the frequency and the damping. Five steps lead there:
 
 The packages do steps 3 and 4 for any number of inputs and outputs, and judge what they find (`by_the_packages`).
 
-Run `python -m modal.examples.struck_mass FOLDER` for the pictures and the figures.
+Run `python -m modal.examples.struck_mass [-o DIR]` for the figures and, in a folder, the pictures.
 
 References:
     Juang and Pappa, "An eigensystem realization algorithm for modal parameter identification and model reduction",
     Journal of Guidance, Control, and Dynamics 8(5), 1985, doi 10.2514/3.20031.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +40,7 @@ from typing import Literal
 import numpy as np
 
 from era.balanced import realise
+from modal.examples.story import command_line, print_written
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.plots.layout import Chart, Key, grid_of
@@ -522,26 +522,24 @@ damping ratio {result.damping_ratio:.4f} (true {truth.damping_ratio:.4f})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Study blows of three lengths, print the figures, write the pictures into a folder.
+    """Study blows of four lengths, print the figures, write the pictures into a folder.
 
     Args:
-        arguments: the folder for the pictures; the command line's unless given.
+        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
-        0, or 2 when no folder was named.
+        0.
     """
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    if len(given) != 1:
-        print("usage: python -m modal.examples.struck_mass FOLDER", file=sys.stderr)
-        return 2
+    what = "A mass on a spring, struck once: what model is in the samples?"
+    given = command_line(what, arguments, written="the pictures", seed=1985)
     truth = StruckMass()
     studies = []
     for size in (10, 25, 50, 100):
-        samples = measured_samples(truth, 2 * size + 1, noise=0.027, rng=np.random.default_rng(1985))
+        samples = measured_samples(truth, 2 * size + 1, noise=0.027, rng=np.random.default_rng(given.seed))
         studies.append(study(truth, samples))
         print(summary(studies[-1]))
-    for path in write_pictures(studies[0], studies[-1], Path(given[0])):
-        print(path)
+    if given.output is not None:
+        print_written(lambda: write_pictures(studies[0], studies[-1], given.output))
     return 0
 
 

@@ -12,12 +12,11 @@ corner, so sway and twist mix a little.
 The truth is known: the eigenvalue problem of the frame's masses and springs, whose motion `scipy.signal.lsim` computes
 (`modal.examples.story`).
 
-Run `python -m modal.examples.three_storey_frame [FOLDER]`; with a folder it writes the measured file, the test file and
+Run `python -m modal.examples.three_storey_frame [-o DIR]`; with a folder it writes the measured file, the test file and
 the report with its recording.
 """
 
 import shutil
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,7 +27,7 @@ import numpy as np
 from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import Specification, read_specification
 from modal.examples.demo import DemoTruth, ModeComparison, compare_with_truth
-from modal.examples.story import LinearStructure, print_written, random_forces
+from modal.examples.story import LinearStructure, command_line, print_written, random_forces
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.writing import write_report
@@ -182,17 +181,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Test the frame and answer the question.
 
     Args:
-        arguments: a folder for the files, or nothing; the command line's unless given.
+        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where all limits are met, 1 otherwise.
     """
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    record = storeys_record(np.random.default_rng(1))
+    what = "A three-storey frame: may the fan on its top floor run at 720 turns a minute?"
+    given = command_line(what, arguments, written="the measured file, the test file, the report and the recording")
+    record = storeys_record(np.random.default_rng(given.seed))
     result, specification, outcomes = study(record)
     print(summary(compare_with_truth(truth(), result.modes), outcomes))
-    for folder in map(Path, given[:1]):
-        print_written(partial(_written, folder, record, result, specification))
+    if given.output is not None:
+        print_written(partial(_written, given.output, record, result, specification))
     return 0 if all(outcome.met for outcome in outcomes) else 1
 
 

@@ -13,7 +13,8 @@ shapes are the means of what the set-ups give, and information adds,
 **Without inputs.** What drives the structure is another force in every set-up, so neither levels nor innovations can be
 shared: only poles and shapes are common. Each set-up is identified by its outputs alone; a part of a shape is scaled to
 the others by the references, alpha_s = (phi_ref,s^H phi_ref) / |phi_ref,s|^2, and poles and scaled parts are averaged
-with their information. To first order that is what one fit of common poles and shapes to all set-ups gives.
+with their information. To first order that is what one fit of common poles and shapes to all set-ups gives. The joint
+pole is what the verdict asks for its doubts: what one set-up alone cannot tell from an undamped line, all may.
 
 References:
     Reynders, Magalhaes, De Roeck, Cunha, Merging strategies for multi-setup operational modal analysis, 27th
@@ -25,15 +26,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from era.realisation import Realisation
-from era.simulation import estimate_initial_state, predict, simulate
+from era.simulation import estimate_initial_state, simulate
+from modal.identification.information import mean_by_information
 from modal.identification.result import Identification
-from modal.identification.synthesis import output_model
-from modal.modes.modal_form import continuous_poles, modal_basis
+from modal.identification.synthesis import output_model, with_absent_outputs
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, without_input_delay
+from modal.verdict.excitation import undriven_doubt
+from modal.verdict.judgement import DOUBTED
+from modal.verdict.probability import SPREAD, pole_doubts, probability
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import IdentificationError, InvalidDataError
 from okid.markov import MarkovParameters
@@ -334,8 +337,10 @@ def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Ide
         gained[outputs] += weight
         sums[outputs] += weight * scale * own.shape
     sure = [own for own in found if own is not None and own.frequency_std > 0.0 and own.damping_ratio_std > 0.0]
-    frequency, frequency_std = _mean([own.frequency for own in sure], [own.frequency_std for own in sure])
-    damping, damping_std = _mean([own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure])
+    frequency, frequency_std = mean_by_information([own.frequency for own in sure], [own.frequency_std for own in sure])
+    damping, damping_std = mean_by_information(
+        [own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure]
+    )
     if not sure:
         frequency, damping = mode.frequency, mode.damping_ratio
     known = bool((gained > 0.0).all())
@@ -427,7 +432,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         reason="each was identified by its outputs alone; the references scale what the others saw",
     )
     model = output_model(modes)
-    placed = [_filled(records, one, result, modes) for one, result in zip(setups, results, strict=True)]
+    placed = [with_absent_outputs(result, modes, one.outputs) for one, result in zip(setups, results, strict=True)]
     predicted = tuple(record for _, some in placed for record in some)
     return replace(
         first,
@@ -498,7 +503,8 @@ def _followed(
         left.remove(k)
     for k, own in seen.items():
         free[k].remove(own)
-    return _averaged(mode, list(seen.values()), shape, information)
+    together = sum(max(records[member].duration for member in setups[k].members) for k in seen)
+    return _averaged(mode, list(seen.values()), shape, information, dt=records[0].dt, duration=together)
 
 
 def _spread(mode: Mode) -> FloatArray:
@@ -510,17 +516,28 @@ def _spread(mode: Mode) -> FloatArray:
     return spread
 
 
-def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray) -> Mode:
-    """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least."""
-    frequency, frequency_std = _mean([one.frequency for one in found], [one.frequency_std for one in found])
-    damping, damping_std = _mean([one.damping_ratio for one in found], [one.damping_ratio_std for one in found])
+def _averaged(
+    mode: Mode, found: Sequence[Mode], shape: ComplexArray, information: FloatArray, *, dt: float, duration: float
+) -> Mode:
+    """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least.
+
+    Doubts that a pole raises by itself are asked of the joint pole over the `duration` of all set-ups [s]: of its
+    damping they tell as much as one record so long.
+    """
+    frequency, frequency_std = mean_by_information(
+        [one.frequency for one in found], [one.frequency_std for one in found]
+    )
+    # each deviation at its own estimate: a mean of 1 / damping, as one fit of all gives, and not drawn up by short ones
+    damping, damping_std = mean_by_information(
+        [one.damping_ratio for one in found], [one.damping_ratio_std for one in found]
+    )
     largest = int(np.abs(shape).argmax())
-    by_certainty = sorted(found, key=lambda one: one.probability)
+    by_certainty = sorted(map(_by_data, found), key=lambda one: one.probability)
     weakest, middle = by_certainty[0], by_certainty[(len(found) - 1) // 2]
     shape_std = information**-0.5 / abs(shape[largest])
     shape_std[largest] = 0.0
-    doubt = "" if weakest.verdict == "system" else f"; the least sure of them: {weakest.reason}"
-    return replace(
+    told = [one.damping_resolved or one.damping_ratio_std > SPREAD * one.damping_ratio for one in found]
+    joint = replace(
         mode,
         pole=2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2))),
         frequency=frequency,
@@ -532,51 +549,31 @@ def _averaged(mode: Mode, found: Sequence[Mode], shape: ComplexArray, informatio
         mass_std=None,
         probability=middle.probability,
         verdict=middle.verdict,
-        damping_resolved=all(one.damping_resolved for one in found),
+        doubts=middle.doubts,
+        damping_resolved=all(told) and damping_std <= SPREAD * damping,
         repeatability=min(one.repeatability for one in found),
-        reason=f"found in all {len(found)} set-ups{doubt}",
     )
-
-
-def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
-    """Average by information and its deviation; the plain one and nan where a deviation is not known."""
-    value, std = np.array(values), np.array(deviations)
-    if not value.size:
-        return float("nan"), float("nan")
-    if not (np.isfinite(std).all() and (std > 0.0).all()):
-        return float(value.mean()), float("nan")
-    weight = std**-2.0
-    return float((weight * value).sum() / weight.sum()), float(weight.sum() ** -0.5)
-
-
-def _filled(
-    records: Sequence[Record], one: _SetUp, result: Identification, modes: ModalModel
-) -> tuple[list[Record], list[Record]]:
-    """The records of a set-up and their predictions, absent outputs from the states of the joined modes alone."""
-    model, basis = result.realisation, modal_basis(result.realisation)
-    own, absent = list(one.outputs), [o for o in range(records[0].n_outputs) if o not in one.outputs]
-    C, K = np.zeros((records[0].n_outputs, model.order)), np.zeros((model.order, records[0].n_outputs))
-    C[own], K[:, own] = model.C, 0.0 if model.K is None else model.K
-    poles = continuous_poles(basis.poles, model.dt)
-    for mode in modes:
-        at = int(np.abs(poles - mode.pole).argmin())
-        here = basis.outputs[:, at]
-        scale = np.vdot(mode.shape[own], here) / np.vdot(mode.shape[own], mode.shape[own])
-        C[absent] += 2.0 * (mode.shape[absent, np.newaxis] * scale * basis.left[at]).real
-    virtual = Realisation(model.A, np.zeros((model.order, 0)), C, np.zeros((len(C), 0)), model.dt, K=K)
-    measured, predicted = [], []
-    for record in result.records:
-        outputs = np.zeros((record.n_samples, records[0].n_outputs))
-        outputs[:, own] = record.outputs
-        whole = replace(
-            record, outputs=outputs, output_names=records[0].output_names, output_units=records[0].output_units
+    words = [f"found in all {len(found)} set-ups"]
+    doubts = (*undriven_doubt(joint, np.nan, duration), *pole_doubts(joint, dt))
+    if joint.verdict == "system" and doubts:
+        words += doubts
+        joint = replace(
+            joint,
+            verdict="doubtful",
+            probability=min(joint.probability, DOUBTED),
+            doubts=tuple(("pole", doubt) for doubt in doubts),
         )
-        run = predict(virtual, whole).outputs
-        outputs = outputs.copy()
-        outputs[:, absent] = run[:, absent]
-        measured.append(replace(whole, outputs=outputs))
-        predicted.append(replace(whole, outputs=run))
-    return measured, predicted
+    elif weakest.verdict != "system":
+        words.append(f"the least sure of them: {weakest.reason}")
+    return replace(joint, reason="; ".join(words))
+
+
+def _by_data(mode: Mode) -> Mode:
+    """The mode of a set-up without the doubts that its pole alone raises."""
+    left = tuple(doubt for doubt in mode.doubts if doubt[0] == "data")
+    if left or not mode.doubts:
+        return replace(mode, doubts=left)
+    return replace(mode, verdict="system", probability=probability(mode.repeatability), doubts=())
 
 
 def _joint_fit(setups: Sequence[_SetUp], results: Sequence[Identification], n_outputs: int) -> Fit:

@@ -1,18 +1,22 @@
 """The frequency responses of a result, in the motion that is wanted; modes as a state space model."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from era.realisation import Realisation
+from era.simulation import predict
 from modal.identification.result import Identification
-from modal.modes.modal_form import discrete_poles
+from modal.modes.modal_form import continuous_poles, discrete_poles, modal_basis
 from modal.modes.mode import ModalModel
 from modal.modes.response_synthesis import frf
 from okid.arrays import frozen, require
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse
+from okid.record import Record
 
 Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
 
@@ -99,3 +103,38 @@ def output_model(modes: ModalModel) -> Realisation:
         A[at, at] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
         C[:, at] = np.column_stack([mode.shape.real, mode.shape.imag])
     return Realisation(A, np.zeros((n_states, 0)), C, np.zeros((n_outputs, 0)), modes.dt)
+
+
+def with_absent_outputs(
+    result: Identification, modes: ModalModel, seen: Sequence[int]
+) -> tuple[list[Record], list[Record]]:
+    """The records of a set-up and their predictions, absent outputs from the states of the joined modes alone.
+
+    Args:
+        result: of the set-up, by its outputs alone.
+        modes: of all set-ups, on all outputs.
+        seen: which of these the set-up measured.
+    """
+    model, basis = result.realisation, modal_basis(result.realisation)
+    n_outputs = len(modes.output_names)
+    own, absent = list(seen), [o for o in range(n_outputs) if o not in seen]
+    C, K = np.zeros((n_outputs, model.order)), np.zeros((model.order, n_outputs))
+    C[own], K[:, own] = model.C, 0.0 if model.K is None else model.K
+    poles = continuous_poles(basis.poles, model.dt)
+    for mode in modes:
+        at = int(np.abs(poles - mode.pole).argmin())
+        here = basis.outputs[:, at]
+        scale = np.vdot(mode.shape[own], here) / np.vdot(mode.shape[own], mode.shape[own])
+        C[absent] += 2.0 * (mode.shape[absent, np.newaxis] * scale * basis.left[at]).real
+    virtual = Realisation(model.A, np.zeros((model.order, 0)), C, np.zeros((len(C), 0)), model.dt, K=K)
+    measured, predicted = [], []
+    for record in result.records:
+        outputs = np.zeros((record.n_samples, n_outputs))
+        outputs[:, own] = record.outputs
+        whole = replace(record, outputs=outputs, output_names=modes.output_names, output_units=modes.output_units)
+        run = predict(virtual, whole).outputs
+        outputs = outputs.copy()
+        outputs[:, absent] = run[:, absent]
+        measured.append(replace(whole, outputs=outputs))
+        predicted.append(replace(whole, outputs=run))
+    return measured, predicted

@@ -61,6 +61,7 @@ class Mode(Displayed):
         gain: share of the squared free-run error without the mode that the mode removes (`modal.verdict.excitation`).
         probability: that the mode belongs to the system.
         verdict: "system", "doubtful" or "noise".
+        doubts: (what raises it, "pole" or "data"; in words) of each doubt but for which this were a mode of the system.
         damping_resolved: False where the mode may exist but its damping ratio is not to be quoted.
         reason: why this verdict, in words.
     """
@@ -88,6 +89,7 @@ class Mode(Displayed):
     gain: float = np.nan
     probability: float = np.nan
     verdict: Verdict = "doubtful"
+    doubts: tuple[tuple[str, str], ...] = ()
     damping_resolved: bool = True
     reason: str = ""
 

@@ -260,7 +260,7 @@ _MODE_NUMBERS = tuple(
     field.name
     for field in fields(Mode)
     if field.name not in ("pole", "kind", "shape", "shape_std", "mass_std", "participation", "verdict", "reason")
-    and field.name != "reappears"
+    and field.name not in ("reappears", "doubts")
 )
 
 

@@ -161,8 +161,12 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     values = np.full((order.size, n_tracks), np.nan)
     mine = owner >= 0
     values[place[record[mine]], owner[mine]] = np.log(frequency[mine])
-    environment = explain(values, {name: cause[order] for name, cause in given.items()}, times, clock=clock)
+    causes_in_order = {name: cause[order] for name, cause in given.items()}
+    environment = explain(values, causes_in_order, times, clock=clock)
     changes = find_changes(values, environment.terms, times, clock=clock)
+    if changes and environment.terms.size:  # a large step bends how the causes seem to be felt, and so hides itself
+        environment = explain(_without(values, changes), causes_in_order, times, clock=clock)
+        changes = find_changes(values, environment.terms, times, clock=clock)
     first = changes[0].since if changes else order.size
     steps = np.array([np.arange(order.size) >= change.since for change in changes], dtype=np.float64)
     design = np.column_stack([np.ones(order.size), environment.terms, *steps])
@@ -209,12 +213,20 @@ def _numbers(table: Any, names: Sequence[str]) -> npt.NDArray[np.intp]:
 
 def _shapes(table: Any) -> ComplexArray:
     """(n_rows, n_outputs), nan where a row has fewer."""
-    listed = table.column("shape").to_pylist()
-    n_outputs = max((len(shape or ()) for shape in listed), default=0)
-    shapes = np.full((len(listed), n_outputs), np.nan, dtype=np.complex128)
-    for row, shape in zip(shapes, listed, strict=True):
-        for k, one in enumerate(shape or ()):
-            row[k] = complex(one["real"], one["imag"]) if isinstance(one, dict) else one
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    column = table.column("shape").combine_chunks()
+    if pa.types.is_null(column.type):
+        return np.empty((len(column), 0), dtype=np.complex128)
+    counts = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
+    values = pc.list_flatten(column)
+    if pa.types.is_struct(values.type):
+        real, imag = (values.field(part).to_numpy(zero_copy_only=False) for part in ("real", "imag"))
+        values = real + 1j * imag
+    place = np.arange(counts.max(initial=0)) < counts[:, np.newaxis]
+    shapes = np.full(place.shape, np.nan, dtype=np.complex128)
+    shapes[place] = values
     return shapes
 
 
@@ -235,6 +247,14 @@ def _given(causes: Mapping[str, npt.ArrayLike], names: Sequence[str], seen: Inde
             )
         given[name] = frozen(np.nan_to_num(cause), name=name, shape=(len(names),))
     return given
+
+
+def _without(values: FloatArray, changes: Sequence[LevelChange]) -> FloatArray:
+    """(n_records, n_modes) with every change taken off."""
+    levels = values.copy()
+    for change in changes:
+        levels[change.since :] -= np.nan_to_num(change.steps)
+    return levels
 
 
 def _left(values: FloatArray, design: FloatArray, terms: FloatArray, first: int) -> FloatArray:

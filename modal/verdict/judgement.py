@@ -40,15 +40,14 @@ from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     HARDLY_DRIVEN,
     clipping_doubt,
-    colour_doubt,
     damping_doubt,
-    delay_doubt,
     drift_doubt,
     edge_doubt,
     excitation_doubt,
     f_ratio,
     free_doubt,
     peak_doubt,
+    pole_doubts,
     poor_fit_doubt,
     probability,
     unanswered_doubt,
@@ -268,8 +267,9 @@ def judge(
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))
+        line = undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration)
         undriven = (
-            *undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration),
+            *line,
             *edge_doubt(mode, edge),
             *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
             *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
@@ -286,12 +286,14 @@ def judge(
             *poor_fit_doubt(fit, missed),
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
-            *colour_doubt(mode),
+            *pole_doubts(mode, model.dt),
             *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
-            *delay_doubt(mode, model.dt),
         )
+        deciding: tuple[tuple[str, str], ...] = ()
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
+            of_pole = (*line, *pole_doubts(mode, model.dt))
+            deciding = tuple(("pole" if doubt in of_pole else "data", doubt) for doubt in doubts)
         elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
             verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)
         if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing
@@ -311,6 +313,7 @@ def judge(
                 gain=own_gain,
                 probability=0.0 if mode.kind in ("unstable", "nyquist") else p,
                 verdict=verdict,
+                doubts=deciding,
                 damping_resolved=not doubt,
                 reason="; ".join((*remarks(mode, model.dt), *words, *doubt)),
             )

@@ -160,6 +160,11 @@ def delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
     return (f"dies within two samples ({100 * left:.0f} % are left after one): may be a delay, not a mode",)
 
 
+def pole_doubts(mode: Mode, dt: float) -> tuple[str, ...]:
+    """What a pole raises by its damping alone, whatever was measured."""
+    return (*colour_doubt(mode), *delay_doubt(mode, dt))
+
+
 def edge_doubt(mode: Mode, edge: float) -> tuple[str, ...]:
     """A pole in the edge of the anti-alias filter of a decimated record, `edge` [Hz] and above."""
     if not mode.frequency > edge:

@@ -9,6 +9,7 @@ PDF (`modal.report.pdf.find_browser`). Recordings are photographed by a program 
 
 import argparse
 import contextlib
+import importlib
 import io
 import subprocess
 import tempfile
@@ -36,8 +37,6 @@ RECORDINGS = {
 
 def run(name, folder):
     """Let an example write its files, unless they are there."""
-    from modal.examples import loose_joint, many_records, motor_propeller, struck_mass, three_storey_frame
-
     if folder.exists():
         return
     with contextlib.redirect_stdout(io.StringIO()) as told:
@@ -51,11 +50,8 @@ def run(name, folder):
 
             write_files(folder)
             status(["run", str(folder / "hammer.csv"), "--inputs", "force", "-o", str(folder)])
-        elif name in ("loose_joint", "motor_propeller"):
-            {"loose_joint": loose_joint, "motor_propeller": motor_propeller}[name].main(["-o", str(folder)])
         else:
-            modules = {"many_records": many_records, "struck_mass": struck_mass}
-            modules.get(name, three_storey_frame).main([str(folder)])
+            importlib.import_module(f"modal.examples.{name}").main(["-o", str(folder)])
     print(f"{name}\n{told.getvalue()}")
 
 

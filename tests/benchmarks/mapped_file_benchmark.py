@@ -1,6 +1,9 @@
 """A mapped file of a million samples: CPU time and memory beyond the file of the check, the fit and its recovery.
 
     python tests/benchmarks/mapped_file_benchmark.py [--samples 1000000] [--outputs 64] [--inputs 4] [--order 40]
+                                                     [--chunks]
+
+With `--chunks` the fit alone, in this process and by two workers of which one is killed (SIGKILL) in the middle.
 
 Memory is the process's anonymous memory (RssAnon of /proc/self/status, sampled every 5 ms): pages of the mapped file
 belong to the file cache. What the interpreter and its libraries hold before the first stage is told apart. One BLAS
@@ -9,6 +12,7 @@ thread.
 
 import argparse
 import os
+import signal
 import tempfile
 import threading
 import time
@@ -22,6 +26,9 @@ from cost_board import simulated  # noqa: E402
 
 import modal  # noqa: E402
 import okid  # noqa: E402
+import okid.scaling  # noqa: E402
+from modal.batch import Workers  # noqa: E402
+from okid import gram  # noqa: E402
 
 N_LAGS = 200
 PIECE = 50_000
@@ -60,6 +67,42 @@ def measured(call):
     return result, seconds, peak[0]
 
 
+class Killed(Workers):
+    """Two processes, the first of which is killed after so many tasks; counts tasks."""
+
+    def __init__(self, after):
+        super().__init__(2)
+        self.after, self.n_tasks = after, 0
+
+    def submit(self, function, *arguments):
+        self.n_tasks += 1
+        if self.n_tasks >= self.after and self._processes:
+            self.after = np.inf
+            os.kill(min(process.pid for process in self._processes), signal.SIGKILL)
+        return super().submit(function, *arguments)
+
+
+def by_chunks(record, order, before):
+    """The fit in one pass and by chunks: cost, memory, and how far apart."""
+    scaling, *told = measured(lambda: okid.scaling.channel_scaling([record]))
+    print(f"scaling: {told[0]:.2f} s, {told[1] - before:.0f} MiB more")
+    whole, *told = measured(lambda: gram.lag_gram([record], order, scaling=scaling))
+    print(f"Gram in one pass: {told[0]:.2f} s, {told[1] - before:.0f} MiB more")
+    n_chunks = -(-record.n_samples * (record.n_inputs + record.n_outputs) // gram.SENT_VALUES)
+    spent, start = sum(os.times()[:4]), time.perf_counter()
+    with Killed(n_chunks // 2) as workers:
+        parts, *told = measured(lambda: gram.chunked_gram([record], order, scaling=scaling, executor=workers))
+        n_tasks = workers.n_tasks
+    spent, wall = sum(os.times()[:4]) - spent, time.perf_counter() - start
+    apart = np.abs(parts.matrix - whole.matrix).max() / np.abs(whole.matrix).max()
+    print(
+        f"Gram by two workers, one killed: {n_tasks} chunks, {parts.n_rows - whole.n_rows} rows too many, {wall:.1f} s "
+        f"of wall, {spent:.1f} s of CPU, {told[1] - before:.0f} MiB more in the parent; apart by {apart:.1e}"
+    )
+    fit, *told = measured(lambda: okid.fit_observer(record, order=order))
+    print(f"fit_observer: {told[0]:.2f} s, {told[1] - before:.0f} MiB more, {fit}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=1_000_000)
@@ -67,6 +110,7 @@ def main():
     parser.add_argument("--inputs", type=int, default=4)
     parser.add_argument("--order", type=int, default=40)
     parser.add_argument("--folder", help="where to put the file; a temporary folder unless given")
+    parser.add_argument("--chunks", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         path = Path(folder) / "samples.bin"
@@ -78,6 +122,9 @@ def main():
         before = anonymous_megabytes()
         print(f"{path.stat().st_size / 2**20:.0f} MiB in the file, {before:.0f} MiB of memory before the first stage")
         record, *told = measured(lambda: okid.Record(data[:, :n_inputs], data[:, n_inputs:], 0.001))
+        if options.chunks:
+            by_chunks(record, options.order, before)
+            return
         _, *told_of_check = measured(lambda: modal.check_quality(record))
         observer, *told_of_fit = measured(lambda: okid.fit_observer(record, order=options.order))
         _, *told_of_recovery = measured(lambda: okid.recover_markov(observer, n_lags=N_LAGS))

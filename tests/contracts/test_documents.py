@@ -196,7 +196,7 @@ def test_every_page_is_linked_to(repository):
 
 
 def test_the_struck_mass_runs_as_its_docstring_says(repository, tmp_path):
-    command = [sys.executable, "-m", "modal.examples.struck_mass", str(tmp_path)]
+    command = [sys.executable, "-m", "modal.examples.struck_mass", "-o", str(tmp_path)]
     result = subprocess.run(command, capture_output=True, text=True, cwd=repository, check=False)
     assert result.returncode == 0, result.stderr
     assert len(list(tmp_path.glob("*.svg"))) == 4

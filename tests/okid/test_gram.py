@@ -1,12 +1,19 @@
 """The structured Gram matrix against V V' written out, and its algebra."""
 
+import os
+import signal
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import InvalidDataError
-from okid.gram import lag_gram, turn_gram
+import okid
+from okid import gram as gram_module
+from okid.errors import ExecutorError, InvalidDataError
+from okid.gram import chunked_gram, lag_gram, turn_gram
 from okid.record import Record
 from okid.scaling import channel_scaling
 
@@ -178,3 +185,71 @@ def test_gaps_leave_out_the_rows_that_they_touch():
     found = turn_gram([record], 5, scaling=channel_scaling([record]), n_turns=3, turn=1)
     assert np.isfinite(found.matrix).all()
     assert found.n_rows == sum(k % 3 == 1 and k >= 5 and not 100 <= k <= 105 for k in range(300))
+
+
+# --- chunks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("missing", [0, 9])
+def test_chunks_by_an_executor_give_the_same_sums(monkeypatch, missing):
+    """More chunks than are handed out at once; a record as long as the order and a shorter one have no rows."""
+    monkeypatch.setattr(gram_module, "SENT_VALUES", 100)
+    rng = np.random.default_rng(22000)
+    records = [make(rng, n, 2, 3, missing=missing * (n > 7)) for n in (1001, 7, 4, 333)]
+    scaling = channel_scaling(records)
+    V = naive_regressors(records, 7, scaling)
+    with ThreadPoolExecutor(3) as executor:
+        gram = chunked_gram(records, 7, scaling=scaling, executor=executor)
+        with pytest.raises(ExecutorError, match="the executor broke"):
+            chunked_gram(records, 7, scaling=scaling, executor=Broken(executor, after=5))
+    assert gram.n_rows == len(V)
+    assert np.abs(gram.matrix - V.T @ V).max() <= 1e-12 * np.abs(V.T @ V).max()
+
+
+class Broken(Executor):
+    """Breaks after some tasks."""
+
+    def __init__(self, executor, after):
+        self.executor, self.left = executor, after
+
+    def submit(self, function, *arguments):
+        self.left -= 1
+        if self.left >= 0:
+            return self.executor.submit(function, *arguments)
+        lost = Future()
+        lost.set_exception(RuntimeError("lost"))
+        return lost
+
+
+class Counting(Executor):
+    """Hands tasks on and weighs them; ends a process at one of them."""
+
+    def __init__(self, executor, end_at=None):
+        self.executor, self.end_at, self.sizes = executor, end_at, []
+
+    def submit(self, function, *arguments):
+        self.sizes.append(sum(getattr(part, "nbytes", 0) for part in arguments[0]))
+        if len(self.sizes) == self.end_at:
+            self.executor.submit(os.kill, next(iter(self.executor._processes)), signal.SIGKILL)
+        return self.executor.submit(function, *arguments)
+
+
+def test_a_mapped_file_is_summed_where_it_lies_and_a_broken_pool_is_a_sentence(monkeypatch, tmp_path):
+    """Inputs and outputs are columns of one file with a header; no values are sent."""
+    monkeypatch.setattr(gram_module, "SENT_VALUES", 5000)
+    rng = np.random.default_rng(22001)
+    np.save(tmp_path / "a.npy", rng.standard_normal((9000, 5)).cumsum(axis=0))
+    mapped = np.load(tmp_path / "a.npy", mmap_mode="r")
+    record = okid.Record(mapped[100:, :2], mapped[100:, 2:], 0.1)
+    scaling = channel_scaling([record])
+    whole = lag_gram([record], 6, scaling=scaling)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        counting = Counting(pool)
+        gram = chunked_gram([record], 6, scaling=scaling, executor=counting)
+        assert counting.sizes == [0] * 9
+        assert gram.n_rows == whole.n_rows
+        assert np.abs(gram.matrix - whole.matrix).max() <= 1e-12 * np.abs(whole.matrix).max()
+        fit, alone = okid.fit_observer(record, order=6, executor=pool), okid.fit_observer(record, order=6)
+        np.testing.assert_allclose(fit.output_coefficients, alone.output_coefficients, atol=1e-9)
+        with pytest.raises(ExecutorError, match=r"the executor broke \(BrokenProcessPool: .*modal\.batch\.Workers"):
+            chunked_gram([record], 6, scaling=scaling, executor=Counting(pool, end_at=3))

@@ -1,5 +1,6 @@
 """A batch: every record once, whoever works; failures are results; what is finished stays."""
 
+import itertools
 import json
 import os
 import signal
@@ -16,9 +17,11 @@ import numpy as np
 import pytest
 
 import modal
+import okid
 from modal.batch import Batch, ExecutorError
 from modal.batch.running import WorkerDiedError, Workers
 from modal.command.main import status as _status
+from okid import gram
 from okid.errors import InvalidDataError, UnreadableFileError
 
 from .conftest import QUICK, write_run
@@ -154,7 +157,7 @@ def test_a_crashing_file_costs_one_file(runs, sequential, tmp_path):
     assert (process.returncode, errors) == (1, "")
     found = rows(Batch(out))
     assert found["crash"]["status"] == "failed"
-    assert "died twice, the second time alone (signal 11, SIGSEGV)" in found["crash"]["message"]
+    assert "died twice, the second time alone (signal 11, SIGSEGV); the file" in found["crash"]["message"]
     assert [row["status"] for row in found.values()].count("done") == 4
     ours, theirs = kept(out), kept(sequential.folder)
     assert ours == theirs
@@ -363,6 +366,29 @@ def test_deaths_concern_one_task(helpers, tmp_path):
         assert unsendable.exception() is not None
     with pytest.raises(RuntimeError, match="after shutdown"):
         workers.submit(pow, 2, 2)
+
+
+def test_chunks_of_a_record_count_once_whoever_dies(monkeypatch):
+    """The only process is killed in the middle of the chunks of one record."""
+    monkeypatch.setattr(gram, "SENT_VALUES", 2000)
+    values = np.random.default_rng(22002).standard_normal((20_000, 3))
+    record = okid.Record(values[:, :1], values[:, 1:], 0.1)
+    with Workers(1) as workers:
+        submit = workers.submit
+
+        def killing(function, *arguments):
+            future = submit(function, *arguments)
+            if next(submitted) == 20:
+                os.kill(next(iter(workers._processes)).pid, signal.SIGKILL)
+            return future
+
+        submitted = itertools.count(1)
+        monkeypatch.setattr(workers, "submit", killing)
+        fit = okid.fit_observer(record, order=5, executor=workers)
+    assert next(submitted) > 20
+    alone = okid.fit_observer(record, order=5)
+    assert fit.n_rows == alone.n_rows
+    np.testing.assert_allclose(fit.output_coefficients, alone.output_coefficients, rtol=1e-9, atol=1e-12)
 
 
 def test_leaving_by_an_error_stops_at_once(helpers):

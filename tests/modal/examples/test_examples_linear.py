@@ -10,7 +10,7 @@ from modal.acceptance.check import LimitOutcome, check_limits
 from modal.acceptance.test_file import read_specification
 from modal.comparison.changes import compare_results
 from modal.comparison.shifts import read_result
-from modal.examples import many_records, three_storey_frame
+from modal.examples import many_records, six_set_ups, three_storey_frame, year_of_a_bridge
 from modal.examples.demo import compare_with_truth
 from modal.examples.story import random_forces
 from modal.identification.pipeline import identify
@@ -23,7 +23,7 @@ STRUCTURES = {"frame": three_storey_frame.frame(), "modules": many_records.modul
 def frame_run(tmp_path_factory):
     """The frame's story into a folder: exit status and folder."""
     folder = tmp_path_factory.mktemp("frame") / "result"
-    return three_storey_frame.main([str(folder)]), folder
+    return three_storey_frame.main(["-o", str(folder)]), folder
 
 
 # --- the structures --------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def test_many_records_writes_the_comparison_and_both_results(tmp_path, capsys, s
     """With results that are there already: what is under test is the folder and the words."""
     ready = iter(states)
     monkeypatch.setattr(many_records, "identify", lambda _records: next(ready))
-    assert many_records.main([str(tmp_path / "out")]) == 0
+    assert many_records.main(["-o", str(tmp_path / "out")]) == 0
     before, after = (read_result(tmp_path / "out" / f"{name}.npz") for name in ("before", "after"))
     assert len(compare_results(before, after).pairs) == many_records.ROW.n_modules
     assert "2 of 4 matched modes" in (tmp_path / "out" / "comparison.html").read_text(encoding="utf-8")
@@ -194,5 +194,29 @@ def test_many_records_writes_the_comparison_and_both_results(tmp_path, capsys, s
     assert "2 of 4 matched modes changed beyond chance" in told
     assert "hidden: joint 3, 1.00 %" in told
     ready = iter(states)
-    many_records.main([str(tmp_path / "out")])
+    many_records.main(["-o", str(tmp_path / "out")])
     assert "not written: " in capsys.readouterr().out  # what is there is not touched
+
+
+# --- a year of a bridge, six set-ups ---------------------------------------------------------------------------------
+
+
+def test_a_year_of_a_bridge_finds_its_damage_within_days(tmp_path, capsys):
+    """The larger the damage the later it was seen: causes chosen without it were fitted to its step (day 256)."""
+    assert year_of_a_bridge.main(["-o", str(tmp_path / "out")]) == 0
+    (tmp_path / "out" / "tracks.html").stat()
+    assert f"since day {year_of_a_bridge.DAMAGE_DAY}" in capsys.readouterr().out
+    for seed in (1, 2):
+        (alarm,) = year_of_a_bridge.study(np.random.default_rng(seed)).alarms
+        start = year_of_a_bridge.DAMAGE_DAY * year_of_a_bridge.DAY
+        assert 0 <= alarm.since - start <= alarm.time - start <= 4 * year_of_a_bridge.DAY
+
+
+@pytest.mark.slow
+def test_six_set_ups_give_one_mast(capsys):
+    assert six_set_ups.main([]) == 0
+    said = capsys.readouterr().out
+    assert f"{six_set_ups.N_FLOORS} of {six_set_ups.N_FLOORS} modes found" in said
+    assurances = [float(line.split()[-1]) for line in said.splitlines()[2:]]
+    assert len(assurances) == six_set_ups.N_FLOORS
+    assert min(assurances) > 0.999
