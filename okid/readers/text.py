@@ -342,8 +342,8 @@ def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
     for dialect in DIALECTS[:5]:
         rows = [split_cells(line, dialect) for line in lines]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-        head = next((k for k, row in enumerate(rows) if any(is_number(cell, dialect) for cell in row)), 0)
-        named = [row for row in rows[:head] if any(row)]
+        first = next((k for k, row in enumerate(rows) if any(is_number(cell, dialect) for cell in row)), 0)
+        named = [row for row in rows[:first] if any(row)]
         rows = [row for row in rows if len(row) == width]
         if not named or len(named[-1]) != width:
             continue
