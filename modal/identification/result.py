@@ -216,7 +216,7 @@ def load(path: str | Path) -> Identification:
     """Read what `save` wrote.
 
     Args:
-        path: of the file.
+        path: of the file, or of the folder of a report, which holds it as `result.npz`.
 
     Raises:
         UnreadableFileError: no such file, damaged, not written by `save`, or written by a newer version.
@@ -233,6 +233,7 @@ def load(path: str | Path) -> Identification:
 def read_part(given: Any, name: str, kind: type[Any]) -> Any:
     """One part of what `write_parts` wrote, None where the file has no such part; errors as in `load`."""
     path = Path(given) if isinstance(given, str | os.PathLike) else check_file(given)
+    path = path / "result.npz" if path.is_dir() else path
     if not path.is_file():
         raise UnreadableFileError(f"there is no file {path}; give the path of a saved identification.")
     part = None

@@ -41,7 +41,8 @@ def svg_text(figure: Chart, *, name: str, description: str) -> str:
             _words(figure.width / 2, STYLE.head + STYLE.gap, figure.title, "ink", size=STYLE.head, anchor="middle")
         )
     if figure.key is not None:
-        parts += ['<g class="key">', *_outer_key(figure, figure.key), "</g>"]
+        title = f' data-title="{html.escape(figure.key.title)}"' if figure.key.title else ""
+        parts += [f'<g class="key"{title}>', *_outer_key(figure, figure.key), "</g>"]
     return "\n".join([*parts, "</svg>"])
 
 

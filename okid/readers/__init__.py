@@ -5,15 +5,16 @@ units, `read_described` does both in one reading. Nothing in a file is ever exec
 are refused before they are read.
 """
 
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
 from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
 from okid.readers.guard import check_file
 from okid.readers.joining import records_of_tables
-from okid.readers.table import Table, to_record
+from okid.readers.table import Table, conversion_of, to_record
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record
 
@@ -52,7 +53,10 @@ def read_record(
         InvalidDataError: no such channel, no time step, a time column off the uniform grid by more than 0.1 dt, or
             numbers that cannot be a record.
     """
-    return to_record(read_table(path), Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    table = read_table(path)
+    record = to_record(table, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    _warn_of_units([table], [record])
+    return record
 
 
 def read_records(
@@ -80,7 +84,10 @@ def read_records(
         InvalidDataError: as in `read_record`; or files that share some channels and not others, or that do not fit
             together in time step or units.
     """
-    return records_of_tables(_tables(paths), inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    tables = _tables(paths)
+    records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
+    _warn_of_units(tables, records)
+    return records
 
 
 def read_described(
@@ -110,6 +117,17 @@ def read_described(
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
     return records, tuple(describe_table(table, dt=dt) for table in tables)
+
+
+def _warn_of_units(tables: Sequence[Table], records: Sequence[Record]) -> None:
+    """Warn of channels whose names may hold a unit that was neither read nor kept: nothing else would show it."""
+    used = {name for record in records for name in (*record.input_names, *record.output_names)}
+    said: dict[str, None] = {}
+    for table in tables:
+        every = (conversion_of(table, index) for index in table.channels())
+        said |= {str(each): None for each in every if each.channel in used and each.note and not each.unit}
+    for sentence in said:
+        warnings.warn(f"{sentence}.", IdentificationWarning, stacklevel=3)
 
 
 def _tables(paths: Sequence[str | Path] | str | Path) -> list[Table]:

@@ -32,7 +32,8 @@ from okid.readers.guard import (
     in_memory,
     sound_archive,
 )
-from okid.readers.table import TIME_NAMES, Column, LeftOut, Table, split_header
+from okid.readers.table import TIME_NAMES, Column, LeftOut, Table
+from okid.readers.units import split_header
 
 Content = npt.NDArray[np.generic] | Sequence[str]
 """An array of a file, or the texts of a list of texts."""

@@ -16,11 +16,11 @@ from okid.readers.arrays import read_npy, read_npz, table_from_arrays, table_of_
 from okid.readers.guard import check_file, foreign
 from okid.readers.mat import read_mat
 from okid.readers.parquet import read_parquet
-from okid.readers.table import LeftOut, Table, stated_step
+from okid.readers.table import LeftOut, Table, conversion_of, stated_step
 from okid.readers.tdms import read_lvm, read_mdf, read_tdms, read_wav
 from okid.readers.text import read_text
 from okid.readers.uff import read_uff
-from okid.readers.units import UnitConversion, convert_unit
+from okid.readers.units import UnitConversion
 
 READERS: Mapping[str, Callable[[Path], Table]] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), read_text),
@@ -156,13 +156,12 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
     """
     step = stated_step(table)[0] if dt is None else dt
-    columns = [table.columns[index] for index in table.channels()]
     return FileDescription(
         path=table.path,
         format=table.format,
         n_samples=table.n_samples,
         dt=step,
-        channels=tuple(convert_unit(column.name, column.unit) for column in columns),
+        channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
         left_out=table.left_out,

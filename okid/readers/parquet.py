@@ -10,7 +10,8 @@ import numpy as np
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import table_of_channels
 from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign
-from okid.readers.table import Column, LeftOut, Table, split_header, unique_names
+from okid.readers.table import Column, LeftOut, Table, unique_names
+from okid.readers.units import split_header
 
 UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 

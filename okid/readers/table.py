@@ -1,7 +1,5 @@
 """What one file holds, before its columns are told apart into inputs and outputs.
 
-Names and units out of column headers such as `tip [m/s^2]` or `Time (s)`.
-
 The time step of a table: from its time column, from what the file states, or from the caller.
 
 From a table to a record: which columns are inputs and outputs, units converted to SI.
@@ -12,7 +10,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -20,7 +18,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, check_not_empty, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
-from okid.readers.units import UnitConversion, convert_unit, is_unit
+from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit
 
 TIME_NAMES = frozenset(
     [
@@ -32,7 +30,11 @@ TIME_NAMES = frozenset(
 TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|ns|min|h)$")
 """Read the unit of a time column where it stands behind the name without brackets: `time_ms`, `Zeit in s`."""
 
-TIME_WORDS = re.compile(r"(?<![a-z])(?:time|temps|tiempo|tempo|uptime|millis|micros|sec)(?![a-z])|zeit", re.IGNORECASE)
+_INNER_CAPITAL = re.compile(r"(?<=[Tt]ime|Zeit|temp)(?=[A-Z])")  # TimeUS, timeMs
+
+TIME_WORDS = re.compile(
+    r"(?<![a-z])(?:time|temps|tiempo|tempo|uptime|millis|micros|sec|date|datum)(?![a-z])|zeit", re.IGNORECASE
+)
 """Take a uniform ramp with one of these in its name for the time."""
 
 CLOCKS_OF_BOARDS = {"millis": "ms", "micros": "us"}
@@ -138,6 +140,8 @@ def _time_name(column: Column) -> tuple[str, str]:
     name = _plain(column.name)
     if name in CLOCKS_OF_BOARDS and not column.unit:
         return name, CLOCKS_OF_BOARDS[name]
+    if not column.unit:
+        name = _plain(_INNER_CAPITAL.sub(" ", column.name))
     behind = None if column.unit or name in TIME_NAMES else TIME_SUFFIX.match(name)
     return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit)
 
@@ -163,50 +167,6 @@ def _may_be_time(column: Column) -> bool:
     if not column.unit:
         return column.name != "T"
     return _plain(column.name) != "t" or convert_unit("time", column.unit).unit == "s"
-
-
-_BRACKET = re.compile(
-    r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\{(?P<curly>[^{}]*)\}|<(?P<angle>[^<>]*)>)\s*$", re.DOTALL
-)
-_PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
-_OTHER_UNITS = frozenset(
-    [
-        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
-        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
-    ]
-)
-"""What else a pair of parentheses may hold to be read as a unit; what converts to SI is known already."""
-
-_SIDES = frozenset(["L", "l", "t", "d", "U/s"])
-"""Left, a time, a day: in parentheses these are no litre and no tonne."""
-
-MAX_NAME = 200
-
-
-def split_header(header: str) -> tuple[str, str]:
-    """Name and unit of a column header; the unit is "" if there is none.
-
-    What stands in square brackets is a unit. What stands in parentheses is one only if it is made of common units, so
-    that "tip (left)" stays a name.
-
-    Example:
-        >>> split_header("tip [m/s^2]"), split_header("Time (s)"), split_header("tip (left)")
-        (('tip', 'm/s^2'), ('Time', 's'), ('tip (left)', ''))
-    """
-    header = "".join(letter if letter.isprintable() else " " for letter in header).strip()
-    match = _BRACKET.match(header)
-    if match and match["name"]:
-        unit = match["unit"] or match["curly"] or match["angle"] or ""
-        return match["name"][:MAX_NAME], unit.strip()[:MAX_NAME]
-    match = _PARENTHESIS.match(header)
-    if match and match["name"] and looks_like_unit(match["unit"].strip()):
-        return match["name"][:MAX_NAME], match["unit"].strip()
-    return header[:MAX_NAME], ""
-
-
-def looks_like_unit(text: str) -> bool:
-    """True if `text` is a common unit, or a product, quotient or power of common units."""
-    return text in _OTHER_UNITS or (text not in _SIDES and is_unit(text))
 
 
 def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
@@ -258,11 +218,13 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
     if stated is None:
         if dt is None:
             raise InvalidDataError(
-                f"{table.path.name} has no time column (its columns are {_listed(table.names)}), so the time step must "
-                "be given: pass dt in seconds (--dt)."
+                f"{table.path.name} has no time column (its columns are {_listed(table.names)}"
+                + "".join(f"; {left.name!r} was left out: {left.reason}" for left in table.left_out[:3])
+                + "), so the time step must be given: pass dt in seconds (--dt)."
             )
         return float(dt), start_time
     if dt is None:
+        _check_whole_stamps(table)
         return stated, start_time
     if abs(dt - stated) > CONTRADICTION * stated:
         warnings.warn(
@@ -296,14 +258,60 @@ def stated_step(table: Table) -> tuple[float | None, float]:
             f"column {column.name!r} of {table.path.name} is in {column.unit!r}, which is no unit of time; correct its "
             "header, or rename it if it is a channel."
         )
+    factor = conversion.factor if conversion.unit else _seconds_of_stamps(table.values[:, index], column.name)
     name = f"the time column {column.name!r} of {table.path.name}"
     with np.errstate(all="ignore"):  # what is not finite is refused
-        step = _uniform_step(np.asarray(table.values[:, index]), conversion.factor, name)
+        step = _uniform_step(np.asarray(table.values[:, index]), factor, name)
     if table.dt is not None and abs(step - table.dt) > CONTRADICTION * step:
         raise InvalidDataError(
             f"{name} has a step of {step:.6g} s, but the file states {table.dt:.6g} s; correct one of them."
         )
-    return step, float(table.values[0, index]) * conversion.factor
+    return step, float(table.values[0, index]) * factor
+
+
+YEAR_2000, YEAR_2100 = 946_684_800.0, 4_102_444_800.0
+"""Read stamps between these, seconds since 1970, as a date; a thousand times as much counts milliseconds, and so on."""
+
+DAYS_BEFORE_1970 = (25_569.0, 719_529.0)
+"""Read stamps as days where they give a date between these years: since 1900 (spreadsheets) and since the year 0."""
+
+DAY = 86_400.0
+"""Count so many seconds a day."""
+
+SHORTEST_STEP = 1e-5
+"""Expect no shorter step [s] in stamps of hours and more: what looks so counts days."""
+
+
+def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
+    """How many seconds one unit of stamps is whose header has none: told by the date that they give, else one."""
+    first, last = float(stamps[0]), float(stamps[-1])
+    for thousands in (1e3, 1e6, 1e9):
+        if YEAR_2000 * thousands <= first < YEAR_2100 * thousands:
+            return 1.0 / thousands
+    may_be_days = "dat" in name.lower() or last - first < SHORTEST_STEP * len(stamps)
+    for origin in DAYS_BEFORE_1970:
+        if may_be_days and YEAR_2000 / DAY + origin <= first < YEAR_2100 / DAY + origin:
+            return DAY
+    return 1.0
+
+
+def _check_whole_stamps(table: Table) -> None:
+    """Warn where whole numbers without a unit were taken for seconds: they may as well count milliseconds."""
+    index = table.time_column()
+    if index is None or _time_name(table.columns[index])[1]:
+        return
+    stamps = np.asarray(table.values[:, index])
+    name = _plain(table.columns[index].name)
+    if name.startswith("sec") or _seconds_of_stamps(stamps, name) != 1.0 or stamps[-1] - stamps[0] < len(stamps) - 1:
+        return
+    if np.array_equal(stamps, np.rint(stamps)):
+        warnings.warn(
+            f"the time column {table.columns[index].name!r} of {table.path.name} has no unit and counts in whole "
+            "numbers, which were taken for seconds; write the unit into its header, as in 'time [ms]', or give the "
+            "time step (--dt).",
+            IdentificationWarning,
+            stacklevel=4,
+        )
 
 
 def _uniform_step(stamps: FloatArray, factor: float, name: str) -> float:
@@ -510,8 +518,8 @@ def to_record(
     _check_orientation(table, into, out)
     _refuse_doubled_rows(table)
     step, start_time = table_time_step(table, dt)
-    input_units = [_conversion(table, index) for index in into]
-    output_units = [_conversion(table, index) for index in out]
+    input_units = [conversion_of(table, index) for index in into]
+    output_units = [conversion_of(table, index) for index in out]
     try:
         values = _in_si(column_block(table.values, out), output_units)
         check_not_empty(values, tuple(unit.channel for unit in output_units), "output")
@@ -557,9 +565,18 @@ def _refuse_doubled_rows(table: Table) -> None:
         )
 
 
-def _conversion(table: Table, index: int) -> UnitConversion:
+def conversion_of(table: Table, index: int) -> UnitConversion:
+    """What becomes of a column's unit; where most names end in a unit in parentheses, another such end is spoken of."""
     column = table.columns[index]
-    return convert_unit(column.name, column.unit)
+    conversion = convert_unit(column.name, column.unit)
+    inside = PARENTHESIS.match(column.name)
+    if column.unit or conversion.note or not inside or not inside["name"]:
+        return conversion
+    ends = [each for each in table.columns if PARENTHESIS.match(each.header)]
+    if 2 * sum(bool(each.unit) for each in ends) <= len(ends):
+        return conversion
+    note = f"{inside['unit']!r} is no unit that is known; if it is the unit, the values are kept as they are"
+    return replace(conversion, note=note)
 
 
 def _in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:

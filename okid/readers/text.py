@@ -24,6 +24,7 @@ import csv
 import io
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
@@ -36,13 +37,17 @@ import numpy as np
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
-from okid.readers.table import Column, Table, looks_like_unit, split_header, unique_names
+from okid.readers.table import Column, LeftOut, Table, unique_names
+from okid.readers.units import looks_like_unit, split_header
 
 MISSING = (
     *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),
     *("nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND"),
 )
 """Spellings of a missing value that programs write."""
+
+COMMENTS = frozenset(["comment", "comments", "kommentar", "commentaire", "comentario"])
+"""Let these stand over a last column that holds nothing, as LabVIEW writes them."""
 
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|Inf|INF|infinity|Infinity)"),
@@ -100,6 +105,7 @@ class TextLimits:
 _COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
 _TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
 _TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
+_UNITS_WORD = re.compile(r"units?|einheit(?:en)?|unités?|unidad(?:es)?", re.IGNORECASE)
 _HEADER_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
@@ -195,12 +201,15 @@ def _headers(
         return ()
     if any(is_number(cell, dialect) and not cell.isdigit() for cell in names):  # a damaged row, and no names
         _refuse_text(cells, [f"column_{index}" for index in range(n_columns)], number, dialect, file_name)
-    before = _names_in(above[-2][1], n_columns, dialect) if len(above) > 1 else None
-    if before and _is_header(before, dialect):
-        if not _is_header(names, dialect):
-            _refuse_text(names, before, number, dialect, file_name)
-        if _is_units_row(before, names):
-            return tuple(f"{name} [{unit.strip('[]()')}]" for name, unit in zip(before, names, strict=True))
+    rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2:-4:-1])]
+    if rows[1:] and rows[1] and _is_header(rows[1], dialect) and not _is_header(names, dialect):
+        _refuse_text(names, rows[1], number, dialect, file_name)
+    for units, before in itertools.pairwise(rows):  # below the units a logger may name its sensors
+        if units is None or before is None or not _is_header(units, dialect):
+            break
+        if _is_units_row(before, units):
+            cells = ["" if _UNITS_WORD.fullmatch(unit) else unit.strip("[]()") for unit in units]
+            return tuple(f"{name} [{unit}]" for name, unit in zip(before, cells, strict=True))
     return tuple(names)
 
 
@@ -214,7 +223,9 @@ def _is_units_row(header: Sequence[str], below: Sequence[str]) -> bool:
         if _TIME_HEADER.match(name) and unit.strip("[]() ") in _TIME_UNITS:
             return True
     units = [unit.strip("[]() ") for unit in below if unit]
-    return all(map(looks_like_unit, units)) and not any(map(looks_like_unit, header))
+    if len(units) > 1 and _UNITS_WORD.fullmatch(units[0]):  # the row says what it holds
+        units.pop(0)
+    return bool(units) and all(map(looks_like_unit, units)) and not any(map(looks_like_unit, header))
 
 
 def _names_in(line: str, n_columns: int, dialect: Dialect) -> list[str] | None:
@@ -231,6 +242,8 @@ def _names_in(line: str, n_columns: int, dialect: Dialect) -> list[str] | None:
             return list(cells)
         if len(cells) == n_columns - 1 and trial == dialect and trial.delimiter != " ":
             return [*cells, ""]  # rows that end with a delimiter have one empty cell more
+        if len(cells) == n_columns + 1 and cells[-1].lower() in COMMENTS:
+            return list(cells[:-1])
     return None
 
 
@@ -262,6 +275,9 @@ def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
                 names = header or [f"column_{index}" for index in range(len(cells))]
                 _refuse_text(cells, names, number, dialect, file_name)
 
+
+TEXT_ROWS = 4
+"""Expect no more lines of names and units among those as wide as the table."""
 
 COPIES_OF_TEXT, COPIES_OF_TABLE = 3.0, 1.25
 """Expect so many: of a text that is changed before it is read, and of the table of float64 while it is put together."""
@@ -300,6 +316,63 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
         file.seek(0)
         file = io.BytesIO(_seconds(file.read(), path))
         head = clocked
+    try:
+        return _read_numbers(file, head, path)
+    except UnreadableFileError:
+        check_memory(path, COPIES_OF_TEXT * size)
+        file = io.BytesIO(file.getvalue()) if isinstance(file, io.BytesIO) else path.open("rb")
+        with file:
+            whole = file.read()
+        if (text := _text_columns(head)) is None:
+            raise
+    blanked = _without(whole, *text)
+    table = _read_numbers(io.BytesIO(blanked), blanked[: TextLimits.SAMPLE_BYTES], path)
+    left = [LeftOut(name=table.columns[k].name, reason="it holds text") for k in text[1] if k < len(table.columns)]
+    keep = [k for k in range(len(table.columns)) if k not in text[1]]
+    columns = tuple(table.columns[k] for k in keep)
+    return replace(table, columns=columns, values=table.values[:, keep], left_out=tuple(left))
+
+
+def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
+    """Columns of text in rows that hold numbers otherwise (messages, labels), and the dialect under which they are so.
+
+    A column that holds a number anywhere in the sample is none: a text in it is a damaged cell.
+    """
+    lines = [_line(raw) for raw in head.splitlines()[:-1]]
+    for dialect in DIALECTS[:5]:
+        rows = [split_cells(line, dialect) for line in lines]
+        width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        first = next((k for k, row in enumerate(rows) if any(is_number(cell, dialect) for cell in row)), 0)
+        named = [row for row in rows[:first] if any(row)]
+        rows = [row for row in rows if len(row) == width]
+        if not named or len(named[-1]) != width:
+            continue
+        holds = [any(is_number(row[k], dialect) for row in rows) for k in range(width)]
+        numbers = [k for k in range(width) if holds[k]]
+        full = [row for row in rows if all(is_number(row[k], dialect) or is_missing(row[k]) for k in numbers)]
+        full = [row for row in full if any(is_number(row[k], dialect) for k in numbers)]
+        text = tuple(k for k in range(width) if not holds[k] and any(not is_missing(row[k]) for row in full))
+        if text and numbers and len(full) >= len(rows) - TEXT_ROWS:
+            return dialect, text
+    return None
+
+
+def _without(data: bytes, dialect: Dialect, columns: tuple[int, ...]) -> bytes:
+    """The lines with these columns left empty in every row of numbers."""
+    out = []
+    for raw in data.splitlines(keepends=True):
+        cells = split_cells(_line(raw), dialect)
+        if any(is_number(cell, dialect) for cell in cells) and len(cells) > max(columns):
+            for k in columns:
+                cells[k] = ""
+            out.append(dialect.delimiter.join(cells).encode() + b"\n")
+        else:
+            out.append(raw)
+    return b"".join(out)
+
+
+def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
+    size = file.seek(0, io.SEEK_END)
     raw_lines = head.splitlines(keepends=True)
     if len(head) == TextLimits.SAMPLE_BYTES:
         if len(raw_lines) == 1:

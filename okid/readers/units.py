@@ -1,4 +1,4 @@
-"""Units as files write them, and what they are in SI.
+"""Names and units out of headers such as `tip [m/s^2]` or `Time (s)`: as files write them, and what they are in SI.
 
 A unit that is known and measures a dimension is converted to SI. What is no such unit ("counts", "raw", "%") is kept as
 it is written, and the conversion says so. Two spellings need a rule, because they mean two things:
@@ -39,7 +39,7 @@ SI_NAMES = {
 
 SPELLINGS = {
     **dict.fromkeys(("rpm", "RPM", "Rpm", "r/min", "rev/min", "revs/min", "U/min", "Upm", "tr/min", "tr/mn"), "rpm"),
-    **dict.fromkeys(("t/min", "tours/min"), "rpm"),
+    **dict.fromkeys(("t/min", "tours/min", "r·p·m", "r·p·m."), "rpm"),
     **dict.fromkeys(("rps", "rev/s", "tr/s", "U/s"), "revolution/s"),
     **dict.fromkeys(("ips", "IPS"), "inch/s"),
     **dict.fromkeys(("in", "in.", "inches", '"'), "inch"),
@@ -62,7 +62,12 @@ SPELLINGS = {
     **dict.fromkeys(("°F", "ºF", "deg·F", "Fahrenheit"), "degF"),
     **dict.fromkeys(("ms·2", "ms-2", "ms^-2", "mps2", "m/s/s"), "m/s**2"),
     **dict.fromkeys(("mps", "ms-1", "ms^-1"), "m/s"),
-    **dict.fromkeys(("fps",), "foot/s"),
+    "fps": "foot/s",
+    "fpm": "foot/min",
+    "lpm": "liter/min",
+    "HP": "hp",
+    **dict.fromkeys(("Millimeter", "millimeter", "millimeters"), "millimeter"),
+    **dict.fromkeys(("tonne", "tonnes"), "t"),
     **dict.fromkeys(("kmh", "kph", "km/hr"), "km/h"),
     **dict.fromkeys(("MPH",), "mile/hour"),
     "gal": "Gal",
@@ -157,7 +162,7 @@ _FORCE_WORDS = re.compile(
 )
 _WEIGHT_WORDS = re.compile(r"mass|weight|gewicht|poids|peso", re.IGNORECASE)
 _MASS_WORDS = re.compile(
-    r"mass|weight|force|thrust|load|gram|kraft|schub|gewicht|last\b|pouss|poids|effort|empuje|fuerza|peso",
+    r"mass|weight|(?<!\bg[ _-])force|thrust|load|gram|kraft|schub|gewicht|last\b|pouss|poids|effort|empuje|fuerza|peso",
     re.IGNORECASE,
 )
 _ACCELERATION_WORDS = re.compile(r"acc|beschl|a[xyz_ ]|\bah\b|quake|ground", re.IGNORECASE)
@@ -265,7 +270,7 @@ def _is_alone(channel: str, plain: str) -> bool:
     """True for a unit that is no other in this channel: gauss, gallons, or beats where nothing turns."""
     if plain in PER_MINUTE or (plain == "G" and _MAGNET_WORDS.search(channel)):
         return False
-    if plain == "gal" and not _ACCELERATION_WORDS.search(channel):
+    if "gal" in _WORD.findall(plain) and not _ACCELERATION_WORDS.search(channel):
         return False
     return is_unit(plain) or _GRAVITY.match(plain) is not None
 
@@ -341,6 +346,52 @@ def is_unit(text: str) -> bool:
         and not re.search(r"[^-+.·*/^() \d]", rest)
         and not _BIG_NUMBER.search(plain)
     )
+
+
+_BRACKET = re.compile(
+    r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\{(?P<curly>[^{}]*)\}|<(?P<angle>[^<>]*)>)\s*$", re.DOTALL
+)
+_INDEX = re.compile(r"(?:\S\[\d+|\[(?:0|[2-9]|\d\d+))\]$")
+"""Read a whole number in brackets as the place in an array, `gyro[0]`; `ratio [1]` alone has no dimension."""
+PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
+_OTHER_UNITS = frozenset(
+    [
+        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
+        *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
+    ]
+)
+"""What else a pair of parentheses may hold to be read as a unit; what converts to SI is known already."""
+
+_SIDES = frozenset(["L", "l", "t", "d", "U/s"])
+"""Left, a time, a day: in parentheses these are no litre and no tonne."""
+
+MAX_NAME = 200
+
+
+def split_header(header: str) -> tuple[str, str]:
+    """Name and unit of a column header; the unit is "" if there is none.
+
+    What stands in square brackets is a unit, unless it is the place in an array, as in "gyro[0]". What stands in
+    parentheses is one only if it is made of common units, so that "tip (left)" stays a name.
+
+    Example:
+        >>> split_header("tip [m/s^2]"), split_header("Time (s)"), split_header("tip (left)")
+        (('tip', 'm/s^2'), ('Time', 's'), ('tip (left)', ''))
+    """
+    header = "".join(letter if letter.isprintable() else " " for letter in header).strip()
+    match = _BRACKET.match(header)
+    if match and match["name"] and not _INDEX.search(header):
+        unit = match["unit"] or match["curly"] or match["angle"] or ""
+        return match["name"][:MAX_NAME], unit.strip()[:MAX_NAME]
+    match = PARENTHESIS.match(header)
+    if match and match["name"] and looks_like_unit(match["unit"].strip()):
+        return match["name"][:MAX_NAME], match["unit"].strip()
+    return header[:MAX_NAME], ""
+
+
+def looks_like_unit(text: str) -> bool:
+    """True if `text` is a common unit, or a product, quotient or power of common units."""
+    return text in _OTHER_UNITS or (text not in _SIDES and is_unit(text))
 
 
 def _plain(text: str) -> str:

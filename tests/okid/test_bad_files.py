@@ -75,7 +75,7 @@ def test_an_unknown_type(tmp_path, name):
 
 
 def test_upper_case_extensions_are_known(tmp_path):
-    (tmp_path / "A.CSV").write_text("time,y\n0,1\n1,2\n")
+    (tmp_path / "A.CSV").write_text("time [s],y\n0,1\n1,2\n")
     assert read_record(tmp_path / "A.CSV").n_samples == 2
 
 
@@ -140,10 +140,10 @@ def test_more_channels_than_samples(tmp_path):
 
 
 def test_nan_everywhere_and_infinity(tmp_path):
-    (tmp_path / "a.csv").write_text("time,u,y\n" + "".join(f"{row},1,nan\n" for row in range(9)))
+    (tmp_path / "a.csv").write_text("time [s],u,y\n" + "".join(f"{row},1,nan\n" for row in range(9)))
     refused(tmp_path / "a.csv", r"a\.csv: output 'y' holds no number in any of its 9 samples; leave it out")
     assert read_record(tmp_path / "a.csv", outputs="u").n_samples == 9
-    (tmp_path / "a.csv").write_text("time,y\n0,1\n1,inf\n2,3\n")
+    (tmp_path / "a.csv").write_text("time [s],y\n0,1\n1,inf\n2,3\n")
     refused(tmp_path / "a.csv", r"a\.csv: outputs must not hold infinite values, but sample 1 of channel 0")
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
-WHITENESS: Final = Pane("fit/whiteness/plot", 480.0, 265.0)
+WHITENESS: Final = Pane("fit/whiteness/plot", 400.0, 220.0)
 PREDICTED: Final[Colour] = (120, 205, 200)
 ONE_STEP: Final[Colour] = (250, 170, 160)
 """Draw what is predicted one step ahead, and what that leaves, in these colours."""

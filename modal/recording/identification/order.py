@@ -205,7 +205,7 @@ def _share(value: float) -> str:
 
 SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 480.0, 430.0)
 ORDER_FIT: Final = Pane("order/fit/plot", 480.0, 370.0)
-STABILISATION: Final = Pane("order/stabilisation/plot", 840.0, 830.0)
+STABILISATION: Final = Pane("order/stabilisation/plot", 640.0, 630.0)
 """Draw in about the shape that the view has on a common screen."""
 
 

@@ -90,7 +90,10 @@
         const button = add("button", row, "");
         button.type = "button";
         const patch = add("i", button);
-        patch.style.background = this.colour(all.find((series) => series.name === name));
+        const first = all.find((series) => series.name === name);
+        patch.style.background = this.colour(first);
+        const pale = this.shape(first).style.strokeOpacity;
+        if (pale) patch.style.opacity = pale;
         add("span", button, name);
         button.setAttribute("aria-pressed", "true");
         button.addEventListener("click", () => {
@@ -103,6 +106,8 @@
           this.clear();
         });
       }
+      const title = this.svg.querySelector(".key[data-title]");
+      if (title) add("span", row, `(${title.dataset.title})`);
     }
 
     shown(panel) {

@@ -78,6 +78,13 @@ def test_comes_back_bit_for_bit(awkward, identification, tmp_path):
     assert [entry.name for entry in sorted(tmp_path.iterdir())] == ["0.npz", "1.npz"]  # nothing unfinished is left
 
 
+def test_the_folder_of_a_report_is_enough(identification, tmp_path):
+    storage.save(identification, tmp_path / "result.npz")
+    assert_same(identification, storage.load(tmp_path))
+    with pytest.raises(UnreadableFileError, match="there is no file"):
+        storage.load(tmp_path / "elsewhere")
+
+
 def test_the_type_saves_itself_and_the_same_result_gives_the_same_bytes(identification, tmp_path):
     first, second = identification.save(tmp_path / "a.npz"), identification.save(str(tmp_path / "b.npz"))
     assert first.read_bytes() == second.read_bytes()

@@ -3,8 +3,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.modes.mode import Mode
-from modal.modes.shape_comparison import assurance, energies, overlap_matrix, pair_greatest_first, pulses, repeatability
+from modal.modes.mode import ModalModel, Mode
+from modal.modes.shape_comparison import (
+    Shapes,
+    assurance,
+    energies,
+    overlap_matrix,
+    pair_greatest_first,
+    pair_modes,
+    pulses,
+    repeatability,
+)
 from okid.errors import InvalidDataError
 
 
@@ -203,3 +212,22 @@ def test_without_runs_repeatability_is_not_known():
     found = repeatability(pulses(random_modes(np.random.default_rng(0), 2), dt=DT), [], n_steps=10)
     assert np.isnan(found.mean).all()
     assert found.parts.shape == (0, 2)
+
+
+def test_the_deviation_of_a_mac_is_that_of_shapes_drawn_anew():
+    """Against a long run of draws, far from 1 and at 1, with the channels of the sets in different orders."""
+    rng = np.random.default_rng(23001)
+    names, exact = ("a", "b", "c", "d"), np.array([1.0, 0.8, -0.5, 0.3])
+    for turned in (0.0, 0.4):
+        shape = (exact + turned * np.array([0.3, -1.0, 0.2, 0.9])).astype(complex)
+        std = np.array([0.02, 0.05, 0.01, 0.03])
+        mode = Mode(pole=-0.1 + 9j, kind="oscillatory", frequency=1.4, damping_ratio=0.01, shape=shape,
+                    participation=np.ones(1), verdict="system", shape_std=std)  # fmt: skip
+        model = ModalModel(modes=(mode,), dt=0.01, indicator_caution=0.1, output_names=names)
+        order = [2, 0, 3, 1]
+        pairs = pair_modes(model, Shapes(exact[order][:, np.newaxis], [names[k] for k in order]))
+        drawn = shape + std / np.sqrt(2) * (rng.standard_normal((20000, 4)) + 1j * rng.standard_normal((20000, 4)))
+        mac = np.abs(drawn @ exact) ** 2 / ((np.abs(drawn) ** 2).sum(axis=1) * (exact @ exact))
+        truth = np.sqrt(((mac - pairs.assurance[0]) ** 2).mean())
+        assert pairs.assurance_std[0] == pytest.approx(truth, rel=0.12)
+    assert np.isnan(pair_modes(Shapes([[1.0]], ["a"]), Shapes([[1.0]], ["a"])).assurance_std).all()

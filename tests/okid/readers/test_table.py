@@ -201,6 +201,41 @@ def test_a_ramp_that_speaks_of_time_is_the_time(file_with_time, header, scale):
     assert read_record(path, dt=0.01 * scale).output_names == ("y",)
 
 
+@pytest.mark.parametrize(
+    ("header", "first", "step", "seconds"),
+    [
+        ("timestamp", 1_600_000_000, 0.01, 0.01),  # Unix time, and its thousandths, millionths, billionths
+        ("timestamp", 1_600_000_000_000, 10, 0.01),
+        ("t", 1_600_000_000_000_000, 10_000, 0.01),
+        ("%time", 1_600_000_000_000_000_000, 10_000_000, 0.01),
+        ("Date/Time", 46349.4166667, 0.01 / 86400, 0.01),  # days of a spreadsheet
+        ("Datum", 46349.0, 600 / 86400, 600.0),
+        ("Time", 46349.0, 0.01 / 86400, 0.01),
+        ("Time", 740000.0, 0.1 / 86400, 0.1),  # days since the year 0
+        ("Time", 46349.0, 0.01, 0.01),  # late in a day
+        ("timeMs", 0, 10, 0.01),
+        ("TimeUS", 112_233_445, 10_000, 0.01),
+    ],
+)
+def test_stamps_that_give_a_date_tell_their_unit(tmp_path, header, first, step, seconds):
+    rows = "".join(f"{first + step * k!r},{k % 7}\n" for k in range(N_SAMPLES))
+    (tmp_path / "a.csv").write_text(f"{header},y\n{rows}")
+    record = read_record(tmp_path / "a.csv")
+    assert record.dt == pytest.approx(seconds, rel=1e-3)
+    assert record.start_time == pytest.approx(first * seconds / step, rel=1e-9)
+
+
+@pytest.mark.parametrize("step", [1, 4000])
+def test_whole_numbers_without_a_unit_are_taken_for_seconds_and_it_is_said(tmp_path, step):
+    rows = "".join(f"{1000 + step * k},{k % 7}\n" for k in range(N_SAMPLES))
+    (tmp_path / "a.csv").write_text(f"timestamp,y\n{rows}")
+    with pytest.warns(IdentificationWarning, match=r"'timestamp' of a.csv has no unit .* taken for seconds.*--dt"):
+        assert read_record(tmp_path / "a.csv").dt == step
+    assert read_record(tmp_path / "a.csv", dt=float(step)).dt == step
+    (tmp_path / "a.csv").write_text(f"seconds,y\n{rows}")
+    assert read_record(tmp_path / "a.csv").dt == step
+
+
 @pytest.mark.parametrize("header", ["loop time", "delay [ms]"])
 def test_what_is_no_ramp_is_a_channel(file_with_time, header):
     values = np.random.default_rng(1).standard_normal(N_SAMPLES)

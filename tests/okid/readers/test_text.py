@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import UnreadableFileError
-from okid.readers import read_record
+from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
+from okid.readers import describe_file, read_record
 from okid.readers.text import read_text
 
 
@@ -159,7 +159,6 @@ def test_many_rows_in_many_blocks(tmp_path, monkeypatch, delimiter):
 FAULTS = {
     "text in a cell": ("time,u\n0,1\n1,x\n2,3\n", "line 3, column 'u' of .* holds 'x'"),
     "text in the first row": ("time,u,y\nabc,1,2\n1,2,3\n2,3,4\n", "line 2, column 'time' .* holds 'abc'"),
-    "dates": ("date,u\n2020-01-01,1\n2020-01-02,2\n", "line 2, column 'date' .* '2020-01-01'"),
     "hexadecimal": ("a,b\n1,2\n1,0x10\n", "line 3, column 'b' .* '0x10'"),
     "other decimal sign": ('a,b\n1,2.5\n1,"2,5"\n', "line 3, column 'b' .* decimal sign"),
     "long text is cut": (f"a,b\n1,2\n1,{'x' * 500}\n", "'x{37}...'"),
@@ -206,3 +205,73 @@ def test_a_cell_is_shown_as_it_is_written(table, encoding):
     text = "time,u\n" + "".join(f"{k},1\n" for k in range(30)) + "30,größer als 5 µm\n"
     with pytest.raises(UnreadableFileError, match="holds 'größer als 5 µm' where a number is expected"):
         table(text.encode(encoding))
+
+
+LOGGERS = {  # what stands above the rows of three numbers, the numbers' delimiter and sign, and names and units below
+    "oscilloscope": ("x-axis,1,2\nsecond,Volt,Volt\n", ",", ".", {"1": "V", "2": "V"}),
+    "units in parentheses": ("Zeit;Kanal A;Kanal B\n(s);(mV);(V)\n\n", ";", ",", {"Kanal A": "V", "Kanal B": "V"}),
+    "names of sensors below the units": (
+        "SAMPLE RATE\t1000 Hz\n\nTime  1\tKraft\tBeschl\ns\tkN\tm/s²\nT0\tU10M\tB12\n",
+        "\t",
+        ",",
+        {"Kraft": "N", "Beschl": "m/s^2"},
+    ),
+    "a row that says it holds units": ("Time;Kraft;Weg\nEinheit;N;mm\n", ";", ",", {"Kraft": "N", "Weg": "m"}),
+    "a comment beside the rows": (
+        "X_Value\tUntitled\tUntitled 1\tComment\n",
+        "\t",
+        ".",
+        {"Untitled": "", "Untitled 1": ""},
+    ),
+    "places in arrays": ("time [s],gyro[0],gyro[1]\n", ",", ".", {"gyro[0]": "", "gyro[1]": ""}),
+}
+
+
+@pytest.mark.parametrize(("head", "delimiter", "sign", "units"), LOGGERS.values(), ids=LOGGERS.keys())
+def test_heads_of_loggers(tmp_path, head, delimiter, sign, units):
+    rows = "".join(f"{k / 1000:.4f}{delimiter}{k % 7}.5{delimiter}{k % 5}.25\n".replace(".", sign) for k in range(60))
+    (tmp_path / "a.csv").write_text(head + rows)
+    record = read_record(tmp_path / "a.csv")
+    assert record.dt == pytest.approx(1e-3)
+    assert dict(zip(record.output_names, record.output_units, strict=True)) == units
+
+
+@pytest.mark.parametrize("when", ["first", "once", "always"])
+def test_a_column_of_messages_is_left_out_and_named(tmp_path, when):
+    said = {"first": (0,), "once": (40,), "always": range(60)}[when]
+    rows = "".join(f"{k / 100:.2f},{'text' if k in said else ''},{k % 7}\n" for k in range(60))
+    path = tmp_path / "a.csv"
+    path.write_text("Time (s),App message,Thrust (N)\n" + rows)
+    record = read_record(path)
+    assert (record.output_names, record.dt) == (("Thrust",), pytest.approx(0.01))
+    np.testing.assert_array_equal(record.outputs[:, 0], np.arange(60) % 7)
+    assert describe_file(path).remarks == ("App message left out: it holds text",)
+
+
+def test_what_holds_a_number_anywhere_is_no_column_of_messages(tmp_path):
+    rows = "".join(f"{k / 100:.2f},{'bad' if k != 30 else 4},{k % 7}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("Time (s),speed,Thrust (N)\n" + rows)
+    with pytest.raises(UnreadableFileError, match=r"line 31, column .* of a\.csv holds 'bad'"):
+        read_record(tmp_path / "a.csv")
+
+
+def test_a_date_in_a_column_of_its_own_is_no_reason_to_cut_the_rows_otherwise(tmp_path):
+    rows = "".join(f"23.11.2026;10:00:{k / 1000:06.3f};{k % 7}.5\n".replace(".", ",") for k in range(60))
+    (tmp_path / "a.csv").write_text("Datum;Uhrzeit;ax\n" + rows.replace("23,11,2026", "23.11.2026"))
+    with pytest.raises(InvalidDataError, match=r"columns are ax; 'Datum' was left out: it holds text.*'Uhrzeit'.*--dt"):
+        read_record(tmp_path / "a.csv")
+
+
+def test_parentheses_that_hold_no_unit_are_spoken_of_where_the_others_do(tmp_path):
+    rows = "".join(f"{k / 100:.2f},{k % 7},{k % 5}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("Time (s),Thrust (N),Flow (blob)\n" + rows)
+    with pytest.warns(IdentificationWarning, match=r"Flow \(blob\): no unit .*'blob' is no unit that is known"):
+        read_record(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("Time (s),tip (left),tip (right)\n" + rows)
+    assert read_record(tmp_path / "a.csv").output_names == ("tip (left)", "tip (right)")
+
+
+def test_a_unit_behind_a_name_is_warned_of(tmp_path):
+    (tmp_path / "a.csv").write_text("time [s],speed_rpm\n" + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(60)))
+    with pytest.warns(IdentificationWarning, match="speed_rpm: no unit .*ends in 'rpm'"):
+        read_record(tmp_path / "a.csv")

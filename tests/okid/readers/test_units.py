@@ -8,8 +8,8 @@ import pytest
 
 from okid.errors import UnreadableFileError
 from okid.readers import units
-from okid.readers.table import split_header, unique_names
-from okid.readers.units import convert_unit, unit_error
+from okid.readers.table import unique_names
+from okid.readers.units import convert_unit, split_header, unit_error
 
 # NIST SP 811 (2008), appendix B.8: exact factors.
 INCH, POUND, GRAVITY = 0.0254, 0.45359237, 9.80665
@@ -60,6 +60,10 @@ def test_no_unit(written):
         ("a [any thing]", ("a", "any thing")),
         ("[V]", ("[V]", "")),
         ("plain", ("plain", "")),
+        ("gyro[0]", ("gyro[0]", "")),
+        ("Y[1]", ("Y[1]", "")),
+        ("xyz [2]", ("xyz [2]", "")),
+        ("ratio [1]", ("ratio", "1")),
         ("bad\x1b[31mname", ("bad [31mname", "")),
     ],
 )
@@ -73,7 +77,7 @@ def test_columns_of_one_name_keep_their_headers():
 
 def test_units_already_in_si_do_not_cost_the_import_of_pint():
     code = (
-        "import sys; from okid.readers.units import convert_unit, unit_error\n"
+        "import sys; from okid.readers.units import convert_unit, split_header, unit_error\n"
         "convert_unit('a', 'm/s^2'); convert_unit('a', 'g'); convert_unit('a', ''); print('pint' in sys.modules)\n"
         "convert_unit('a', 'kip'); print('pint' in sys.modules)"
     )
@@ -90,18 +94,19 @@ HEADERS = {
     (1.0, "m/s^2"): (
         "Beschleunigung [m/s²]|Accélération [m/s2]|AI A-1 [m/s2]|ACC1@X [m/s2]|Point1:+Z (m/s^2)|Acc [m/s/s]|"
         "Accel X (m/s²)|Acc [m/sec^2]|Acc [ms^-2]|Beschl. [m/s^2]|channel [m/s^2]|channel [m/s2]|channel [m/s²]|"
-        "channel [m s-2]|acc [ms-2]|acc [m/s/s]|acc (m/s2)|acc [m·s⁻²]|acc [m/s²]"
+        "channel [m s-2]|Accél. (m.s⁻²)|a1 [m/sec2]|acc [ms-2]|acc [m/s/s]|acc (m/s2)|acc [m·s⁻²]|acc [m/s²]"
     ),
     (GRAVITY, "m/s^2"): (
         "Beschleunigung (g)|Accélération (g)|Vibration (g)|Acc X (g)|cDAQ1Mod1_ai0 [g]|Acceleration_0 (g)|AI 1 [g]|"
         "AI 1 (g)|Point1:+Z [g]|Acc [G]|Acc [gee]|Acc {g}|Acc <g>|Acc Y (g)|tip [g]|tip [G]|tip [gn]|acc_1 [g]|"
         "acc_1 [G]|acc_1 [gn]|ground [g]|ground [G]|ground [gn]|floor 3 [g]|floor 3 [G]|floor 3 [gn]|AccX [g]|"
-        "AccX [G]|AccX [gn]"
+        "AccX [G]|AccX [gn]|G-Force (G)|g force [g]"
     ),
     (GRAVITY / 1000, "m/s^2"): ("Accel X (mg)|Acc [mg]|tip [mg]|acc_1 [mg]|ground [mg]|floor 3 [mg]|AccX [mg]"),
     (INCH, "m/s^2"): ("Acceleration [in/s2]|Acceleration [in/s^2]"),
     (0.01, "m/s^2"): ("Acc [cm/s²]|Acc [Gal]|Acc [gal]|channel [cm/s^2]|channel [cm/s/s]|channel [Gal]"),
     (1e-05, "m/s^2"): ("Acc [mGal]"),
+    (0.3048 / 60, "m/s"): ("Climb (fpm)|Climb [ft/min]"),
     (0.001, "m"): ("Weg [mm]|Déplacement [mm]|Displacement (mm)"),
     (1e-06, "m"): ("Displacement [µm]|Weg [µm]|Weg [um]|Weg [Mikrometer]|channel [µm]"),
     (INCH / 1000, "m"): (
@@ -139,7 +144,7 @@ HEADERS = {
         "Vitesse de rotation (tr/min)|Motor Electrical Speed (RPM)|Motor Optical Speed (RPM)|speed [r/min]|n [1/min]|"
         "Drehzahl [min⁻¹]|Umdrehungen [1/min]|Régime [tr/mn]|speed [rev/min]|channel [rpm]|channel [rev/min]|"
         "speed [RPM]|speed [rpm]|speed [1/min]|speed [U/min]|speed [tr/min]|Motor Electrical Speed (U/min)|"
-        "Drehzahl (RPM)|Drehzahl (U/min)"
+        "Drehzahl (RPM)|Drehzahl (U/min)|Speed [r.p.m.]|Spindle speed (rev/min)"
     ),
     (np.pi / 180, "rad/s"): (
         "Winkelgeschwindigkeit [°/s]|Rate [deg/s]|Rate [dps]|Gyro X (°/s)|Gyro (dps)|channel [deg/s]|rate [dps]|"
@@ -195,6 +200,7 @@ KEPT = (
     "Acc [G's]|Acc [g rms]|Acc [g's]|Acc [gE]|Dehnung [‰]|Strain [ue]|Strain [microstrain]|Schall [dB]|"
     "Inertia [kgm2]|Tank [gal]|Velocity [mm/s rms]|Displacement [µm pk-pk]|Acceleration [g pk]|Masse [gr]|"
     "Ch 3 [lb]|AI 4 [1/min]|T3 [F]|Strain [µe]|Charge [pC]|Gain [mV/g]|Count [cts]|Feuchte [%rF]|Amplitude [EU]|"
+    "Flow [gal/min]|"
     "RH [%RH]|Acc [g²/Hz]|X [(g)]|Acc [g/s]|channel [counts]|channel [raw]|channel [%]|channel [dB]|"
     "channel [mV/V]|channel [LSB]|channel [foo/bar]|channel [9^9^9^9]|channel [os.system('x')]|"
     "magnetic field [G]|strain [ue]|strain [µε]|phase [U]|gain [a.u.]|x [bananas]|level [dB]"
