@@ -333,9 +333,7 @@ def _identified(
         )
         if kind.kind == "driven"
         else None,
-        ringing=ringing(unjudged, prepared, left)
-        if kind.kind in ("transient", "decay")
-        else None,
+        ringing=ringing(unjudged, prepared, left) if kind.kind in ("transient", "decay") else None,
         rings_down=kind.kind == "decay",
         clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names, steady=not unsteady)
         if kind.kind == "ambient"
