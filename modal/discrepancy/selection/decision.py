@@ -45,9 +45,9 @@ from modal.discrepancy.fitting.nodes import (
     log_likelihood_gain,
     needed_masses,
 )
-from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
+from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, something, worst_left
 from modal.discrepancy.selection.form_free import CurveSearch
-from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
+from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
@@ -306,6 +306,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         )
     reasons += _unproved(best, root) + _undetermined(best, root, task) + _doubted_gains(best, root) + refused
     reasons += _untried(best, task, most=len(best.effects) - len(root.effects))
+    reasons += [] if reasons else undecided_laws(best, task, known=len(root.effects))
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
