@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import (
     SMALLEST_FALL,
     Node,
@@ -367,7 +367,7 @@ SHARE_OF_ONE = 0.6
 """Spend at most this share of what is left of the budget on effects beside one model."""
 LARGE_FALL = 0.5
 """Go on from a model that leaves at most this share on the records to fit although the held-out record does not show it
-yet."""
+yet, unless its best sibling leaves less than this share of that."""
 
 
 Curves = Callable[[Node, Node, Task], list[Node]]
@@ -419,13 +419,14 @@ def search_effects(
                 break
             here = depth + 1 if part.spent else here
         untried = min(untried, here)
-        if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
+        if not _explain(children) and _ends(_lowest(children, root), root, task, depth, settled):
             break
         wanted = depth == 0 and not _explain(children)
         found = curves(root, root, replace(task, reached=_reached(children))) if curves and wanted else []
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct([child for child in children if not child.by_record])
+        hopeful = [child for child in hopeful if LARGE_FALL * child.fit_level <= _reached([*children, *hopeful])]
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         front += _distinct([child for child in children if child.by_record and _new(child, front)])[:1]
         if not front:
@@ -433,6 +434,12 @@ def search_effects(
     if cut:
         task.budget.refuse(untried)
     return tuple(everything)
+
+
+def _ends(best: Node, root: Node, task: Task, depth: int, settled: Settled | None) -> bool:
+    """Whether no further effect is sought: nothing but noise is left, or of two none is near (three are never firm)."""
+    far = depth > 0 and best.held_out_level > FAR_ABOVE
+    return far or (settled is not None and settled(best, root, task))
 
 
 def _laws_like(curves: Sequence[Node], task: Task) -> dict[str, Effect]:
