@@ -289,7 +289,7 @@ def _records(run: Estimate, problem: Problem, *, held_out: bool) -> Iterator[_Wh
     for record in range(drive.n_records):
         rows = drive.rows_of(record)
         present = drive.present[rows]
-        fitted = [_filter_of(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
+        fitted = [whitening_filter(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
         filters, valid = tuple(one[0] for one in fitted), tuple(one[1] for one in fitted)
         own = _flat(slopes.local[:, rows], filters, valid)
         basis = _basis(own)
@@ -315,7 +315,7 @@ def _basis(rows: FloatArray) -> FloatArray:
     return np.asarray(basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)])
 
 
-def _filter_of(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
+def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
     """The autoregression of least BIC that makes a residual white, over its deviation; and the rows that it reaches."""
     n = len(residual)
     lagged = np.zeros((MOST_ORDER + 1, n))
