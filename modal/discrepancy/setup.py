@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import (
@@ -23,7 +22,7 @@ from modal.discrepancy.fitting.nodes import (
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
 from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.lack_of_fit import N_LAGS, lack_of_fit, only_noise, whitening_filter
+from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise, whitening_filter
 from modal.effects.ambiguity import Circumstance
 from modal.effects.catalogue import by_form
 from modal.effects.effect import Effect
@@ -34,7 +33,7 @@ from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING, UNLIKELY
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
@@ -407,8 +406,8 @@ RINGS = 0.5
 def _from_sensors(root: Node, task: Task) -> bool:
     """Whether what the calibrated model leaves is noise of the sensors, of whatever colour.
 
-    It depends on nothing, no input foretells it, and it does not ring as all that a force on a ringing structure
-    leaves: of a structure that does not ring (a motor, a tank) nobody knows.
+    It depends on nothing, and does not ring as all that a force on a ringing structure leaves: of a structure that does
+    not ring (a motor, a tank) nobody knows.
     """
     parts = [(root.fitted, task.fit), (root.held_out, task.held_out)]
     poles = np.linalg.eigvals(root.fitted.scheme.Ad)
@@ -421,9 +420,7 @@ def _from_sensors(root: Node, task: Task) -> bool:
         for record in range(drive.n_records):
             rows = drive.rows_of(record)
             for left in (drive.outputs[rows] - run.trajectory.outputs[rows]).T:
-                taps, valid = whitening_filter(left, np.ones(len(left), dtype=bool))
-                inputs = drive.sample[drive.rows[rows]]
-                if _rings(np.roots(taps)).any() or _foretold(left, inputs, taps, int((~valid).sum())):
+                if _rings(np.roots(whitening_filter(left, np.ones(len(left), dtype=bool))[0])).any():
                     return False
     return True
 
@@ -433,15 +430,6 @@ def _rings(poles: npt.NDArray[Any]) -> BoolArray:
     rates = np.log(np.where(poles == 0.0, TINY, poles).astype(complex))
     swinging = (np.abs(rates.imag) > ROUNDING) & (np.abs(rates.imag) < 0.5 * np.pi)
     return np.asarray(swinging & (-rates.real < RINGS * np.abs(rates)))
-
-
-def _foretold(left: FloatArray, inputs: FloatArray, taps: FloatArray, first: int) -> bool:
-    """Whether inputs up to `N_LAGS` samples ago foretell a residual, both whitened by the same filter."""
-    every = [left, *(np.roll(one, lag) for one in inputs.T for lag in range(N_LAGS))]
-    white = np.stack([np.convolve(one, taps)[first + N_LAGS : len(one)] for one in every])
-    basis, sizes, _ = np.linalg.svd(white[1:].T, full_matrices=False)
-    kept = basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)]
-    return bool(scipy.special.gammaincc(0.5 * kept.shape[1], 0.5 * np.sum((kept.T @ white[0]) ** 2)) < UNLIKELY)
 
 
 def roots(setup: Setup) -> tuple[Node, Node]:
