@@ -45,7 +45,7 @@ from modal.discrepancy.fitting.nodes import (
     log_likelihood_gain,
     needed_masses,
 )
-from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, something, worst_left
+from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, something, worst_left
 from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
@@ -322,24 +322,28 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
 def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> Decision:
     """Other masses explain the data: no effect is missing, unless one that is no more than they leads or comes near."""
     best = needed_masses(best, task) if best.held_out_level <= NEAR_FLOOR else best
+    if not best.masses:
+        return _nothing(root, task)
     most = criterion(best, root, task) + EVEN
     near = [node for node in nodes if _size(node) <= _size(best) and criterion(node, root, task) < most]
     near = [
         node for node in near if not _hung(node, best, root) or log_likelihood_gain(best, node, task) > SMALLEST_GAIN
     ]
     rivals = sorted({effects_at(node.effects) for node in near if len(node.effects) > len(root.effects)})
-    reasons = [f"{rival} explains the data as well as {listed(list(best.masses))}" for rival in rivals]
+    others, far = masses_text(best.masses), max(best.held_out_level, best.fit_level) > NEAR_FLOOR
+    does = "comes as near to the data as" if far else "explains the data as well as"
+    reasons = [f"{rival} {does} {others}" for rival in rivals]
     tests = lack_of_fit(best, task, known=len(root.effects))
     worst = worst_left(tests)
-    if max(best.held_out_level, best.fit_level) > NEAR_FLOOR:
+    if far:
+        held = best.held_out_level > NEAR_FLOOR
         reasons.append(
-            f"{listed(list(best.masses))} in the model as given is not all: the held-out gap is still "
-            f"{times_floor_text(best.held_out_level)} times the noise floor"
+            f"{others} {'is' if len(best.masses) == 1 else 'are'} not all: on the "
+            f"{'held-out records' if held else 'records to fit'} the gap is still "
+            f"{times_floor_text(best.held_out_level if held else best.fit_level)} times the noise floor"
         )
     elif worst is not None:
-        reasons.append(
-            f"beside {listed(list(best.masses))}, {something(worst)} is left, {percent(worst.size)} of the outputs"
-        )
+        reasons.append(f"beside {others}, {something(worst)} is left, {percent(worst.size)} of the outputs")
     before = len(root.effects)
     return Decision(
         status="unresolved" if reasons else "none",
@@ -535,7 +539,10 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
         if not needless:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
-    return best if best is root or counts(root, best, task) else root
+    if best is root or not counts(root, best, task):
+        return root
+    found = sureness(best, task)[len(root.effects) :]
+    return root if found and _weak(root, best, max(found)) else best
 
 
 def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:
