@@ -213,11 +213,13 @@ def _by_curve(
         return named
     if named.status == "named":
         return _cornered(named, root, task, curves)
-    tried = any(_n_free(node) for node in others)
     single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
-    for parent in (*([] if tried else [root]), *([named.node] if single else [])):
+    rivals = [node for node in others if node is not named.node]  # it was refused for what it leaves
+    for parent in (*([] if _n_free(named.node) else [root]), *([named.node] if single else [])):
         task.report("fitting laws of unknown form", 0.92)
-        found = [_judged(node, [*others, node], root, task, fits) for node in curves(parent, root, task)]
+        known = [node for node in rivals if _n_free(node)] if parent is root else []
+        fitted = known or curves(parent, root, task)
+        found = [_judged(node, [*rivals, node], root, task, fits) for node in fitted]
         passed = [decision for decision in found if decision.status == "named"]
         if passed:
             return min(passed, key=lambda one: criterion(one.node, root, task))
