@@ -395,8 +395,9 @@ def search_effects(
         return tuple(everything)
     front, untried, cut = front or [root], np.inf, False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
-        if min(node.held_out_level for node in front) <= AT_FLOOR and depth > 0:
-            break
+        lowest = min(node.held_out_level for node in front)
+        if (depth > 0 and lowest <= AT_FLOOR) or (depth > 1 and lowest > FAR_ABOVE):
+            break  # of two none is near, and three are never firm
         children: list[Node] = []
         hopeful: list[Node] = []
         here = np.inf
@@ -419,7 +420,7 @@ def search_effects(
                 break
             here = depth + 1 if part.spent else here
         untried = min(untried, here)
-        if not _explain(children) and _ends(_lowest(children, root), root, task, depth, settled):
+        if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
             break
         wanted = depth == 0 and not _explain(children)
         found = curves(root, root, replace(task, reached=_reached(children))) if curves and wanted else []
@@ -434,12 +435,6 @@ def search_effects(
     if cut:
         task.budget.refuse(untried)
     return tuple(everything)
-
-
-def _ends(best: Node, root: Node, task: Task, depth: int, settled: Settled | None) -> bool:
-    """Whether no further effect is sought: nothing but noise is left, or of two none is near (three are never firm)."""
-    far = depth > 0 and best.held_out_level > FAR_ABOVE
-    return far or (settled is not None and settled(best, root, task))
 
 
 def _laws_like(curves: Sequence[Node], task: Task) -> dict[str, Effect]:
