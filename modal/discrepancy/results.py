@@ -5,7 +5,7 @@ inputs, no effect can be missing that the data could show. "Nothing missing" mus
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.effects.catalogue import effects_at
 from modal.simulation.plant import MASS
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import FOLLOWED, NEAR_FLOOR, UNLIKELY
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
 from modal.wording.text import listed, percent, times_floor_text
@@ -174,6 +174,22 @@ class LackOfFit(Displayed):
     p_value: float
     share: float
     size: float
+
+
+def beyond_noise(tests: Sequence[LackOfFit]) -> Iterator[LackOfFit]:
+    """The tests that noise alone hardly fails, where what is left is larger than errors of a simulation."""
+    return (one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED)
+
+
+def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
+    """The test that noise alone fails least likely; None where noise may be all."""
+    return next(beyond_noise(tests), None)
+
+
+def something(test: LackOfFit) -> str:
+    """What is left, in words."""
+    at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
+    return f"something that depends on the {test.kind} {at}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)

@@ -3,14 +3,26 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.fitting.nodes import FINE_STEPS, Node, Task, calibrated_node, node_of, on_other_floor, polished
+from modal.discrepancy.fitting.nodes import (
+    FINE_STEPS,
+    Node,
+    Task,
+    calibrated_node,
+    counts,
+    node_of,
+    on_other_floor,
+    polished,
+)
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
+from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.lack_of_fit import only_noise
+from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise, whitening_filter
 from modal.effects.ambiguity import Circumstance
 from modal.effects.catalogue import by_form
 from modal.effects.effect import Effect
@@ -23,7 +35,7 @@ from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
-from okid.arrays import TINY, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
@@ -369,17 +381,55 @@ def with_coloured_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -
 
     The quiet band is taken for white, and noise of another colour is stronger where the motion is.
     """
+    root, task = nodes[0], setup.task
     best = min(nodes, key=lambda node: node.held_out_level)
-    if best.held_out is None or best.held_out_level <= AT_FLOOR or not only_noise(best, nodes[0], setup.task):
+    if not any(counts(root, node, task) for node in nodes[1:]) and _from_sensors(root, task):
+        best = root
+    elif not only_noise(best, root, task):
+        return setup, nodes, as_given
+    if best.held_out is None or best.held_out_level <= AT_FLOOR:
         return setup, nodes, as_given
     left = np.concatenate([best.fitted.mean_square, best.held_out.mean_square]) * setup.floor.variance
     higher = raised_floor(setup.floor, np.nan_to_num(left))
-    ratio, task, n_fit = setup.floor.variance / higher.variance, setup.task, len(setup.fit)
+    ratio, n_fit = setup.floor.variance / higher.variance, len(setup.fit)
     found = prepare_setup(
         setup.given, setup.fit, setup.held_out, task.every_effect, task.report, floor=higher, budget=task.budget
     )
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     return found, scaled, on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
+
+
+RINGS = 0.5
+"""Call a pole ringing below this share of critical damping: noise of a smooth spectrum has none."""
+
+
+def _from_sensors(root: Node, task: Task) -> bool:
+    """Whether what the calibrated model leaves is noise of the sensors, of whatever colour.
+
+    It depends on nothing, and does not ring as all that a force on a ringing structure leaves: of a structure that does
+    not ring (a motor, a tank) nobody knows.
+    """
+    parts = [(root.fitted, task.fit), (root.held_out, task.held_out)]
+    poles = np.linalg.eigvals(root.fitted.scheme.Ad)
+    if not _rings(poles).all() or worst_left(lack_of_fit(root, task, known=len(root.effects))) is not None:
+        return False
+    for run, problem in parts:
+        drive = problem.drive
+        if run is None or run.trajectory.outputs.shape != drive.outputs.shape or not drive.present.all():
+            return False
+        for record in range(drive.n_records):
+            rows = drive.rows_of(record)
+            for left in (drive.outputs[rows] - run.trajectory.outputs[rows]).T:
+                if _rings(np.roots(whitening_filter(left, np.ones(len(left), dtype=bool))[0])).any():
+                    return False
+    return True
+
+
+def _rings(poles: npt.NDArray[Any]) -> BoolArray:
+    """Which discrete poles swing up and down lightly damped."""
+    rates = np.log(np.where(poles == 0.0, TINY, poles).astype(complex))
+    swinging = (np.abs(rates.imag) > ROUNDING) & (np.abs(rates.imag) < 0.5 * np.pi)
+    return np.asarray(swinging & (-rates.real < RINGS * np.abs(rates)))
 
 
 def roots(setup: Setup) -> tuple[Node, Node]:

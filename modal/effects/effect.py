@@ -257,6 +257,7 @@ class ForceEffect(Effect):
             effect.
         acts_at: What a port must accept: "motion", "force", "mass" or "flow".
         has_corners: Whether the law bends at a point (contact, slip), so that where a step of time passes it matters.
+        first_term: Whether the law is the first term of a series: laws with the next ones come as near as one likes.
         per_stiffness: Whether the force is proportional to the linear stiffness at the place.
         form_free: Whether it is any law of its motion: tried where no law with a name is enough.
         beside_stiffness: Parameters of which, where the linear stiffness at the place is free as well, only the
@@ -266,6 +267,7 @@ class ForceEffect(Effect):
     needs: ClassVar[frozenset[str]] = frozenset({"displacement"})
     acts_at: ClassVar[str] = "motion"
     has_corners: ClassVar[bool] = False
+    first_term: ClassVar[bool] = False
     per_stiffness: ClassVar[bool] = False
     beside_stiffness: ClassVar[tuple[str, ...]] = ()
     form_free: ClassVar[bool] = False

@@ -48,6 +48,7 @@ class CubicStiffness(ForceEffect):
     family = "odd stiffness"
     signature = "odd lines, third harmonic; the resonance moves with the level"
     reference = "Kerschen et al. 2006, doi 10.1016/j.ymssp.2005.04.008"
+    first_term = True
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""
@@ -83,6 +84,7 @@ class QuadraticStiffness(ForceEffect):
     family = "even stiffness"
     signature = "even lines, second harmonic, static shift that grows with the square of the level"
     reference = "Nayfeh, Mook 1979, doi 10.1002/9783527617586"
+    first_term = True
 
     def force(self, values: Values, motion: Motion) -> Force:
         """The force and its derivatives."""

@@ -44,6 +44,7 @@ _spec.loader.exec_module(mistakes_board)
 DOCUMENT = ROOT / "modal" / "docs" / "ablations.md"
 BEAM, NODES = "modal.discrepancy.selection.beam", "modal.discrepancy.fitting.nodes"
 SMALLER, DECISION = "modal.discrepancy.selection.smaller_models", "modal.discrepancy.selection.decision"
+LACK = "modal.discrepancy.selection.lack_of_fit"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,9 +106,7 @@ MECHANISMS = (
     Mechanism(says="two effects merged into one", where=f"{SMALLER}:merged", off=none),
     Mechanism(says="form-free curves", where="modal.discrepancy.selection.form_free:curves_beside", off=empty),
     Mechanism(says="after a curve only laws of its motion", where=f"{BEAM}:_laws_like", off=whole_catalogue),
-    Mechanism(
-        says="end where only noise is left", where="modal.discrepancy.selection.lack_of_fit:only_noise", off=false
-    ),
+    Mechanism(says="end where only noise is left", where=f"{LACK}:only_noise", off=false),
     Mechanism(says="room for what halves the fit alone", where=f"{BEAM}:_hopeful", off=false),
     Mechanism(says="effects without which it is as good go", where=f"{DECISION}:_pruned", off=first),
     Mechanism(says="a gain taken up by the calibration", where=f"{SMALLER}:absorbed_gain", off=none),
@@ -117,12 +116,10 @@ MECHANISMS = (
     Mechanism(says="a known value is not free", where=f"{DECISION}:_found_as_known", off=zero),
     Mechanism(says="no firm name for three effects or a bad fit", where=f"{DECISION}:_unproved", off=empty),
     Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:_undetermined", off=empty),
+    Mechanism(says="no firm name that neighbours fit as well", where=f"{LACK}:undecided_laws", off=empty),
+    Mechanism(says="noise of sensors beside nothing", where="modal.discrepancy.setup:_from_sensors", off=false),
     Mechanism(says="no firm name for absurd gains", where=f"{DECISION}:_doubted_gains", off=empty),
-    Mechanism(
-        says="no firm name where something is left",
-        where="modal.discrepancy.selection.lack_of_fit:what_is_left",
-        off=nothing_left,
-    ),
+    Mechanism(says="no firm name where something is left", where=f"{LACK}:what_is_left", off=nothing_left),
     Mechanism(says="the other hold", where="modal.discrepancy.validation.other_hold:by_the_better_hold", off=first),
 )
 

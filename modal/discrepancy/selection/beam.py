@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
+from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import (
     SMALLEST_FALL,
     Node,
@@ -367,7 +367,7 @@ SHARE_OF_ONE = 0.6
 """Spend at most this share of what is left of the budget on effects beside one model."""
 LARGE_FALL = 0.5
 """Go on from a model that leaves at most this share on the records to fit although the held-out record does not show it
-yet."""
+yet, unless its best sibling leaves less than this share of that."""
 
 
 Curves = Callable[[Node, Node, Task], list[Node]]
@@ -395,8 +395,9 @@ def search_effects(
         return tuple(everything)
     front, untried, cut = front or [root], np.inf, False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
-        if min(node.held_out_level for node in front) <= AT_FLOOR and depth > 0:
-            break
+        lowest = min(node.held_out_level for node in front)
+        if (depth > 0 and lowest <= AT_FLOOR) or (depth > 1 and lowest > FAR_ABOVE):
+            break  # of two none is near, and three are never firm
         children: list[Node] = []
         hopeful: list[Node] = []
         here = np.inf
@@ -426,6 +427,7 @@ def search_effects(
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct([child for child in children if not child.by_record])
+        hopeful = [child for child in hopeful if LARGE_FALL * child.fit_level <= _reached([*children, *hopeful])]
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         front += _distinct([child for child in children if child.by_record and _new(child, front)])[:1]
         if not front:

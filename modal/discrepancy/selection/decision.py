@@ -45,9 +45,9 @@ from modal.discrepancy.fitting.nodes import (
     log_likelihood_gain,
     needed_masses,
 )
-from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve
+from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, something, worst_left
 from modal.discrepancy.selection.form_free import CurveSearch
-from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, something, what_is_left, worst_left
+from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
@@ -213,11 +213,13 @@ def _by_curve(
         return named
     if named.status == "named":
         return _cornered(named, root, task, curves)
-    tried = any(_n_free(node) for node in others)
     single = len(named.node.effects) - len(root.effects) == 1 and not _n_free(named.node)
-    for parent in (*([] if tried else [root]), *([named.node] if single else [])):
+    rivals = [node for node in others if node is not named.node]  # it was refused for what it leaves
+    for parent in (*([] if _n_free(named.node) else [root]), *([named.node] if single else [])):
         task.report("fitting laws of unknown form", 0.92)
-        found = [_judged(node, [*others, node], root, task, fits) for node in curves(parent, root, task)]
+        known = [node for node in rivals if _n_free(node)] if parent is root else []
+        fitted = known or curves(parent, root, task)
+        found = [_judged(node, [*rivals, node], root, task, fits) for node in fitted]
         passed = [decision for decision in found if decision.status == "named"]
         if passed:
             return min(passed, key=lambda one: criterion(one.node, root, task))
@@ -306,6 +308,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
         )
     reasons += _unproved(best, root) + _undetermined(best, root, task) + _doubted_gains(best, root) + refused
     reasons += _untried(best, task, most=len(best.effects) - len(root.effects))
+    reasons += [] if reasons else undecided_laws(best, task, known=len(root.effects))
     return Decision(
         status="unresolved" if reasons else "named",
         node=best,
@@ -321,24 +324,28 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
 def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> Decision:
     """Other masses explain the data: no effect is missing, unless one that is no more than they leads or comes near."""
     best = needed_masses(best, task) if best.held_out_level <= NEAR_FLOOR else best
+    if not best.masses:
+        return _nothing(root, task)
     most = criterion(best, root, task) + EVEN
     near = [node for node in nodes if _size(node) <= _size(best) and criterion(node, root, task) < most]
     near = [
         node for node in near if not _hung(node, best, root) or log_likelihood_gain(best, node, task) > SMALLEST_GAIN
     ]
     rivals = sorted({effects_at(node.effects) for node in near if len(node.effects) > len(root.effects)})
-    reasons = [f"{rival} explains the data as well as {listed(list(best.masses))}" for rival in rivals]
+    others, far = masses_text(best.masses), max(best.held_out_level, best.fit_level) > NEAR_FLOOR
+    does = "comes as near to the data as" if far else "explains the data as well as"
+    reasons = [f"{rival} {does} {others}" for rival in rivals]
     tests = lack_of_fit(best, task, known=len(root.effects))
     worst = worst_left(tests)
-    if max(best.held_out_level, best.fit_level) > NEAR_FLOOR:
+    if far:
+        held = best.held_out_level > NEAR_FLOOR
         reasons.append(
-            f"{listed(list(best.masses))} in the model as given is not all: the held-out gap is still "
-            f"{times_floor_text(best.held_out_level)} times the noise floor"
+            f"{others} {'is' if len(best.masses) == 1 else 'are'} not all: on the "
+            f"{'held-out records' if held else 'records to fit'} the gap is still "
+            f"{times_floor_text(best.held_out_level if held else best.fit_level)} times the noise floor"
         )
     elif worst is not None:
-        reasons.append(
-            f"beside {listed(list(best.masses))}, {something(worst)} is left, {percent(worst.size)} of the outputs"
-        )
+        reasons.append(f"beside {others}, {something(worst)} is left, {percent(worst.size)} of the outputs")
     before = len(root.effects)
     return Decision(
         status="unresolved" if reasons else "none",
@@ -534,7 +541,10 @@ def _pruned(best: Node, root: Node, task: Task) -> Node:
         if not needless:
             return best
         best = min(needless, key=lambda node: node.held_out_level)
-    return best if best is root or counts(root, best, task) else root
+    if best is root or not counts(root, best, task):
+        return root
+    found = sureness(best, task)[len(root.effects) :]
+    return root if found and _weak(root, best, max(found)) else best
 
 
 def _rivals(node: Node, best: Node, effect: tuple[str, str], task: Task) -> bool:

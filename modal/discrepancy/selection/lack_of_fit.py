@@ -10,8 +10,9 @@ degrees of freedom. With J what the model could adjust and G the group,
 
     S = G' (I - J J+) G       v = G' (I - J J+) e       fall = v' S+ v       F = (fall / r) / ((e'e - fall) / (n - k))
 
-Corners and jumps of a law are seen badly by splines; beside the groups the correlation that is left in the held-out
-residual, once it is corrected for the parameters' own uncertainty, is tested as a whole.
+Corners and jumps are seen badly by splines; so the correlation that is left in the held-out residual, corrected for the
+parameters' own uncertainty, is tested as a whole. The nearest neighbours of a smooth law f(x) are f(x) |x|^e: the one
+direction f ln|x| sees a sinh in place of a cube where seven splines do not.
 
 With many samples something is always left, so the size counts as well: the force of a group is compared with that of an
 effect by what both do to the outputs, the rest of the model free to make up for them.
@@ -23,7 +24,8 @@ References:
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import scipy
@@ -31,16 +33,16 @@ import scipy
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.fitting.nodes import Node, Task
 from modal.discrepancy.fitting.observed_fits import CLEAR
-from modal.discrepancy.results import LackOfFit, ResidualKind
+from modal.discrepancy.results import LackOfFit, ResidualKind, beyond_noise, something, worst_left
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
-from modal.effects.effect import ForceEffect
+from modal.effects.effect import ForceEffect, is_sharp
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
-from modal.simulation.tolerances import FOLLOWED, ROUNDING, UNLIKELY
+from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
-from modal.wording.text import percent
+from modal.wording.text import NINETY_FIVE, number, percent
 from okid.arrays import TINY, BoolArray, FloatArray
 
 N_SPLINES = 7
@@ -162,7 +164,7 @@ class _Left:
         Returns:
             log p, the fall, and the degrees of freedom of the group.
         """
-        gram, plain, score = self._reduced(columns, held=())
+        gram, plain, score = self.reduced(columns)
         size = np.sqrt(np.maximum(np.diag(plain), TINY))
         metric = plain / np.outer(size, size) + ROUNDING * np.eye(len(size))
         if not (np.isfinite(gram).all() and np.isfinite(score).all()):
@@ -179,11 +181,11 @@ class _Left:
 
     def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
         """Square of one response, the common unknowns but those `held` free to make up for it; 0 where they do."""
-        left, whole, _ = self._reduced(columns, held=held)
+        left, whole, _ = self.reduced(columns, held=held)
         return float(left[0, 0]) if left[0, 0] > ROUNDING * whole[0, 0] else 0.0
 
-    def _reduced(
-        self, columns: Sequence[FloatArray], *, held: Sequence[int]
+    def reduced(
+        self, columns: Sequence[FloatArray], *, held: Sequence[int] = ()
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gram matrix less what the common unknowns can do, as it is, and the score of a group."""
         n = len(columns[0])
@@ -224,17 +226,24 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
     left = _left_of(node, task)
     if left is None:
         return ()
+    effects = range(known, len(node.effects))
     found: list[tuple[ResidualKind, str, float, float]] = []
-    for kind, where, sources in _groups(left.parts):
-        responses = [part.responses(own) for part, own in zip(left.parts, sources, strict=True)]
+    groups = (
+        (kind, where, [part.responses(own) for part, own in zip(left.parts, sources, strict=True)])
+        for kind, where, sources in _groups(left.parts)
+    )
+    powers = ((*power, node.effects[i][1]) for i in effects if (power := _other_power(left, i)) is not None)
+    for kind, where, responses in chain(groups, ((kind, where, seen) for kind, seen, where in powers)):
         log_p, fall, rank = left.tested(responses)
         if rank:
             found.append((kind, where, log_p, fall))
     found += _correlations(left)
-    effects = range(known, len(node.effects))
     named = min((weight for i in effects if (weight := _effect_weight(left, i)) is not None), default=None)
-    signal = sum(float(np.sum(one.filtered(_outputs(part))[0] ** 2)) for part in left.parts for one in part.records)
-    tests = [
+    outputs = [
+        (part, np.where((drive := part.run.trajectory.drive).present, drive.outputs, 0.0)) for part in left.parts
+    ]
+    signal = sum(float(np.sum(one.filtered(every[None]) ** 2)) for part, every in outputs for one in part.records)
+    return tuple(
         LackOfFit(
             kind=kind,
             where=where,
@@ -243,12 +252,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
             size=float(np.sqrt(fall / max(signal, TINY))),
         )
         for kind, where, log_p, fall in sorted(found, key=lambda one: (one[2], -one[3]))
-    ]
-    return tuple(tests)
-
-
-def _outputs(part: _Part) -> FloatArray:
-    return np.where(part.run.trajectory.drive.present, part.run.trajectory.drive.outputs, 0.0)[None]
+    )
 
 
 def _left_of(node: Node, task: Task) -> _Left | None:
@@ -283,9 +287,9 @@ def _records(run: Estimate, problem: Problem, *, held_out: bool) -> Iterator[_Wh
     if not all(np.isfinite(one).all() for one in (residual, slopes.local, slopes.common)):
         return  # along a motion that hardly stays within numbers nothing is known
     for record in range(drive.n_records):
-        rows = slice(drive.row_firsts[record], drive.row_firsts[record + 1])
+        rows = drive.rows_of(record)
         present = drive.present[rows]
-        fitted = [_filter_of(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
+        fitted = [whitening_filter(residual[rows, j], present[:, j]) for j in range(residual.shape[1])]
         filters, valid = tuple(one[0] for one in fitted), tuple(one[1] for one in fitted)
         own = _flat(slopes.local[:, rows], filters, valid)
         basis = _basis(own)
@@ -311,7 +315,7 @@ def _basis(rows: FloatArray) -> FloatArray:
     return np.asarray(basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)])
 
 
-def _filter_of(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
+def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
     """The autoregression of least BIC that makes a residual white, over its deviation; and the rows that it reaches."""
     n = len(residual)
     lagged = np.zeros((MOST_ORDER + 1, n))
@@ -436,17 +440,13 @@ def _output_sources(run: Estimate, channel: int) -> list[Source]:
     drive = run.trajectory.drive
     y, t = run.trajectory.linearisation.free[:, channel], drive.time[drive.rows]
     y, t = y / max(float(np.std(y)), TINY), t / max(float(t.max()), TINY)
-    slope = np.concatenate([np.gradient(y[rows]) for rows in _rows(drive)])
+    slope = np.concatenate([np.gradient(y[rows]) for rows in map(drive.rows_of, range(drive.n_records))])
     found = []
     for one in (np.ones_like(t), t, y, y**2, y**3, t * y, slope):
         sensed = np.zeros_like(run.trajectory.outputs)
         sensed[:, channel] = one
         found.append(Source(sensed=sensed))
     return found
-
-
-def _rows(drive: Drive) -> list[slice]:
-    return [slice(drive.row_firsts[r], drive.row_firsts[r + 1]) for r in range(drive.n_records)]
 
 
 def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
@@ -480,12 +480,7 @@ def _effect_weight(left: _Left, placement: int) -> float | None:
         run = part.run
         item, assembly = run.assembly.placements[placement], run.assembly
         if isinstance(item.effect, ForceEffect):
-            one = run.trajectory.linearisation.acting[assembly.forces.index(placement)]
-            flow = np.zeros_like(run.trajectory.states)
-            n = assembly.plant.n_states
-            flow[:, :n] = one.line.flow(one.E0, one.E1)
-            heard = np.outer(one.force.value[run.trajectory.drive.rows], one.G)
-            changes.append(part.responses([Source(flow=flow, outputs=heard)]))
+            changes.append(part.responses([_force_of(run, placement, np.ones(len(run.trajectory.states)))]))
             continue
         off = run_without(run, placement, part.problem, smoothing=run.smoothing)
         if off is None or not np.isfinite(off.trajectory.outputs).all():
@@ -497,6 +492,58 @@ def _effect_weight(left: _Left, placement: int) -> float | None:
         return _own_weight(left, changes, mine)
     own = assembly.common_of(placement)
     return left.weight(changes, held=range(own.start, own.stop))
+
+
+def _force_of(run: Estimate, placement: int, factor: FloatArray) -> Source:
+    """The force of an effect along a run, times a factor (n_times,)."""
+    one = run.trajectory.linearisation.acting[run.assembly.forces.index(placement)]
+    flow = np.zeros_like(run.trajectory.states)
+    line = replace(one.line, start=one.line.start * factor, end=one.line.end * np.roll(factor, -1))
+    flow[:, : run.assembly.plant.n_states] = line.flow(one.E0, one.E1)
+    return Source(flow=flow, outputs=np.outer((one.force.value * factor)[run.trajectory.drive.rows], one.G))
+
+
+def _other_power(left: _Left, placement: int) -> tuple[ResidualKind, list[FloatArray]] | None:
+    """What a smooth law of one motion does more where its force grows with a power more of it; None for others."""
+    item = left.parts[0].run.assembly.placements[placement]
+    effect = item.effect
+    if not isinstance(effect, ForceEffect) or effect.form_free or is_sharp(effect) or effect.n_memory:
+        return None
+    kinds: list[ResidualKind] = [kind for kind in ("displacement", "velocity") if kind in effect.needs]
+    own = any(kind.role == "shape" and not any(kind.dimension) for kind in effect.parameters)  # an exponent
+    if own or item.port is None or item.channel >= 0 or len(kinds) != 1:
+        return None
+    motions = [np.abs(_motion(part.run, item.port)[kinds[0] == "velocity"]) for part in left.parts]
+    largest = max(float(motion.max()) for motion in motions)
+    return kinds[0], [
+        part.responses([_force_of(part.run, placement, np.log(np.maximum(motion / largest, TINY)))])
+        for part, motion in zip(left.parts, motions, strict=True)
+    ]
+
+
+def undecided_laws(node: Node, task: Task, *, known: int) -> list[str]:
+    """Smooth laws that the records do not tell from their neighbours, of another power of the motion, in words.
+
+    Within the 95 % interval of that power these may differ from a law by what refuses a name, and from the first term
+    of a series, whose next ones hardly show, by what is overlooked.
+    """
+    left, reasons = _left_of(node, task), []
+    for i, item in enumerate(node.fitted.assembly.placements[known:], start=known):
+        power = None if left is None else _other_power(left, i)
+        if left is None or power is None or not (named := _effect_weight(left, i)):
+            continue
+        seen, _, score = (one.item(0) for one in left.reduced(power[1]))
+        spread, unit = float(np.sqrt(1.0 / max(seen, TINY))), float(np.sqrt(max(seen, TINY) / named))
+        change = score * spread**2
+        most = (abs(change) + NINETY_FIVE * spread) * unit
+        limit = SLIGHT if getattr(item.effect, "first_term", False) else MUCH
+        if not most <= limit:
+            reasons.append(
+                f"a law that grows with another power of the {power[0]} ({number(change, 2)} +- {number(spread, 2)} "
+                f"more) fits as well as {effects_at([node.effects[i]])}, up to {percent(most)} of its force apart "
+                f"(limit {percent(limit)}): records with less noise, or levels further apart, would tell"
+            )
+    return reasons
 
 
 def _own_weight(left: _Left, changes: Sequence[FloatArray], mine: slice) -> float:
@@ -515,15 +562,6 @@ SLIGHT, MUCH = 0.01, 0.1
 whatever it depends on."""
 
 
-def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
-    """The test that noise alone fails least likely, where what is left is larger than errors of a simulation."""
-    return next(_no_noise(tests), None)
-
-
-def _no_noise(tests: Sequence[LackOfFit]) -> Iterator[LackOfFit]:
-    return (one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED)
-
-
 def only_noise(node: Node, root: Node, task: Task) -> bool:
     """Whether a model explains nearly everything, and what it leaves depends on nothing: noise, of whatever colour."""
     if node is root or not node.held_out_level - 1.0 <= CLEAR * (root.held_out_level - 1.0):
@@ -536,7 +574,7 @@ def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[li
     """Why a model is not firm for what it leaves, and what must be said beside a firm name."""
     known = len(root.effects)
     found = best.coarse.assembly.placements[known:]
-    left = [one for one in _no_noise(tests) if one.share > SLIGHT]
+    left = [one for one in beyond_noise(tests) if one.share > SLIGHT]
     for one in left:
         if one.share > MUCH or any(_same_motion(one, item) for item in found):
             return [f"{something(one)} is left, {_how_much(one, found)}: the law is another one, or has company"], []
@@ -552,12 +590,6 @@ def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
     forces = all(isinstance(item.effect, ForceEffect) and item.channel < 0 for item in found)
     does = f"the force of {least}{names}" if forces else f"what {least}{names} does to the outputs"
     return f"{percent(test.share)} of {does}"
-
-
-def something(test: LackOfFit) -> str:
-    """What is left, in words."""
-    at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
-    return f"something that depends on the {test.kind} {at}"
 
 
 def _same_motion(test: LackOfFit, item: EffectPlacement) -> bool:
