@@ -11,7 +11,8 @@ degrees of freedom. With J what the model could adjust and G the group,
     S = G' (I - J J+) G       v = G' (I - J J+) e       fall = v' S+ v       F = (fall / r) / ((e'e - fall) / (n - k))
 
 Corners and jumps are seen badly by splines; so the correlation that is left in the held-out residual, corrected for the
-parameters' own uncertainty, is tested as a whole. The nearest neighbours of a smooth law f(x) are f(x) |x|^e: the one
+parameters' own uncertainty, is tested as a whole, and so is what follows an input at the likeliest delay of all: a wire
+that picks up the drive late leaves it at no lag that a motion or a smooth change of the input has. The nearest neighbours of a smooth law f(x) are f(x) |x|^e: the one
 direction f ln|x| sees a sinh in place of a cube where seven splines do not.
 
 With many samples something is always left, so the size counts as well: the force of a group is compared with that of an
@@ -450,27 +451,45 @@ def _output_sources(run: Estimate, channel: int) -> list[Source]:
 
 
 def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
-    """Ljung and Box's test of each output of each held-out record, the parameters' own step taken first."""
+    """What is left of each output, the parameters' own step taken first, as a series: does it follow an input, itself?
+
+    Of held-out records Ljung and Box's test, of all what follows each input late, by wires, air or loggers.
+    """
     found: list[tuple[ResidualKind, str, float, float]] = []
     for part in left.parts:
-        names = part.run.assembly.plant.output_names
+        plant, drive = part.run.assembly.plant, part.run.trajectory.drive
         for one in part.records:
             white = one.residual - left.step @ one.shared
+            inputs = drive.sample[drive.rows[one.rows]].T
             first = 0
             for output, (taps, valid) in enumerate(zip(one.filters, one.valid, strict=True)):
                 count = int(valid.sum())
                 series = np.zeros(len(valid))
                 series[valid] = white[first : first + count]
                 first += count
-                if not one.held_out or count <= 2 * N_LAGS:
+                if count <= 2 * N_LAGS:
+                    continue
+                for name, signal in zip(plant.input_names, inputs, strict=True):
+                    found.append(("input", name, *_late(series, _filtered(taps, signal))))
+                if not one.held_out:
                     continue
                 total = max(float(series @ series), TINY)
                 sizes = [count - lag for lag in range(1, N_LAGS + 1)]
                 shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
                 q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
                 log_p = _log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
-                found.append(("output", names[output], log_p, q))
+                found.append(("output", plant.output_names[output], log_p, q))
     return found
+
+
+def _late(white: FloatArray, signal: FloatArray) -> tuple[float, float]:
+    """Log p and the fall of the delay, up to half of the record, at which white noise of deviation 1 follows most."""
+    n = len(white)
+    n_delays = n // 2
+    seen = np.fft.irfft(np.fft.rfft(white, 2 * n) * np.fft.rfft(signal, 2 * n).conj(), 2 * n)[:n_delays]
+    energy = np.cumsum(signal**2)[::-1][:n_delays]  # of what has arrived
+    fall = float(np.max(seen**2 / np.maximum(energy, TINY + ROUNDING * energy[0])))
+    return min(float(np.log(2.0 * n_delays) + scipy.special.log_ndtr(-np.sqrt(fall))), 0.0), fall
 
 
 def _effect_weight(left: _Left, placement: int) -> float | None:

@@ -139,14 +139,16 @@ def test_what_a_force_leaves_is_no_noise_of_a_sensor():
     assert found.status == "unresolved", found.warnings
 
 
-def test_what_the_drive_leaves_in_a_sensors_wire_is_no_noise():
+@pytest.mark.parametrize("late", [7, 40, 150])
+def test_what_the_drive_leaves_in_a_sensors_wire_is_no_noise(late):
     case = outside_case("coloured_noise", 14003)
     (*fits, held) = (
-        okid.Record(one.inputs, one.outputs + 2.6e-5 * np.pad(one.inputs, ((7, 0), (0, 0)))[:-7], one.dt)
+        okid.Record(one.inputs, one.outputs + 2.6e-5 * np.pad(one.inputs, ((late, 0), (0, 0)))[:-late], one.dt)
         for one in (*case.fit, *case.held_out)
     )
     found = diagnose(outside_catalogue.model_of(case), fits, held, catalogue=CUBIC_ALONE)
     assert found.status == "unresolved", found.warnings
+    assert any("depends on the input" in words for words in found.warnings)
 
 
 @pytest.mark.parametrize("kind", ["sinh", "power_damping"])
