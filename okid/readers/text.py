@@ -102,6 +102,10 @@ class TextLimits:
     BLOCK_BYTES: Final = 8 << 20
 
 
+_OTHERWISE = re.compile(
+    r"[+-]?(?:\d{1,3}(?:[.,'\s]\d{3})+(?:[.,]\d*)?|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?\s?(?:[^\W\d_]\S*|[%°]\S*)?"
+)
+"""Read a cell like this as a number that is written otherwise: `1.234,5`, `0.125 N`, `0x1F`."""
 _COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
 _TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
 _TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
@@ -325,7 +329,7 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
             whole = file.read()
         if (text := _text_columns(head)) is None:
             raise
-    blanked = _without(whole, *text)
+    blanked = _without(whole, *text, path.name)
     table = _read_numbers(io.BytesIO(blanked), blanked[: TextLimits.SAMPLE_BYTES], path)
     left = [LeftOut(name=table.columns[k].name, reason="it holds text") for k in text[1] if k < len(table.columns)]
     keep = [k for k in range(len(table.columns)) if k not in text[1]]
@@ -336,7 +340,8 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
 def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
     """Columns of text in rows that hold numbers otherwise (messages, labels), and the dialect under which they are so.
 
-    A column that holds a number anywhere in the sample is none: a text in it is a damaged cell.
+    A column that holds a number anywhere in the sample is none: a text in it is a damaged cell. Nor is one that mostly
+    holds numbers written otherwise, with a unit or signs of thousands: they were measured.
     """
     lines = [_line(raw) for raw in head.splitlines()[:-1]]
     for dialect in DIALECTS[:5]:
@@ -352,18 +357,25 @@ def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
         full = [row for row in rows if all(is_number(row[k], dialect) or is_missing(row[k]) for k in numbers)]
         full = [row for row in full if any(is_number(row[k], dialect) for k in numbers)]
         text = tuple(k for k in range(width) if not holds[k] and any(not is_missing(row[k]) for row in full))
-        if text and numbers and len(full) >= len(rows) - TEXT_ROWS:
+        cells = [[row[k] for row in full if not is_missing(row[k])] for k in text]
+        measured = any(2 * sum(map(bool, map(_OTHERWISE.fullmatch, column))) > len(column) for column in cells)
+        if text and numbers and not measured and len(full) >= len(rows) - TEXT_ROWS:
             return dialect, text
     return None
 
 
-def _without(data: bytes, dialect: Dialect, columns: tuple[int, ...]) -> bytes:
-    """The lines with these columns left empty in every row of numbers."""
+def _without(data: bytes, dialect: Dialect, columns: tuple[int, ...], file_name: str) -> bytes:
+    """The lines with these columns left empty in every row of numbers; refused where one holds numbers further on."""
     out = []
-    for raw in data.splitlines(keepends=True):
+    for number, raw in enumerate(data.splitlines(keepends=True), start=1):
         cells = split_cells(_line(raw), dialect)
         if any(is_number(cell, dialect) for cell in cells) and len(cells) > max(columns):
             for k in columns:
+                if is_number(cells[k], dialect):
+                    raise UnreadableFileError(
+                        f"column {k + 1} of {file_name} begins with text, but holds the number {cells[k][:40]!r} in "
+                        f"line {number}; leave the cells of text empty if samples are missing, or take the column out."
+                    )
                 cells[k] = ""
             out.append(dialect.delimiter.join(cells).encode() + b"\n")
         else:
@@ -397,13 +409,15 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
         Column(name=name, unit=unit, header=header)
         for name, (_, unit), header in zip(names, split, headers, strict=True)
     ]
-    if not headers[-1] and layout.headers:
-        if not np.isnan(values[:, -1]).all():
-            raise UnreadableFileError(
-                f"{path.name} names {layout.n_columns - 1} columns, but its rows hold {layout.n_columns} numbers, so a "
-                "name may stand over the wrong column; give every column a name, the first one too."
-            )
-        columns, values = columns[:-1], values[:, :-1]  # rows that end with a delimiter
+    if layout.headers and not headers[-1] and not np.isnan(values[:, -1]).all():
+        raise UnreadableFileError(
+            f"{path.name} names {layout.n_columns - 1} columns, but its rows hold {layout.n_columns} numbers, so a "
+            "name may stand over the wrong column; give every column a name, the first one too."
+        )
+    if layout.headers:  # a column without a name that holds nothing: rows end with delimiters, or a sheet has a gap
+        keep = [k for k, header in enumerate(headers) if header or not np.isnan(values[:, k]).all()]
+        if len(keep) < len(headers):
+            columns, values = [columns[k] for k in keep], values[:, keep]
     return Table(path=path, format="text table", columns=tuple(columns), values=values)
 
 

@@ -11,9 +11,10 @@ degrees of freedom. With J what the model could adjust and G the group,
     S = G' (I - J J+) G       v = G' (I - J J+) e       fall = v' S+ v       F = (fall / r) / ((e'e - fall) / (n - k))
 
 Corners and jumps are seen badly by splines; so the correlation that is left in the held-out residual, corrected for the
-parameters' own uncertainty, is tested as a whole, and so is what follows an input at the likeliest delay of all: a wire
-that picks up the drive late leaves it at no lag that a motion or a smooth change of the input has. The nearest neighbours of a smooth law f(x) are f(x) |x|^e: the one
-direction f ln|x| sees a sinh in place of a cube where seven splines do not.
+parameters' own uncertainty, is tested as a whole. A wire that picks up the drive late leaves it where no motion and no
+smooth change of the input is: the residual is tested against each input at the likeliest of all delays, too. The nearest
+neighbours of a smooth law f(x) are f(x) |x|^e: the one direction f ln|x| sees a sinh in place of a cube where seven
+splines do not.
 
 With many samples something is always left, so the size counts as well: the force of a group is compared with that of an
 effect by what both do to the outputs, the rest of the model free to make up for them.
@@ -451,9 +452,9 @@ def _output_sources(run: Estimate, channel: int) -> list[Source]:
 
 
 def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
-    """What is left of each output, the parameters' own step taken first, as a series: does it follow an input, itself?
+    """What is left of each output, the parameters' own step taken first, as a series: does it follow an input or itself?
 
-    Of held-out records Ljung and Box's test, of all what follows each input late, by wires, air or loggers.
+    The latter is asked of held-out records by Ljung and Box's test; the former of all, at any delay.
     """
     found: list[tuple[ResidualKind, str, float, float]] = []
     for part in left.parts:

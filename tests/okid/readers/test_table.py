@@ -40,7 +40,7 @@ def test_rounded_stamps_give_the_mean_step(dt, decimals, tmp_path_factory):
     quantum = dt * 10.0**-decimals * 5
     time = np.round(dt * np.arange(N_SAMPLES) / quantum) * quantum
     path = tmp_path_factory.mktemp("time") / "a.csv"
-    path.write_text("t,y\n" + "".join(f"{each!r},1.0\n" for each in time.tolist()))
+    path.write_text("t [s],y\n" + "".join(f"{each!r},1.0\n" for each in time.tolist()))
     assert abs(read_record(path).dt - dt) <= quantum / (N_SAMPLES - 1) * 1.0001
 
 

@@ -255,6 +255,31 @@ def test_what_holds_a_number_anywhere_is_no_column_of_messages(tmp_path):
         read_record(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize("cell", ["0.125 N", "1,234.5", "1.234,50", "-3.5e-3 m/s^2", "12 %", "0x1F"])
+def test_a_number_that_is_written_otherwise_is_no_message(tmp_path, cell):
+    """Left out, a force that was measured would be missing, and nothing would say so."""
+    rows = "".join(f"{k / 100:.2f};{cell};{k % 7}.5\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("Time (s);force;tip\n" + rows)
+    with pytest.raises(UnreadableFileError, match="where a number is expected"):
+        read_record(tmp_path / "a.csv")
+
+
+def test_numbers_far_below_messages_are_not_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr("okid.readers.text.TextLimits.SAMPLE_BYTES", 1000)
+    rows = "".join(f"{k / 100:.2f},{'wait' if k < 300 else 4.5},{k % 7}\n" for k in range(400))
+    (tmp_path / "a.csv").write_text("Time (s),height,Thrust (N)\n" + rows)
+    with pytest.raises(UnreadableFileError, match=r"column 2 of a\.csv begins with text, .* '4\.5' in line 302"):
+        read_record(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(("head", "row"), [("t [s],,u,y", "{},,{},1.5"), ("t [s],u,y,,", "{},{},1.5,,")])
+def test_columns_without_a_name_that_hold_nothing_are_none(tmp_path, head, row):
+    (tmp_path / "a.csv").write_text("\n".join([head, *(row.format(k / 100, k % 7) for k in range(60))]))
+    record = read_record(tmp_path / "a.csv")
+    assert record.output_names == ("u", "y")
+    np.testing.assert_array_equal(record.outputs[:, 0], np.arange(60) % 7)
+
+
 def test_a_date_in_a_column_of_its_own_is_no_reason_to_cut_the_rows_otherwise(tmp_path):
     rows = "".join(f"23.11.2026;10:00:{k / 1000:06.3f};{k % 7}.5\n".replace(".", ",") for k in range(60))
     (tmp_path / "a.csv").write_text("Datum;Uhrzeit;ax\n" + rows.replace("23,11,2026", "23.11.2026"))
