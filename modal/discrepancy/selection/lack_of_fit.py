@@ -12,7 +12,7 @@ degrees of freedom. With J what the model could adjust and G the group,
 
 Corners and jumps are seen badly by splines; so the correlation that is left in the held-out residual, corrected for the
 parameters' own uncertainty, is tested as a whole. A wire that picks up the drive late leaves it where no motion and no
-smooth change of the input is: the residual is tested against each input at the likeliest of all delays, too. The nearest
+smooth change of an input is: the residual is tested against each input at the likeliest of all delays, too. The nearest
 neighbours of a smooth law f(x) are f(x) |x|^e: the one direction f ln|x| sees a sinh in place of a cube where seven
 splines do not.
 
@@ -452,7 +452,7 @@ def _output_sources(run: Estimate, channel: int) -> list[Source]:
 
 
 def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
-    """What is left of each output, the parameters' own step taken first, as a series: does it follow an input or itself?
+    """What is left of each output, the parameters' own step taken first, as a series: it follows an input, or itself.
 
     The latter is asked of held-out records by Ljung and Box's test; the former of all, at any delay.
     """
