@@ -20,9 +20,10 @@ from modal.discrepancy.fitting.nodes import (
     polished,
 )
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
+from modal.discrepancy.noise.spectral import whitening_filter
 from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise, whitening_filter
+from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise
 from modal.effects.ambiguity import Circumstance
 from modal.effects.catalogue import by_form
 from modal.effects.effect import Effect
@@ -32,7 +33,7 @@ from modal.localisation.levels import LevelModes, level_modes
 from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
-from modal.simulation.scheme import Budget
+from modal.simulation.scheme import Budget, Scheme
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from okid.arrays import TINY, BoolArray, FloatArray
@@ -407,22 +408,51 @@ def _from_sensors(root: Node, task: Task) -> bool:
     """Whether what the calibrated model leaves is noise of the sensors, of whatever colour.
 
     It depends on nothing, and does not ring as all that a force on a ringing structure leaves: of a structure that does
-    not ring (a motor, a tank) nobody knows.
+    not ring (a motor, a tank) nobody knows. Where white noise hides the ringing the spectra are compared: that of a
+    white force at a place of the structure beside white noise must explain what is left worse than an autoregression.
     """
     parts = [(root.fitted, task.fit), (root.held_out, task.held_out)]
     poles = np.linalg.eigvals(root.fitted.scheme.Ad)
     if not _rings(poles).all() or worst_left(lack_of_fit(root, task, known=len(root.effects))) is not None:
         return False
+    lead = np.zeros(root.fitted.scheme.E0.shape[1] + root.fitted.scheme.B0.shape[1])
     for run, problem in parts:
         drive = problem.drive
         if run is None or run.trajectory.outputs.shape != drive.outputs.shape or not drive.present.all():
             return False
+        step = int(drive.rows[1] - drive.rows[0])
         for record in range(drive.n_records):
             rows = drive.rows_of(record)
-            for left in (drive.outputs[rows] - run.trajectory.outputs[rows]).T:
-                if _rings(np.roots(whitening_filter(left, np.ones(len(left), dtype=bool))[0])).any():
-                    return False
-    return True
+            left = drive.outputs[rows] - run.trajectory.outputs[rows]
+            taps = [whitening_filter(one, np.ones(len(one), dtype=bool))[0] for one in left.T]
+            if any(_rings(np.roots(one)).any() for one in taps):
+                return False
+            lead += _lead_of_forces(left, taps, root.fitted.scheme, step)
+    return bool(np.max(lead, initial=0.0) <= 0.0)
+
+
+def _lead_of_forces(left: FloatArray, taps: Sequence[FloatArray], scheme: Scheme, step: int) -> FloatArray:
+    """(n_places,) by how much BIC prefers a white force there beside white noise to each output's autoregression.
+
+    By Whittle's likelihood of what is left (n_samples, n_outputs), a scheme's steps `step` a sample.
+    """
+    n = len(left)
+    waves = np.exp(2j * np.pi / n * np.arange(1, (n + 1) // 2))[:, np.newaxis]
+    powers = np.abs(np.fft.fft(left, axis=0)[1 : (n + 1) // 2]) ** 2 / n
+    z = waves[:, :, np.newaxis] ** (1.0 / step)
+    pushes = np.hstack([scheme.E0, scheme.B0]) + z * np.hstack([scheme.E1, scheme.B1])
+    moved = np.linalg.solve(z * np.eye(len(scheme.Ad)) - scheme.Ad, pushes)
+    heard = np.abs(scheme.C @ moved + np.hstack([scheme.G, scheme.D])) ** 2
+    lead = np.zeros(heard.shape[2])
+    for power, tap, reply in zip(powers.T, taps, heard.transpose(1, 0, 2), strict=True):
+        smooth = 1.0 / np.abs(waves ** -np.arange(len(tap)) @ tap) ** 2
+        shares = reply / np.maximum(reply.mean(axis=0), TINY)
+        spectra = 1.0 + np.logspace(-2.0, 4.0, 25)[:, np.newaxis, np.newaxis] * shares
+        spectra *= np.mean(power[:, np.newaxis] / spectra, axis=1, keepdims=True)
+        forced = 2.0 * np.sum(np.log(spectra) + power[:, np.newaxis] / spectra, axis=1).min(axis=0)
+        own = 2.0 * np.sum(np.log(smooth) + power / smooth)
+        lead += own - forced + (len(tap) - 2) * np.log(n)
+    return lead
 
 
 def _rings(poles: npt.NDArray[Any]) -> BoolArray:

@@ -75,7 +75,7 @@ def print_written(write: Callable[[], Iterable[Path]]) -> None:
     """A line for each file that was written, or why there is none."""
     try:
         paths = list(write())
-    except IdentificationError as error:
+    except (IdentificationError, OSError) as error:
         print(f"not written: {error}")
     else:
         for path in paths:

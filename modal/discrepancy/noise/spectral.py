@@ -3,6 +3,8 @@
 A missing sample gets the value that the samples beside it foretell: the regression of a sample of this output on its
 neighbours before and after and on the inputs at the same times, learnt from the rows where all of them are there. That
 brings hardly any noise to high frequencies: there the level of the noise falls by the share of bridged samples.
+
+Noise of another colour than white is made white by a short autoregression (`whitening_filter`).
 """
 
 from dataclasses import dataclass
@@ -19,7 +21,7 @@ from modal.discrepancy.noise.quiet_band import (
     steady_level,
 )
 from modal.simulation.tolerances import ROUNDING
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
@@ -296,3 +298,39 @@ def _guess(values: FloatArray) -> _Level:
         driven_share=0.0,
         note="by differences of its samples, since too few follow each other: a guess, rather an upper limit",
     )
+
+
+MOST_ORDER = 4
+"""Filter the residual by an autoregression of at most this order: more would take up the lack of fit itself."""
+N_LAGS = 20
+"""Test the correlation that is left over so many lags, as Ljung and Box do."""
+
+
+def filter_by(taps: FloatArray, values: FloatArray) -> FloatArray:
+    """Sum over j of taps[j] times the values j samples ago, along the last axis."""
+    filtered: FloatArray = taps[0] * values
+    for lag, tap in enumerate(taps[1:], start=1):
+        filtered[..., lag:] += tap * values[..., :-lag]
+    return filtered
+
+
+def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """The autoregression of least BIC that makes a residual white, over its deviation; and the rows that it reaches."""
+    n = len(residual)
+    lagged = np.zeros((MOST_ORDER + 1, n))
+    reach = np.zeros((MOST_ORDER + 1, n), dtype=bool)
+    for lag in range(min(MOST_ORDER + 1, n)):
+        lagged[lag, lag:], reach[lag, lag:] = residual[: n - lag], present[: n - lag]
+    whole = reach.all(axis=0)
+    best, taps, order = np.inf, np.array([1.0]), 0
+    if 2 * whole.sum() >= present.sum() > 0 and whole.sum() > N_LAGS:
+        for p in range(MOST_ORDER + 1):
+            weights = np.linalg.lstsq(lagged[1 : p + 1, whole].T, lagged[0, whole], rcond=None)[0]
+            error = lagged[0, whole] - weights @ lagged[1 : p + 1, whole]
+            score = whole.sum() * np.log(max(float(np.mean(error**2)), TINY)) + p * np.log(whole.sum())
+            if score < best:
+                best, taps, order = score, np.concatenate([[1.0], -weights]), p
+    valid: BoolArray = np.all(reach[: order + 1], axis=0)
+    white = filter_by(taps, residual)[valid]
+    deviation = float(np.sqrt(np.mean(white**2))) if white.size else 1.0
+    return taps / max(deviation, TINY), valid

@@ -35,6 +35,7 @@ import scipy
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.fitting.nodes import Node, Task
 from modal.discrepancy.fitting.observed_fits import CLEAR
+from modal.discrepancy.noise.spectral import MOST_ORDER, N_LAGS, filter_by, whitening_filter
 from modal.discrepancy.results import LackOfFit, ResidualKind, beyond_noise, something, worst_left
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
@@ -50,10 +51,6 @@ from okid.arrays import TINY, BoolArray, FloatArray
 N_SPLINES = 7
 """Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the
 correlation sees it."""
-MOST_ORDER = 4
-"""Filter the residual by an autoregression of at most this order: more would take up the lack of fit itself."""
-N_LAGS = 20
-"""Test the correlation that is left over so many lags, as Ljung and Box do."""
 INDISTINCT = 0.01
 """Leave out a direction of a group that the model can make up for but for this share of its response."""
 
@@ -106,17 +103,9 @@ def _log_chi_square_tail(value: float, freedom: float) -> float:
     return float((s - 1.0) * np.log(0.5 * value) - 0.5 * value - scipy.special.gammaln(s))
 
 
-def _filtered(taps: FloatArray, values: FloatArray) -> FloatArray:
-    """Sum over j of taps[j] times the values j samples ago, along the last axis."""
-    filtered: FloatArray = taps[0] * values
-    for lag, tap in enumerate(taps[1:], start=1):
-        filtered[..., lag:] += tap * values[..., :-lag]
-    return filtered
-
-
 def _flat(columns: FloatArray, filters: Sequence[FloatArray], valid: Sequence[BoolArray]) -> FloatArray:
     parts = [
-        _filtered(taps, columns[:, :, output])[:, kept]
+        filter_by(taps, columns[:, :, output])[:, kept]
         for output, (taps, kept) in enumerate(zip(filters, valid, strict=True))
     ]
     return np.concatenate(parts, axis=1)
@@ -317,28 +306,6 @@ def _basis(rows: FloatArray) -> FloatArray:
     return np.asarray(basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)])
 
 
-def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """The autoregression of least BIC that makes a residual white, over its deviation; and the rows that it reaches."""
-    n = len(residual)
-    lagged = np.zeros((MOST_ORDER + 1, n))
-    reach = np.zeros((MOST_ORDER + 1, n), dtype=bool)
-    for lag in range(min(MOST_ORDER + 1, n)):
-        lagged[lag, lag:], reach[lag, lag:] = residual[: n - lag], present[: n - lag]
-    whole = reach.all(axis=0)
-    best, taps, order = np.inf, np.array([1.0]), 0
-    if 2 * whole.sum() >= present.sum() > 0 and whole.sum() > N_LAGS:
-        for p in range(MOST_ORDER + 1):
-            weights = np.linalg.lstsq(lagged[1 : p + 1, whole].T, lagged[0, whole], rcond=None)[0]
-            error = lagged[0, whole] - weights @ lagged[1 : p + 1, whole]
-            score = whole.sum() * np.log(max(float(np.mean(error**2)), TINY)) + p * np.log(whole.sum())
-            if score < best:
-                best, taps, order = score, np.concatenate([[1.0], -weights]), p
-    valid: BoolArray = np.all(reach[: order + 1], axis=0)
-    white = _filtered(taps, residual)[valid]
-    deviation = float(np.sqrt(np.mean(white**2))) if white.size else 1.0
-    return taps / max(deviation, TINY), valid
-
-
 Sources = list[list[Source]]
 """Those of a group, one list a part."""
 
@@ -471,7 +438,7 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
                 if count <= 2 * N_LAGS:
                     continue
                 for name, signal in zip(plant.input_names, inputs, strict=True):
-                    found.append(("input", name, *_late(series, _filtered(taps, signal))))
+                    found.append(("input", name, *_late(series, filter_by(taps, signal))))
                 if not one.held_out:
                     continue
                 total = max(float(series @ series), TINY)

@@ -12,7 +12,7 @@ from modal.comparison.changes import compare_results
 from modal.comparison.shifts import read_result
 from modal.examples import many_records, six_set_ups, three_storey_frame, year_of_a_bridge
 from modal.examples.demo import compare_with_truth
-from modal.examples.story import random_forces
+from modal.examples.story import print_written, random_forces
 from modal.identification.pipeline import identify
 from okid.readers import read_record
 
@@ -196,6 +196,12 @@ def test_many_records_writes_the_comparison_and_both_results(tmp_path, capsys, s
     ready = iter(states)
     many_records.main(["-o", str(tmp_path / "out")])
     assert "not written: " in capsys.readouterr().out  # what is there is not touched
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path, capsys):
+    (tmp_path / "a").write_text("")
+    print_written(lambda: [(tmp_path / "a" / "b").mkdir(parents=True)])
+    assert "not written: " in capsys.readouterr().out
 
 
 # --- a year of a bridge, six set-ups ---------------------------------------------------------------------------------

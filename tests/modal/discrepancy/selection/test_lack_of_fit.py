@@ -139,6 +139,19 @@ def test_what_a_force_leaves_is_no_noise_of_a_sensor():
     assert found.status == "unresolved", found.warnings
 
 
+@pytest.mark.parametrize("width", [2, 20])
+def test_a_force_whose_ringing_white_noise_hides_is_no_noise_of_a_sensor(width):
+    """At as much noise no pole of a short autoregression rings; the spectrum is that of the structure all the same."""
+    rng, window = np.random.default_rng(93), np.hanning(2 * width + 1)
+    force = np.convolve(rng.standard_normal(500 + 4 * width), window, mode="same")[2 * width : -2 * width]
+    force *= 0.1 / force.std()
+    fit, held_out, *_ = experiment(
+        lambda d, v, t: np.interp(t, 0.02 * np.arange(500), force), n_samples=500, seed=3, noise=0.08, dampings=(2.0,)
+    )
+    found = diagnose(nominal(dampings=(2.2,)), fit, held_out, catalogue=CUBIC_ALONE)
+    assert found.status == "unresolved", found.warnings
+
+
 @pytest.mark.parametrize("late", [7, 40, 150])
 def test_what_the_drive_leaves_in_a_sensors_wire_is_no_noise(late):
     case = outside_case("coloured_noise", 14003)
