@@ -23,13 +23,15 @@ from modal.estimation.cross_validation import (
     hankel_limits,
     markov_lags,
     scaled_model,
+    scaled_record,
     training_decomposition,
     trial_of,
 )
 from modal.estimation.fits import fit_of, model_runs
-from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.modal_parameters import in_data_states, in_units, starting_parameters
-from modal.estimation.output_error import refine
+from modal.estimation.free_run import filled, modal_form, one_step_predictor
+from modal.estimation.modal_parameters import in_data_states, in_units, starting_parameters, with_weak_mode
+from modal.estimation.modal_states import blocks_of
+from modal.estimation.output_error import OutputError, refine
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.propagation import propagated
 from modal.estimation.whitening import common_filter, filtered, stretches
@@ -47,13 +49,14 @@ from okid.errors import IdentificationError, InsufficientDataError, NumericalErr
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
+from okid.scaling import channel_scaling
 
 Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
 FEW_STEPS = 2
-"""Take a model of all rows to the rows of a fold in so many steps: it starts beside where they end."""
+"""Take a model to other rows, or to where noise is white, in so many steps: it starts beside where they end."""
 COLOURED = 0.5
 """Search again in what makes the noise white where that is less than this share of its power."""
 MOST_MADE = 8
@@ -203,6 +206,8 @@ def fit_in_white(
     if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
         return None
     white = tuple(filtered(record, a) for record in records)
+    if not _more_to_find(final.realisation, white):
+        return None
     second = _searched(white, found, final, progress)
     if second is None:
         return None
@@ -218,6 +223,16 @@ def fit_in_white(
         realisation=replace(model.realisation, K=gain.gain),
     )
     return White(records=white, filter=a, share=share, found=there, trial=trial), model
+
+
+def _more_to_find(model: Realisation, records: Sequence[Record]) -> bool:
+    """Whether what the model, refined in these records, leaves of them answers the inputs beyond chance."""
+    scaling = channel_scaling(records)
+    scaled = tuple(scaled_record(record, scaling) for record in filled(records))
+    rows = tuple(record.complete_rows() for record in records)
+    data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, [[[] for _ in scaled]]))
+    start = starting_parameters(scaled_model(model, scaling), data)
+    return start is not None and with_weak_mode(refine(start, data, n_steps=FEW_STEPS)[-1], data, by="blow") is not None
 
 
 def _searched(

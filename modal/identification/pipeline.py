@@ -45,7 +45,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, driven_gain, ringing, standing_out
+from modal.verdict.excitation import between_lines, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -314,6 +314,7 @@ def _identified(
         unjudged,
         reruns,
         gain=driven_gain(unjudged, asked, left_there),
+        chance_line=by_chance(unjudged, asked, left_there) if by_inputs else None,
         lines=lines,
         n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
         * model.n_outputs,

@@ -40,6 +40,8 @@ DEVIATIONS = 3.0
 """Standard deviations by which the logarithm of the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
+N_SHIFTS = 19
+"""Compare the inputs with so many shifts of them: one in twenty lines that they do not drive passes."""
 LINES_A_STATE = 3
 """Take lines for a broad band where there are so many a state of the model: three numbers an unknown, as rows have."""
 NEARLY_ALL = 0.99
@@ -451,6 +453,47 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
             how = f"perhaps an undamped line: its decay over {duration:.4g} s may be as little as {share:.2g} %"
         return (f"{how}: periodic disturbance?",)
     return ()
+
+
+def by_chance(model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray]) -> BoolArray:
+    """(n_modes,) whether inputs that act at another time explain what a line does as well as those that were measured.
+
+    What the inputs make an undamped line do never ends: it wanders, and fits hum whose frequency is not quite that of
+    the pole in all rows, held-out ones between them included. So does the answer to any other input. Circular shifts of
+    the inputs are such inputs, and of `N_SHIFTS` of them and the right one the right one is the best by chance as often
+    as one in `N_SHIFTS` + 1 times (Fisher's exact test by permutation). Asked of modes that decay by less than
+    `LEAST_DECAY` over the longest record; each may answer with any participation and shape.
+
+    Args:
+        model: modes of the model that ran.
+        records: that it ran through; missing inputs count as zero.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+    """
+    chance = np.zeros(len(model), dtype=np.bool_)
+    poles, _ = discrete_poles(model.modes, model.dt)
+    longest = max(record.duration for record in records)
+    for i, mode in enumerate(model.modes):
+        if mode.kind != "oscillatory" or -mode.pole.real * longest >= LEAST_DECAY or not records[0].n_inputs:
+            continue
+        shares = np.zeros(N_SHIFTS + 1)
+        for record, errors in zip(records, left, strict=True):
+            inputs = np.nan_to_num(record.inputs)
+            kept: BoolArray = np.asarray(np.isfinite(errors).all(axis=1))
+            own = _response(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, kept)
+            free = _free_motion(complex(poles[i]), np.flatnonzero(kept))
+            values = errors[kept] + own
+            values = (values - free @ (free.T @ values)) / np.maximum(errors[kept].std(axis=0), np.finfo(float).tiny)
+            for k in range(N_SHIFTS + 1):
+                moved = np.roll(inputs, k * record.n_samples // (N_SHIFTS + 1), axis=0)
+                answers = [
+                    _response(column.astype(np.complex128), complex(poles[i]), np.array([turn]), kept)
+                    for column in moved.T
+                    for turn in (1.0 + 0j, 1j)
+                ]
+                basis = np.linalg.qr(np.column_stack([free, *answers]))[0][:, free.shape[1] :]
+                shares[k] += float(((basis.T @ values) ** 2).sum())
+        chance[i] = shares[0] <= shares[1:].max()
+    return chance
 
 
 def line_doubt(lines: BetweenLines | None, ratio: float) -> tuple[str, ...]:

@@ -198,6 +198,7 @@ def judge(
     clipped: FloatArray | None = None,
     height: FloatArray | None = None,
     ringing: FloatArray | None = None,
+    chance_line: BoolArray | None = None,
     rings_down: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
@@ -231,6 +232,7 @@ def judge(
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
         height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.excitation`); None
             where unknown.
+        chance_line: (n_modes,) whether inputs explain an undamped line no better than chance; None where not asked.
         ringing: (n_modes,) F ratio of what each mode does when the inputs are over (`modal.verdict.excitation`); None
             where the records are no answers to blows or releases.
         rings_down: whether the records are decays, in which nothing that was measured drives.
@@ -267,7 +269,9 @@ def judge(
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))
-        line = undriven_doubt(mode, own_gain if np.isnan(held_out) else held_out, duration)
+        driven = own_gain if np.isnan(held_out) else held_out
+        lucky = chance_line is not None and bool(chance_line[i]) and driven > 0.0
+        line = undriven_doubt(mode, 0.0 if lucky else driven, duration)
         undriven = (
             *line,
             *edge_doubt(mode, edge),

@@ -8,7 +8,7 @@ from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.constancy import sums_of_stronger
-from modal.verdict.excitation import driven_gain, ringing
+from modal.verdict.excitation import by_chance, driven_gain, ringing
 from okid.record import Record
 
 
@@ -220,3 +220,19 @@ def test_of_modes_that_are_multiples_of_each_other_none_is_called_a_product():
     other = model_of(first, 2.17 * first, 3.17 * first, 4.34 * first)  # only the weak ones lie there
     assert sums_of_stronger(other, gain)[:2] == ("", "")
     assert all(sums_of_stronger(other, gain)[2:])
+
+
+@pytest.mark.parametrize("light", [True, False])
+def test_only_the_inputs_that_acted_drive_a_lightly_damped_mode(light):
+    """Hum beside the frequency of a pole that never ends: the answer to any input wanders, and fits it in part."""
+    rng, k = np.random.default_rng(7), np.arange(3000)
+    u = rng.standard_normal((3000, 1))
+    pole = np.exp(-1e-7 + 0.9j)
+    state, driven = 0j, np.zeros((3000, 1))
+    for i in k:
+        driven[i], state = 2 * state.real, pole * state + u[i, 0]
+    hum = 30.0 * np.cos(0.9003 * k + 0.4)[:, np.newaxis]
+    model = model_of(np.log(pole) / 0.01, -3.0 + 40.0j)
+    left = rng.standard_normal((3000, 1)) + (0.0 if light else hum - driven)
+    found = by_chance(model, [Record(u, left + driven, 0.01)], [left])
+    assert found.tolist() == [not light, False]  # a mode that is damped is not asked
