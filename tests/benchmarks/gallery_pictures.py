@@ -26,6 +26,8 @@ PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
     "gallery_motor": ("motor_propeller", "report.html", 805, 1655),
     "gallery_mass": ("struck_mass", "1-full-order.svg", 0, 396),
     "gallery_records": ("many_records", "comparison.html", 0, 1080),
+    "gallery_set_ups": ("six_set_ups", "report.html", 0, 552),
+    "gallery_year": ("year_of_a_bridge", "tracks.html", 0, 1160),
 }
 RECORDINGS = {
     "recording_modes": ("demo", "recording.rrd", "Modes"),
