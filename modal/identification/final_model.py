@@ -32,7 +32,7 @@ from modal.estimation.modal_parameters import in_data_states, in_units, starting
 from modal.estimation.output_error import refine
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.propagation import propagated
-from modal.estimation.whitening import common_filter, filtered, stretches
+from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
@@ -169,7 +169,7 @@ class White:
     """Records filtered until their noise is white, and what a search there has found.
 
     Attributes:
-        records: (n_samples - p, ...) filtered inputs and outputs.
+        records: (n_samples - p, ...) filtered inputs and outputs; without those too short for the filter.
         filter: (p + 1,) a(q), monic.
         share: of the noise's power that is left behind it.
         found: the search there.
@@ -202,8 +202,8 @@ def fit_in_white(
     a, share = common_filter(stretches(runs.left, rows))
     if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
         return None
-    white = tuple(filtered(record, a) for record in records)
-    second = _searched(white, found, final, progress)
+    white = all_filtered(records, a)
+    second = _searched(white, found, final, progress) if white else None
     if second is None:
         return None
     there, model, trial = second
