@@ -189,7 +189,7 @@ def fit_in_white(
     """The model that is searched for, and fitted, where the noise of the first one is white.
 
     None where the noise is nearly white as it is, and where the second model does not explain held-out rows better in
-    white noise, or explains the records as they came worse: what is left is not noise then, but what is not linear.
+    white noise, or loses as much in the records as they came: what is left is not noise then, but what is not linear.
 
     Args:
         records: as the first search saw them.
@@ -225,11 +225,18 @@ def _searched(
 ) -> tuple[Search, FinalModel, Trial] | None:
     """A search in the filtered records, its refined model, and the trial of this on the rows that the first one saw.
 
-    None where it is not better in the filtered records, by more than a standard error of held-out blocks, or is worse
-    in the records as they came by more than that; and where rows are too few, or nothing is stable.
+    None where it is not better in the filtered records by more than a standard error of held-out blocks, and by more of
+    them than it is worse by in the records as they came; and where rows are too few, or nothing is stable.
     """
     try:
-        there = search(records, folds=found.ground.by, progress=lambda done: progress(0.5 * done))
+        orders, ridges = found.limits.observer_orders, found.limits.ridges
+        there = search(
+            records,
+            observer_order=orders[0] if len(orders) == 1 else None,  # what the caller gave is kept
+            ridge=ridges[0] if len(ridges) == 1 else None,
+            folds=found.ground.by,
+            progress=lambda done: progress(0.5 * done),
+        )
         there = refined_search(there, progress=lambda done: progress(0.5 + 0.3 * done))
         _, refined = fit_all_rows(records, there, noise=False)
         first, second = _of_folds(found, final.realisation), _of_folds(there, refined.realisation)

@@ -371,7 +371,13 @@ def with_feedback(result: Identification, moved: FloatArray | None) -> Identific
         said += f" The intervals have the bias by that in them, which makes them up to {most:.1f} times wider."
     said += f" It may move what is found at {far} Hz by several deviations, so that is doubtful." if far else ""
     modes = tuple(
-        replace(mode, verdict="doubtful", probability=min(mode.probability, DOUBTED), reason=f"{MOVED}; {mode.reason}")
+        replace(
+            mode,
+            verdict="doubtful",
+            probability=min(mode.probability, DOUBTED),
+            doubts=(("data", MOVED),),
+            reason=f"{MOVED}; {mode.reason}",
+        )
         if mode.verdict == "system" and by > NO_INTERVAL
         else mode
         for mode, by in zip(result.modes, wider.tolist(), strict=True)
