@@ -119,8 +119,10 @@ def test_a_stub_of_a_record_is_left_out_of_the_search(drowned):
     assert [one.n_samples for one in result.records] == [3000, 3]
 
 
-def test_an_observer_order_that_is_given_is_kept(drowned):
-    result = pipeline.identify(drowned[1], observer_order=30)
+def test_an_observer_order_that_is_given_is_kept_and_progress_rises(drowned):
+    shares = []
+    result = pipeline.identify(drowned[1], observer_order=30, progress=lambda _what, share: shares.append(share))
+    assert shares == sorted(shares)
     assert result.observer.order == 30
     assert "noise filter" in [choice.what for choice in result.choices]
 
