@@ -32,7 +32,7 @@ from modal.verdict.probability import HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, f_r
 from modal.wording.text import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
-from okid.rows import runs_of, usable_rows
+from okid.rows import complete_rows, runs_of, usable_rows
 
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
@@ -91,7 +91,7 @@ def driven_gain(
     counted = [np.ones(record.n_samples, dtype=np.bool_) for record in records] if rows is None else rows
     with_it, without = np.zeros(len(modes)), np.zeros(len(modes))
     n_rows = 0
-    whole: list[BoolArray] = [np.isfinite(errors).all(axis=1) for errors in left]
+    whole = [complete_rows(errors) for errors in left]
     seen = stretches(left, whole)
     if not seen:
         return gains
