@@ -309,7 +309,7 @@ def _chunks(records: Sequence[Record], order: int) -> Iterator[tuple[Any, Any]]:
 
 
 def _sent(array: FloatArray, rows: slice) -> "_Mapped | FloatArray":
-    """The place of some rows in their file, or the rows themselves."""
+    """The place of some rows in their file, or the rows themselves where its path leads to other values by now."""
     part = array[rows]
     base: object = array
     while isinstance(base, np.ndarray) and not (isinstance(base, np.memmap) and not isinstance(base.base, np.memmap)):
@@ -318,7 +318,12 @@ def _sent(array: FloatArray, rows: slice) -> "_Mapped | FloatArray":
     if not (isinstance(base, np.memmap) and isinstance(path, str | Path) and Path(path).is_file()):
         return part  # a file without a name has none, or the number of a handle
     beyond = part.__array_interface__["data"][0] - base.__array_interface__["data"][0]
-    return _Mapped(str(path), base.offset + beyond, part.shape, part.strides)
+    place = _Mapped(str(path), base.offset + beyond, part.shape, part.strides)
+    try:
+        same = np.array_equal(place.array()[[0, -1]], part[[0, -1]], equal_nan=True)
+    except (OSError, ValueError):  # a shorter file, or none that can be read
+        same = False
+    return place if same else part
 
 
 def _gram_of_chunk(parts: tuple[Any, Any], order: int, scaling: ChannelScaling) -> LagGram:

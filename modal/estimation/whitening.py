@@ -14,12 +14,14 @@ References:
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from okid.arrays import TINY, BoolArray, FloatArray
+from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import runs_of
 
@@ -34,6 +36,8 @@ def stretches(errors: Sequence[FloatArray], rows: Sequence[BoolArray]) -> list[F
 
 def output_filters(errors: Sequence[FloatArray]) -> list[FloatArray]:
     """(1 to `LONGEST_MEMORY` + 1,) an output: the filter that leaves white noise of unit power.
+
+    Between gaps it remembers no more than half of the rows have before them.
 
     Args:
         errors: (n_rows, n_outputs) each, without gaps.
@@ -64,20 +68,33 @@ def common_filter(errors: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     return _autoregression(together, sum(error.size for error in errors))
 
 
+def all_filtered(records: Sequence[Record], a: FloatArray) -> tuple[Record, ...]:
+    """Those of the records, behind the filter, of which enough is left there; see `filtered`."""
+    found = []
+    for record in records:
+        with suppress(InvalidDataError):
+            found.append(filtered(record, a))
+    return tuple(found)
+
+
 def filtered(record: Record, a: FloatArray) -> Record:
-    """The record behind the filter, from the first row on that has a whole past; gaps grow by its memory."""
+    """The record behind the filter, from the first row on that has a whole past; gaps grow by its memory.
+
+    Raises:
+        InvalidDataError: no such row is left, fewer than channels, or all of them miss an output.
+    """
+    last = max(0, record.n_samples - a.size + 1)
     inputs, outputs = (
-        np.column_stack([np.convolve(values, a, "valid") for values in channels.T])
-        if channels.shape[1]
-        else channels[a.size - 1 :]
+        sum(one * channels[a.size - 1 - k :][:last] for k, one in enumerate(a))
         for channels in (record.inputs, record.outputs)
     )
     return replace(record, inputs=inputs, outputs=outputs)
 
 
 def _correlations(errors: Sequence[FloatArray]) -> FloatArray:
-    """(`LONGEST_MEMORY` + 1, n_outputs) sums of e(k + lag) e(k)."""
-    lags = range(LONGEST_MEMORY + 1)
+    """(1 to `LONGEST_MEMORY` + 1, n_outputs) sums of e(k + lag) e(k), of lags that half of the rows reach back."""
+    n_rows = sum(len(one) for one in errors)
+    lags = [n for n in range(LONGEST_MEMORY + 1) if 2 * sum(max(0, len(one) - n) for one in errors) >= n_rows]
     r = np.array([sum((one[lag:] * one[: -lag or None]).sum(axis=0) for one in errors) for lag in lags])
     r[0] += TINY + np.finfo(np.float64).eps * r[0]
     return r
@@ -85,7 +102,7 @@ def _correlations(errors: Sequence[FloatArray]) -> FloatArray:
 
 def _autoregression(r: FloatArray, n_values: int) -> tuple[FloatArray, float]:
     """The monic filter of least criterion (Yule, Walker; Schwarz), and the power behind it."""
-    tails = [scipy.linalg.solve_toeplitz(r[:order], -r[1 : order + 1]) for order in range(1, LONGEST_MEMORY + 1)]
+    tails = [scipy.linalg.solve_toeplitz(r[:order], -r[1 : order + 1]) for order in range(1, r.size)]
     candidates = [np.ones(1), *(np.r_[1.0, tail] for tail in tails)]
     power = [max(float(one @ r[: one.size]), TINY) for one in candidates]
     best = int(np.argmin([n_values * np.log(left) + order * np.log(n_values) for order, left in enumerate(power)]))

@@ -64,10 +64,12 @@ def with_modes(identification: Identification, *, add: Sequence[int] = (), drop:
         return identification
     added, dropped = [by_number[number] for number in add], [by_number[number] for number in drop]
     changed = {
-        id(mode): replace(mode, verdict="system", reason=f"added by hand; it was {_was(mode)}") for mode in added
+        id(mode): replace(mode, verdict="system", doubts=(), reason=f"added by hand; it was {_was(mode)}")
+        for mode in added
     }
     changed |= {
-        id(mode): replace(mode, verdict="noise", reason=f"dropped by hand; it was {_was(mode)}") for mode in dropped
+        id(mode): replace(mode, verdict="noise", doubts=(), reason=f"dropped by hand; it was {_was(mode)}")
+        for mode in dropped
     }
     modes = tuple(changed.get(id(mode), mode) for mode in identification.modes)
     result = replace(identification, modes=replace(identification.modes, modes=modes))

@@ -34,7 +34,7 @@ from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.propagation import propagated
-from modal.estimation.whitening import common_filter, filtered, stretches
+from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
@@ -172,7 +172,7 @@ class White:
     """Records filtered until their noise is white, and what a search there has found.
 
     Attributes:
-        records: (n_samples - p, ...) filtered inputs and outputs.
+        records: (n_samples - p, ...) filtered inputs and outputs; without those too short for the filter.
         filter: (p + 1,) a(q), monic.
         share: of the noise's power that is left behind it.
         found: the search there.
@@ -192,7 +192,7 @@ def fit_in_white(
     """The model that is searched for, and fitted, where the noise of the first one is white.
 
     None where the noise is nearly white as it is, and where the second model does not explain held-out rows better in
-    white noise, or explains the records as they came worse: what is left is not noise then, but what is not linear.
+    white noise, or loses as much in the records as they came: what is left is not noise then, but what is not linear.
 
     Args:
         records: as the first search saw them.
@@ -205,8 +205,8 @@ def fit_in_white(
     a, share = common_filter(stretches(runs.left, rows))
     if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
         return None
-    white = tuple(filtered(record, a) for record in records)
-    if not _more_to_find(final.realisation, white):
+    white = all_filtered(records, a)
+    if not white or not _more_to_find(final.realisation, white):
         return None
     second = _searched(white, found, final, progress)
     if second is None:
@@ -240,11 +240,18 @@ def _searched(
 ) -> tuple[Search, FinalModel, Trial] | None:
     """A search in the filtered records, its refined model, and the trial of this on the rows that the first one saw.
 
-    None where it is not better in the filtered records, by more than a standard error of held-out blocks, or is worse
-    in the records as they came by more than that; and where rows are too few, or nothing is stable.
+    None where it is not better in the filtered records by more than a standard error of held-out blocks, and by more of
+    them than it is worse by in the records as they came; and where rows are too few, or nothing is stable.
     """
     try:
-        there = search(records, folds=found.ground.by, progress=lambda done: progress(0.5 * done))
+        orders, ridges = found.limits.observer_orders, found.limits.ridges
+        there = search(
+            records,
+            observer_order=orders[0] if len(orders) == 1 else None,  # what the caller gave is kept
+            ridge=ridges[0] if len(ridges) == 1 else None,
+            folds=found.ground.by,
+            progress=lambda done: progress(0.5 * done),
+        )
         there = refined_search(there, progress=lambda done: progress(0.5 + 0.3 * done))
         _, refined = fit_all_rows(records, there, noise=False)
         first, second = _of_folds(found, final.realisation), _of_folds(there, refined.realisation)

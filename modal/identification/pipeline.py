@@ -66,8 +66,9 @@ BEFORE_RECORDS = 0.6 * 2**30
 """Add so many bytes of libraries and report: 0.62 GiB in all at 1e5 x 8, 1.28 at 1e6 x 8."""
 SECONDS_A_VALUE = (4e-6, 8e-5)
 """Expect so many CPU seconds a value used: 26 s at 1e6 x 8 in white noise, 1041 s at 1.6e6 x 8 with states of noise."""
-FITTING, FITTED = 0.4, 0.8
-"""Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record."""
+FITTING, FITTED, WHITENED = 0.4, 0.8, 0.85
+"""Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record, and after
+the search where its noise is white."""
 MOST_MEMORY = 1.5e9
 """Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
 
@@ -255,7 +256,7 @@ def _in_white(
     if not asked or not records[0].n_inputs:
         return None, final
     words = "searching again where the noise is white"
-    again = fit_in_white(records, found, final, progress=lambda done: tell(words, FITTED + 0.05 * done))
+    again = fit_in_white(records, found, final, progress=lambda done: tell(words, FITTED + (WHITENED - FITTED) * done))
     return (None, final) if again is None else again
 
 
@@ -289,7 +290,7 @@ def _identified(
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
     fit = measure_fit(found.chosen if white is None else white.trial, found.power, runs)
-    tell("identifying again with other halves, orders and ridges", FITTED)
+    tell("identifying again with other halves, orders and ridges", WHITENED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
     reruns = repeat(
@@ -369,8 +370,8 @@ def _identified(
             *((RELEASED,) if kind.kind == "decay" else ()),
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
-            *explain_search(searched, wanted=wanted if white is None else searched.chosen),
             *(() if white is None else explain_filter(white.filter, white.share)),
+            *explain_search(searched, wanted=wanted if white is None else searched.chosen),
             *(() if final.leaves_white_noise else explain_noise(final.noise, final.why)),
             *explain_gain(final.gain),
         ),

@@ -179,11 +179,12 @@ def explain_noise(noise: NoiseModel | None, why: str) -> tuple[Choice, ...]:
 
 
 def explain_filter(a: FloatArray, share: float) -> tuple[Choice, ...]:
-    """That the model was searched for in filtered records, and by which filter."""
+    """That the model was searched for and its modes judged in filtered records, and by which filter."""
     terms = "".join(f" {'+' if one > 0 else '-'} {abs(one):.3g} q^-{k}" for k, one in enumerate(a) if k)
     reason = (
         f"behind it the noise is white, with {100 * share:.2g} % of its power; noise at other frequencies does not "
-        "drown weak modes there, and held-out rows are explained better"
+        "drown weak modes there, and held-out rows are explained better; observer, orders and refinement were chosen, "
+        "and modes judged, there"
     )
     return (Choice(what="noise filter", value=f"1{terms}", reason=reason),)
 
@@ -370,7 +371,13 @@ def with_feedback(result: Identification, moved: FloatArray | None) -> Identific
         said += f" The intervals have the bias by that in them, which makes them up to {most:.1f} times wider."
     said += f" It may move what is found at {far} Hz by several deviations, so that is doubtful." if far else ""
     modes = tuple(
-        replace(mode, verdict="doubtful", probability=min(mode.probability, DOUBTED), reason=f"{MOVED}; {mode.reason}")
+        replace(
+            mode,
+            verdict="doubtful",
+            probability=min(mode.probability, DOUBTED),
+            doubts=(("data", MOVED),),
+            reason=f"{MOVED}; {mode.reason}",
+        )
         if mode.verdict == "system" and by > NO_INTERVAL
         else mode
         for mode, by in zip(result.modes, wider.tolist(), strict=True)

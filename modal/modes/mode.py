@@ -58,7 +58,7 @@ class Mode(Displayed):
         mpd: mean phase deviation [deg].
         repeatability: mean overlap with the same mode identified again from other data and orders, in [0, 1].
         reappears: (what was changed, overlap) of each kind of change that the mean is taken over; empty where unknown.
-        gain: share of the squared free-run error without the mode that the mode removes (`modal.verdict.excitation`).
+        gain: share of the squared free-run error, whitened, that its answer removes (`modal.verdict.excitation`).
         probability: that the mode belongs to the system.
         verdict: "system", "doubtful" or "noise".
         doubts: (what raises it, "pole" or "data"; in words) of each doubt but for which this were a mode of the system.

@@ -222,7 +222,7 @@ def _shapes(table: Any) -> ComplexArray:
     counts = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
     values = pc.list_flatten(column)
     if pa.types.is_struct(values.type):
-        real, imag = (values.field(part).to_numpy(zero_copy_only=False) for part in ("real", "imag"))
+        real, imag = (pc.struct_field(values, part).to_numpy(zero_copy_only=False) for part in ("real", "imag"))
         values = real + 1j * imag
     place = np.arange(counts.max(initial=0)) < counts[:, np.newaxis]
     shapes = np.full(place.shape, np.nan, dtype=np.complex128)

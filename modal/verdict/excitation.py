@@ -32,7 +32,7 @@ from modal.verdict.probability import HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, f_r
 from modal.wording.text import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
-from okid.rows import runs_of
+from okid.rows import complete_rows, runs_of, usable_rows
 
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
@@ -76,7 +76,7 @@ def driven_gain(
         model: modes of the model that ran.
         records: that it ran through; missing inputs count as zero.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
-        rows: (n_samples,) a record, True where a row counts; all unless given.
+        rows: (n_samples,) a record, True where a row counts; all unless given. The filter's past may be any row.
         by_itself: whether the mode could also move by itself in these rows, which is projected out.
 
     Returns:
@@ -93,25 +93,24 @@ def driven_gain(
     counted = [np.ones(record.n_samples, dtype=np.bool_) for record in records] if rows is None else rows
     with_it, without = np.zeros(len(modes)), np.zeros(len(modes))
     n_rows = 0
-    usable = [np.isfinite(errors).all(axis=1) & there for errors, there in zip(left, counted, strict=True)]
-    seen = stretches(left, usable)
+    whole = [complete_rows(errors) for errors in left]
+    seen = stretches(left, whole)
     if not seen:
         return gains
     filters = output_filters(seen)
     memory = max(one.size for one in filters) - 1
-    for record, errors, kept in zip(records, left, usable, strict=True):
+    for record, errors, finite, there in zip(records, left, whole, counted, strict=True):
         inputs = np.nan_to_num(record.inputs)
-        runs = [(first, last) for first, last in runs_of(kept) if last - first > memory]
-        if not runs:
+        times = np.flatnonzero(usable_rows(finite, memory) & there)
+        if not times.size:
             continue
-        times = np.concatenate([np.arange(first + memory, last) for first, last in runs])
         n_rows += times.size
-        rest = _white(errors, filters, runs, memory)
+        rest = _white(errors, filters, times)
         every = np.ones(record.n_samples, dtype=np.bool_)
         for i in driven:
             part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, every)
             free = _free_motion(complex(poles[i]), times) if by_itself else np.empty((len(rest), 0))
-            for total, values in ((with_it, rest), (without, rest + _white(part, filters, runs, memory))):
+            for total, values in ((with_it, rest), (without, rest + _white(part, filters, times))):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
     if n_rows:
         least = np.finfo(float).eps * with_it[driven] + np.finfo(float).tiny  # nothing without: nothing is gained
@@ -119,15 +118,9 @@ def driven_gain(
     return gains
 
 
-def _white(
-    values: FloatArray, filters: Sequence[FloatArray], runs: Sequence[tuple[int, int]], memory: int
-) -> FloatArray:
-    """(n_rows, n_outputs) behind the filter of each output, of runs of rows from the first on with a whole past."""
-    columns = [
-        np.concatenate([np.convolve(values[first + memory + 1 - a.size : last, o], a, "valid") for first, last in runs])
-        for o, a in enumerate(filters)
-    ]
-    return np.column_stack(columns)
+def _white(values: FloatArray, filters: Sequence[FloatArray], times: NDArray[np.intp]) -> FloatArray:
+    """(n_times, n_outputs) of the rows that are wanted, each output behind its filter."""
+    return np.column_stack([sum(one * values[times - k, o] for k, one in enumerate(a)) for o, a in enumerate(filters)])
 
 
 def _free_motion(pole: complex, times: NDArray[np.intp]) -> FloatArray:
@@ -414,9 +407,10 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
         [True, False]
     """
     acting = [own.any(axis=1) for own in acting_rows(records)]
-    rows = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
-    gains = driven_gain(model, records, left, rows=rows, by_itself=False)
-    n_rows = sum(int((np.isfinite(errors).all(axis=1) & there).sum()) for errors, there in zip(left, rows, strict=True))
+    over = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
+    after = [np.where(own[:, np.newaxis], errors, np.nan) for own, errors in zip(over, left, strict=True)]
+    gains = driven_gain(model, records, after, by_itself=False)
+    n_rows = sum(int(np.isfinite(errors).all(axis=1).sum()) for errors in after)
     n_values = n_rows * records[0].n_outputs
     return np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
 

@@ -253,3 +253,20 @@ def test_a_mapped_file_is_summed_where_it_lies_and_a_broken_pool_is_a_sentence(m
         np.testing.assert_allclose(fit.output_coefficients, alone.output_coefficients, atol=1e-9)
         with pytest.raises(ExecutorError, match=r"the executor broke \(BrokenProcessPool: .*modal\.batch\.Workers"):
             chunked_gram([record], 6, scaling=scaling, executor=Counting(pool, end_at=3))
+
+
+@pytest.mark.parametrize("n_rows", [9000, 30])
+def test_a_mapped_file_that_was_replaced_is_not_read_again(monkeypatch, tmp_path, n_rows):
+    """The map still shows the old rows; the path leads to others."""
+    monkeypatch.setattr(gram_module, "SENT_VALUES", 5000)
+    rng = np.random.default_rng(22002)
+    np.save(tmp_path / "a.npy", rng.standard_normal((9000, 3)))
+    mapped = np.load(tmp_path / "a.npy", mmap_mode="r")
+    record = okid.Record(mapped[:, :1], mapped[:, 1:], 0.1)
+    np.save(tmp_path / "new.npy", rng.standard_normal((n_rows, 3)))
+    (tmp_path / "new.npy").replace(tmp_path / "a.npy")
+    scaling = channel_scaling([record])
+    with ThreadPoolExecutor(1) as executor:
+        gram = chunked_gram([record], 6, scaling=scaling, executor=executor)
+    whole = lag_gram([record], 6, scaling=scaling)
+    assert np.abs(gram.matrix - whole.matrix).max() <= 1e-12 * np.abs(whole.matrix).max()

@@ -7,8 +7,9 @@ import pytest
 import scipy.signal
 from systems import modal_system, simulate
 
-from modal.estimation.whitening import common_filter, filtered, output_filters, stretches
+from modal.estimation.whitening import all_filtered, common_filter, filtered, output_filters, stretches
 from modal.identification import pipeline
+from okid.errors import InvalidDataError
 from okid.record import Record
 
 RED = np.array([1.0, -0.95])
@@ -55,6 +56,21 @@ def test_gaps_grow_by_the_memory_of_the_filter():
     assert [len(one) for one in stretches([record.outputs], [record.complete_rows()])] == [19, 26]
 
 
+def test_a_record_shorter_than_the_filter_has_no_row_behind_it():
+    a = np.array([1.0, -0.5, 0.2, 0.1])
+    for n in (1, 2, 3):
+        with pytest.raises(InvalidDataError):
+            filtered(Record(np.ones((n, 1)), np.ones((n, 1)), 0.01), a)
+
+
+def test_between_gaps_the_filter_remembers_what_half_of_the_rows_have_before_them():
+    noise = red_noise(np.random.default_rng(4), (900, 1))
+    for length, longest in ((1, 0), (2, 1), (3, 1), (4, 2), (6, 3)):
+        runs = [noise[k : k + length] for k in range(0, 900 - length, length + 1)]
+        assert output_filters(runs)[0].size <= longest + 1
+        assert common_filter(runs)[0].size <= longest + 1
+
+
 @pytest.fixture(scope="module")
 def drowned():
     """Three modes, of which two are weak, in red noise of a fifth of the outputs."""
@@ -89,6 +105,26 @@ def test_weak_modes_far_above_the_noise_beside_them_are_found(drowned, monkeypat
     without = pipeline.identify(record)
     assert len(found_of(without, frequencies)) < 3
     assert result.fit.mean > without.fit.mean - 0.01
+
+
+def test_a_stub_of_a_record_is_left_out_of_the_search(drowned):
+    frequencies, record = drowned
+    stub = Record(record.inputs[:3], record.outputs[:3], record.dt)
+    outputs = record.outputs[:90].copy()
+    outputs[::2] = np.nan
+    holed = Record(record.inputs[:90], outputs, record.dt)
+    assert [one.n_samples for one in all_filtered([stub, record, holed], RED)] == [2, 2999]
+    result = pipeline.identify([record, stub], input_delay=0)
+    assert found_of(result, frequencies) == list(frequencies)
+    assert [one.n_samples for one in result.records] == [3000, 3]
+
+
+def test_an_observer_order_that_is_given_is_kept_and_progress_rises(drowned):
+    shares = []
+    result = pipeline.identify(drowned[1], observer_order=30, progress=lambda _what, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert result.observer.order == 30
+    assert "noise filter" in [choice.what for choice in result.choices]
 
 
 def test_missing_rows_make_no_false_mode(drowned):

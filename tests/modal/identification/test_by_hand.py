@@ -1,5 +1,7 @@
 """Modes added and dropped by hand: taken out exactly, said, and with the fit of what is left."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,18 @@ def test_an_added_mode_is_one_of_the_system(identification):
     result = modal.with_modes(identification, add=others[:1])
     assert len(result.modes.system) == len(identification.modes.system) + 1
     assert result.realisation is identification.realisation
+
+
+def test_what_the_user_decides_leaves_no_doubt_behind(identification):
+    mode = identification.modes.system[0]
+    doubted = replace(mode, verdict="doubtful", doubts=(("pole", "a line"),))
+    modes = tuple(doubted if one is mode else one for one in identification.modes)
+    before = replace(identification, modes=replace(identification.modes, modes=modes))
+    number = next(n for n, one in numbered(before.modes) if one is doubted)
+    for choice, verdict in (("add", "system"), ("drop", "noise")):
+        after = modal.with_modes(before, **{choice: [number]}).modes
+        [changed] = [one for one in after if one.frequency == mode.frequency]
+        assert (changed.verdict, changed.doubts) == (verdict, ())
 
 
 @pytest.mark.parametrize("numbers", [{"add": [0]}, {"drop": [10_000]}, {"add": [1], "drop": [1]}])

@@ -84,6 +84,7 @@ def test_only_modes_that_feedback_moves_far_are_doubted(identification):
     assert verdicts[system[0]] == "doubtful"
     assert [verdicts[i] for i in system[1:]] == ["system"] * (len(system) - 1)
     assert "as in a loop" in result.modes.modes[system[0]].reason
+    assert [what for what, _ in result.modes.modes[system[0]].doubts] == ["data"]
     assert "2.2 times wider" in result.warnings[-1]
 
 

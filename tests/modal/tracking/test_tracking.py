@@ -8,7 +8,7 @@ from bridge_year import DAY, HOUR, as_table, bridge_year
 
 import modal
 from modal.command.main import status as _status
-from modal.tracking.tracks import tracks_headline, write_tracks
+from modal.tracking.tracks import _shapes, tracks_headline, write_tracks
 from okid.errors import InvalidDataError
 
 
@@ -209,3 +209,11 @@ def test_causes_are_joined_by_the_names_of_records(tmp_path, capsys):
 def test_no_alarm_of_few_records_is_no_good_news(n_records, says):
     wobble = 1.0 + 1e-3 * np.random.default_rng(2).standard_normal((n_records, 2))
     assert says in tracks_headline(modal.track(table_of(np.array([2.0, 3.1]) * wobble, SHAPES)))
+
+
+def test_a_component_that_is_null_in_a_table_is_not_zero():
+    kind = pa.list_(pa.struct([("real", pa.float64()), ("imag", pa.float64())]))
+    rows = [[{"real": 1.0, "imag": 2.0}, None], None, [{"real": 3.0, "imag": 0.0}]]
+    shapes = _shapes(pa.table({"shape": pa.array(rows, kind)}))
+    np.testing.assert_array_equal(np.isnan(shapes), [[False, True], [True, True], [False, True]])
+    assert shapes[0, 0] == 1 + 2j
