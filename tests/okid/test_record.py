@@ -71,7 +71,7 @@ def test_a_record_cannot_be_changed():
         (([], np.ones((4, 2)), 1.0), {"output_names": ["a"]}, "1 output names were given for 2 outputs"),
         (([], np.ones((4, 2)), 1.0), {"output_units": ["m"] * 3}, "3 output units were given for 2 outputs"),
         ((np.ones(4), np.ones(4), 1.0), {"input_names": "a", "output_names": "a"}, "'a' stand more than once"),
-        (([], [[1.0, np.nan]] * 4, 1.0), {}, "output_1' holds no number in any of its 4 samples"),
+        (([], [[np.nan]] * 4, 1.0), {}, "output 'output_0' holds no number in any of its 4 samples"),
         (([], [[np.nan, np.nan]] * 4, 1.0), {}, "outputs 'output_0', 'output_1' hold no number in any of their 4"),
         (([np.nan] * 4, np.ones(4), 1.0), {}, "'input_0' holds no number"),
         (([], [1.0, np.inf, 0.0], 1.0), {}, "infinite"),
