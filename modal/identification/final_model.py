@@ -191,8 +191,9 @@ def fit_in_white(
 ) -> tuple[White, FinalModel] | None:
     """The model that is searched for, and fitted, where the noise of the first one is white.
 
-    None where the noise is nearly white as it is, and where the second model does not explain held-out rows better in
-    white noise, or loses as much in the records as they came: what is left is not noise then, but what is not linear.
+    None where the noise is nearly white as it is, where nothing answers the inputs any more when it is made white, and
+    where the second model does not explain held-out rows better there, or loses as much in the records as they came:
+    what is left is not noise then, but what is not linear.
 
     Args:
         records: as the first search saw them.
