@@ -233,7 +233,10 @@ def _more_to_find(model: Realisation, records: Sequence[Record]) -> bool:
     rows = tuple(record.complete_rows() for record in records)
     data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, [[[] for _ in scaled]]))
     start = starting_parameters(scaled_model(model, scaling), data)
-    return start is not None and with_weak_mode(refine(start, data, n_steps=FEW_STEPS)[-1], data, by="blow") is not None
+    if start is None:
+        return False
+    # noise is white here, as it is taken to be after a blow, so that chance can be told
+    return with_weak_mode(refine(start, data, n_steps=FEW_STEPS)[-1], data, by="blow") is not None
 
 
 def _searched(

@@ -8,7 +8,7 @@ import scipy.signal
 from systems import modal_system, simulate
 
 from modal.estimation.whitening import all_filtered, common_filter, filtered, output_filters, stretches
-from modal.identification import pipeline
+from modal.identification import final_model, pipeline
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -134,3 +134,17 @@ def test_missing_rows_make_no_false_mode(drowned):
     result = pipeline.identify(replace(record, outputs=outputs))
     assert 6.0 in found_of(result, frequencies)
     assert len(result.modes.system) == len(found_of(result, frequencies))
+
+
+def test_nothing_is_searched_again_where_nothing_answers_any_more(monkeypatch):
+    rng = np.random.default_rng(42)
+    system = modal_system(rng, frequencies=(6.0,), damping_ratios=(0.01,), n_inputs=1, n_outputs=2)
+    inputs = rng.standard_normal((2000, 1))
+    outputs = simulate(system, inputs)
+    noise = red_noise(rng, outputs.shape)
+    record = Record(inputs, outputs + 0.1 * outputs.std(axis=0) * noise / noise.std(axis=0), system.dt)
+    searched = []
+    monkeypatch.setattr(final_model, "search", lambda *_, **__: searched.append("again"))
+    result = pipeline.identify(record)
+    assert found_of(result, [6.0]) == [6.0]
+    assert not searched

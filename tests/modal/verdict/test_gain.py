@@ -167,9 +167,13 @@ def test_rows_with_a_missing_output_are_left_out(case):
     outputs = record.outputs.copy()
     outputs[1200:1210, 1] = np.nan
     holed = replace(record, outputs=outputs)
-    fewer = rows & ~np.isnan(outputs).any(axis=1)
-    found, wanted = gain_of(realisation, model, holed, rows), gain_of(realisation, model, record, fewer)
-    np.testing.assert_allclose(found, wanted, rtol=1e-3)  # all rows tell how loud an output's noise is
+    whole = outputs.copy()
+    whole[1200:1210] = np.nan
+    fewer = rows & ~np.isnan(whole).any(axis=1)
+    np.testing.assert_allclose(
+        gain_of(realisation, model, holed, rows),
+        gain_of(realisation, model, replace(record, outputs=whole), fewer),
+    )
 
 
 def test_growing_modes_have_no_gain_and_do_no_harm(case):
