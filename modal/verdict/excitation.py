@@ -191,7 +191,7 @@ def between_lines(
     with_it, without, n_values = np.zeros(len(modes)), np.zeros(len(modes)), np.zeros(len(modes), dtype=np.intp)
     for record, errors, one in zip(records, left, looked, strict=True):
         n = record.n_samples
-        there: BoolArray = np.asarray(np.isfinite(errors).all(axis=1))
+        there = complete_rows(errors)
         between = _between(record, one.bins)
         frequencies = np.fft.rfftfreq(n, record.dt)
         window = np.where(there, blackman_harris(n), 0.0)[:, np.newaxis]
@@ -410,7 +410,7 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
     over = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
     after = [np.where(own[:, np.newaxis], errors, np.nan) for own, errors in zip(over, left, strict=True)]
     gains = driven_gain(model, records, after, by_itself=False)
-    n_rows = sum(int(np.isfinite(errors).all(axis=1).sum()) for errors in after)
+    n_rows = sum(int(complete_rows(errors).sum()) for errors in after)
     n_values = n_rows * records[0].n_outputs
     return np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
 
@@ -472,7 +472,7 @@ def by_chance(model: ModalModel, records: Sequence[Record], left: Sequence[Float
         shares = np.zeros(N_SHIFTS + 1)
         for record, errors in zip(records, left, strict=True):
             inputs = np.nan_to_num(record.inputs)
-            kept: BoolArray = np.asarray(np.isfinite(errors).all(axis=1))
+            kept = complete_rows(errors)
             own = _response(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, kept)
             free = _free_motion(complex(poles[i]), np.flatnonzero(kept))
             values = errors[kept] + own
