@@ -9,6 +9,7 @@ poles of no mode come and go.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 HOUR, DAY = 3600.0, 86400.0
 N_MASSES = 6
@@ -82,6 +83,64 @@ def as_table(year):
     return pa.table({**year.columns, "shape": pa.ListArray.from_arrays(offsets, parts)})
 
 
+def true_modes(temperature, *, loss=0.0, spring=0, curved=0.2, slow=0.5, n_modes=6):
+    """(n, n_modes) frequencies [Hz] and (n, n_modes, N_MASSES) shapes of length 1, bending first.
+
+    Args:
+        temperature: (n,) hourly [deg C].
+        loss: (n,) or one share of its stiffness that a spring of the bending chain has lost.
+        spring: which one.
+        curved: as in `bridge_year`.
+        slow: likewise.
+        n_modes: likewise.
+    """
+    felt = (1.0 - slow) * temperature + slow * delayed(temperature, 10.0)
+    swing = (felt - 10.0) / 20.0
+    soft = 1.0 - 0.06 * swing * (1.0 + curved * swing)  # 20 degrees soften by 6 %, a frequency by 3 %
+    families = []
+    for base, more in ((1.0, 1.0), (1.13, 1.7)):
+        springs = base * (1.0 + (soft - 1.0)[:, np.newaxis] * more) * np.ones(N_MASSES)
+        if base == 1.0:
+            springs[:, spring] *= 1.0 - np.asarray(loss)
+        squared, vectors = np.linalg.eigh(stiffness_of((2 * np.pi * 4.0) ** 2 * springs))
+        families.append((np.sqrt(squared) / (2 * np.pi), vectors.transpose(0, 2, 1)))
+    signs = np.array([1.0, -1.0] * (N_MASSES // 2))
+    half = n_modes // 2
+    frequency = np.hstack([families[0][0][:, :half], families[1][0][:, : n_modes - half]])
+    shape = np.concatenate(
+        [families[0][1][:, :half], signs * families[1][1][:, : n_modes - half]], axis=1
+    )  # torsion is seen with another sign on either side
+    return frequency, shape
+
+
+def ambient_record(rng, frequency, shape, *, n_samples, dt=0.05, damping=0.01, noise=0.05):
+    """(n_samples, N_MASSES) velocities of a bridge under white forces on all its masses that nobody measured.
+
+    Shapes of length 1 over equal masses feel white forces of one size as independent modal forces of one size. Every
+    mode runs by its own recursion, exact for forces held over each sample, from a state that is long forgotten.
+
+    Args:
+        rng: of forces and noise.
+        frequency: (n_modes,) [Hz].
+        shape: (n_modes, N_MASSES).
+        n_samples: of the record.
+        dt: time step [s].
+        damping: ratio of every mode.
+        noise: standard deviation of each sensor's error, as a share of its signal's.
+    """
+    sizes = 2 * np.pi * frequency
+    before = int(8.0 / (damping * sizes.min() * dt))
+    velocity = np.zeros((n_samples, frequency.size))
+    for mode, size in enumerate(sizes):
+        pole = size * complex(-damping, np.sqrt(1.0 - damping**2))
+        discrete = np.exp(pole * dt)
+        force = rng.standard_normal(before + n_samples).astype(complex)
+        state = scipy.signal.lfilter([0, (discrete - 1.0) / pole], [1, -discrete], force)[before:]
+        velocity[:, mode] = (pole * state).imag / pole.imag  # of q'' + 2 z w q' + w^2 q = f
+    clean = velocity @ shape
+    return clean + noise * clean.std(axis=0) * rng.standard_normal(clean.shape)
+
+
 def bridge_year(
     rng,
     *,
@@ -114,22 +173,10 @@ def bridge_year(
     temperature = weather(rng, n_records)
     times = HOUR * np.arange(n_records)
     change = np.nan if np.isnan(change_at) else float(times[int(change_at * n_records)])
-    felt = (1.0 - slow) * temperature + slow * delayed(temperature, 10.0)
-    swing = (felt - 10.0) / 20.0
-    soft = 1.0 - 0.06 * swing * (1.0 + curved * swing)  # 20 degrees soften by 6 %, a frequency by 3 %
-    families = []
-    for base, more in ((1.0, 1.0), (1.13, 1.7)):
-        springs = base * (1.0 + (soft - 1.0)[:, np.newaxis] * more) * np.ones(N_MASSES)
-        if base == 1.0 and loss:
-            springs[times >= change, rng.integers(N_MASSES)] *= 1.0 - loss
-        squared, vectors = np.linalg.eigh(stiffness_of((2 * np.pi * 4.0) ** 2 * springs))
-        families.append((np.sqrt(squared) / (2 * np.pi), vectors.transpose(0, 2, 1)))
-    signs = np.array([1.0, -1.0] * (N_MASSES // 2))
-    half = n_modes // 2
-    frequency = np.hstack([families[0][0][:, :half], families[1][0][:, : n_modes - half]])
-    shape = np.concatenate(
-        [families[0][1][:, :half], signs * families[1][1][:, : n_modes - half]], axis=1
-    )  # torsion is seen with another sign on either side
+    weakened = rng.integers(N_MASSES) if loss else 0
+    frequency, shape = true_modes(
+        temperature, loss=loss * (times >= change), spring=weakened, curved=curved, slow=slow, n_modes=n_modes
+    )
     deviation = error * frequency * rng.uniform(0.7, 1.4, frequency.shape)
     there = rng.random(frequency.shape) < found
     row, mode = np.nonzero(there)
