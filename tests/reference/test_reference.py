@@ -7,7 +7,7 @@ import pytest
 import scipy
 from signals import random_inputs, with_noise
 from systems import TruthSystem, chain_matrices, initial_state, markov, random_chain, random_system, simulate, structure
-from textbook_modal import textbook_lscf
+from textbook_modal import merged_subspaces, textbook_lscf
 
 
 def from_modes(system: TruthSystem, n_lags: int) -> np.ndarray:
@@ -97,3 +97,22 @@ def test_common_denominator_poles_of_an_exact_table():
     of_all = [(residues / (z - np.exp(p * dt)[:, None, None])).sum(axis=1) for p in (poles, poles.conj())]
     found = textbook_lscf(sum(of_all), frequencies, 6)
     np.testing.assert_allclose(found[np.argsort(found.imag)], poles, rtol=1e-8)
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_merged_subspaces_are_exact_on_exact_data_whatever_the_levels(driven):
+    """White forces without noise, or free decays: poles and shapes over the outputs of all set-ups."""
+    rng = np.random.default_rng(41)
+    chain = random_chain(rng, n_masses=4, n_inputs=1, damping_ratio=0.02)
+    setups = []
+    for level, moving in ((1.0, 1), (30.0, 2)):
+        forces = level * random_inputs(rng, 400, 1) * driven
+        state = level * initial_state(rng, chain, random_inputs(rng, 100, 1))
+        outputs = simulate(chain, forces, initial_state=state)[:, [0, 3, moving]]
+        setups.append((forces[:, :driven], outputs))
+    poles, shapes = merged_subspaces(setups, n_references=2, order=8, n_blocks=12)
+    for pole, shape in zip(chain.discrete_poles, chain.shapes.T, strict=True):
+        k = np.abs(poles - pole).argmin()
+        assert abs(poles[k] - pole) < 1e-7
+        true = shape[[0, 3, 1, 2]]
+        assert abs(np.vdot(shapes[:, k], true)) == pytest.approx(np.linalg.norm(shapes[:, k]) * np.linalg.norm(true))

@@ -2,8 +2,11 @@
 
 Juang, Applied System Identification, 1994, chapter 5; Pappa, Elliott, Schenk, NASA TM-107607, 1992. And poles from
 frequency responses by least squares with a common denominator (LSCF): Guillaume, Verboven, Vanlanduit, ISMA 1998.
+And merged subspaces of several set-ups (PreGER): Mevel, Basseville, Benveniste, Goursat, JSV 249, 2002, 719-741;
+Doehler, Andersen, Mevel, IMAC 2010; the projection is that of PO-MOESP: Verhaegen, Automatica 30, 1994, 61-74.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +106,52 @@ def textbook_lscf(response: np.ndarray, frequencies: np.ndarray, order: int) -> 
     denominator = np.r_[1.0, -np.linalg.solve(normal[1:, 1:], normal[1:, 0])]
     roots = np.roots(denominator[::-1]).astype(complex)
     return np.log(roots[roots.imag > 0]) / dt
+
+
+def merged_subspaces(
+    setups: Sequence[tuple[np.ndarray, np.ndarray]], *, n_references: int, order: int, n_blocks: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Discrete poles (order,) and their shapes (n_outputs, order): the references, then what moves in each set-up.
+
+    In every set-up the future outputs are projected on the past inputs and references, what the future inputs explain
+    taken out: H_j = O_j X_j. The references' rows of all set-ups stand side by side and are cut to the order once, so
+    they have one observability matrix O_ref; X_j = O_ref^+ H_ref,j is then in one basis for all, and what moved follows
+    with O_mov,j = H_mov,j X_j^+, whatever the level of its set-up.
+
+    Args:
+        setups: inputs (n, n_inputs) and outputs (n, n_outputs) of each, references first; no inputs: n_inputs = 0.
+        n_references: outputs that every set-up has, in one place and order.
+        order: of the model, told.
+        n_blocks: samples of past, and of future.
+    """
+    projected = [_projection(np.asarray(u), np.asarray(y), n_references, n_blocks) for u, y in setups]
+    of_references = np.hstack([H[:, :n_references].reshape(-1, H.shape[2]) for H in projected])
+    left, values, _ = np.linalg.svd(of_references, full_matrices=False)
+    merged = [(left[:, :order] * np.sqrt(values[:order])).reshape(n_blocks, n_references, order)]
+    inverse = np.linalg.pinv(merged[0].reshape(-1, order))
+    for H in projected:
+        states = inverse @ H[:, :n_references].reshape(-1, H.shape[2])
+        moving = H[:, n_references:]
+        merged.append((moving.reshape(-1, H.shape[2]) @ np.linalg.pinv(states)).reshape(*moving.shape[:2], order))
+    observability = np.concatenate(merged, axis=1)
+    before, after = observability[:-1].reshape(-1, order), observability[1:].reshape(-1, order)
+    poles, vectors = np.linalg.eig(np.linalg.lstsq(before, after, rcond=None)[0])
+    return poles, observability[0] @ vectors
+
+
+def _projection(inputs: np.ndarray, outputs: np.ndarray, n_references: int, n_blocks: int) -> np.ndarray:
+    """(n_blocks, n_outputs, n_columns), as large as 1 in the references."""
+    n_columns = outputs.shape[0] - 2 * n_blocks + 1
+
+    def stacked(values: np.ndarray, first: int) -> np.ndarray:
+        return np.hstack([values[first + k : first + k + n_columns] for k in range(n_blocks)])
+
+    known = stacked(inputs, n_blocks), stacked(inputs, 0), stacked(outputs[:, :n_references], 0)
+    triangle = np.linalg.qr(np.hstack([*known, stacked(outputs, n_blocks)]), mode="r").T
+    future_inputs, past = known[0].shape[1], known[1].shape[1] + known[2].shape[1]
+    rows = triangle[future_inputs + past :, future_inputs : future_inputs + past]
+    H = rows.reshape(n_blocks, outputs.shape[1], past)
+    return H / np.linalg.norm(H[:, :n_references])
 
 
 def _emac(first: np.ndarray, last: np.ndarray, growth: complex) -> float:
