@@ -25,7 +25,7 @@ from multiprocessing.process import parent_process
 from pathlib import Path
 from typing import Any, Literal
 
-from modal.batch.tables import PLACES, Batch, with_oddities, write_page, write_tables
+from modal.batch.tables import PLACES, Batch, part_file, with_oddities, write_page, write_tables
 from modal.batch.task import (
     Outcome,
     Settings,
@@ -335,7 +335,8 @@ def _write_summary(units: Sequence[Unit], known: Mapping[str, Outcome], target: 
     batch = Batch(target)
     modes = batch.modes
     write_page(outcomes, modes, target)
-    save_batch_recording([one.record for one in outcomes], modes, batch.records, target / "recording.rrd")
+    with part_file(target / "recording.rrd") as part:
+        save_batch_recording([one.record for one in outcomes], modes, batch.records, part)
 
 
 def _outcomes(units: Sequence[Unit], settings: Settings, records: Path, executor: Executor | None) -> Iterator[Outcome]:

@@ -339,11 +339,16 @@ def _commit(outcome: Outcome, place: Path, write: Callable[[Path], None]) -> Out
 
     try:
         write_folder(place, [OUTCOME], write_all, existing="replace")
-    except InvalidDataError:
+    except InvalidDataError as error:
         kept = kept_outcome(place)  # another try was quicker
-        if kept is None:
-            raise
-        return kept
+        if kept is not None:
+            return kept
+        if isinstance(error.__cause__, OSError):
+            raise InvalidDataError(
+                f"{_shown(place)} cannot be written ({error.__cause__.strerror or error.__cause__}); finished results "
+                "are kept, so make room and give the same command again."
+            ) from error
+        raise
     return outcome
 
 

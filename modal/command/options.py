@@ -89,7 +89,8 @@ def faults(*, show: bool, poor_data: int = 2) -> Iterator[None]:
     except Exception as error:
         if show:
             raise
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EPIPE):
+        no_room = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
+        if isinstance(error, OSError) and error.errno in no_room:
             complain(f"what is printed or written finds no room ({first_line(error)}); make some, or print elsewhere.")
             raise typer.Exit(2) from error
         if isinstance(error, FileNotFoundError) and not _stands():

@@ -55,7 +55,14 @@ def rows(batch):
     return {row["record"]: row for row in batch.records.to_pylist()}
 
 
-def command(tmp_path, *arguments, sitecustomize=""):
+def command(tmp_path, *arguments, sitecustomize="", largest_file=None):
+    """The command in a process of its own, in which no file may grow larger than so many bytes."""
+
+    def limit():
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, resource.RLIM_INFINITY))
+
     (tmp_path / "command.py").write_text(COMMAND)
     (tmp_path / "site").mkdir(exist_ok=True)
     (tmp_path / "site" / "sitecustomize.py").write_text(sitecustomize)
@@ -67,6 +74,7 @@ def command(tmp_path, *arguments, sitecustomize=""):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=None if largest_file is None else limit,
     )
 
 
@@ -321,6 +329,29 @@ def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_pa
     assert not parts(tmp_path / "out")
     monkeypatch.undo()
     assert modal.identify_batch(runs, tmp_path / "out", **QUICK).records.num_rows == 4
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the largest size of a file is a limit of Unix")
+def test_a_disk_that_fills_up_for_the_command_is_one_sentence_whenever_it_does(runs, sequential, tmp_path):
+    """The system itself refuses: at the first result, or at the last summary when all results are kept."""
+    out = tmp_path / "out"
+    largest = max(path.stat().st_size for path in sequential.folder.rglob("result.npz"))
+    recording = (sequential.folder / "recording.rrd").stat().st_size
+    assert recording > largest
+    for size, n_kept in ((largest // 2, 0), ((largest + recording) // 2, 4)):
+        process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1", largest_file=size)
+        said, errors = process.communicate()
+        assert (process.returncode, said, errors.count("\n")) == (2, "", 1)
+        assert "cannot be written (File too large)" in errors
+        assert "kept, so make room and give the same command again" in errors
+        results = list(out.glob("records/*/result.npz"))
+        assert len(results) == n_kept
+        assert not parts(out)
+    stamps = {path: path.stat().st_mtime_ns for path in results}
+    process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1")
+    assert process.communicate()[1] == ""
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
+    assert kept(out) == kept(sequential.folder)
 
 
 HELPERS = """
