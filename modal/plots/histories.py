@@ -184,6 +184,8 @@ class TrackLine(Protocol):
 def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *, clock: bool) -> Chart:
     """Frequencies of all modes, and what is left of each without the causes, with the alarms as upright lines.
 
+    Where there are alarms, what is left is faint and its means between them stand out: the steps.
+
     Args:
         tracks: by frequency.
         alarms: their times.
@@ -197,10 +199,16 @@ def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *,
     for number, one in enumerate(tracks):
         role = IN_TURN[number % len(IN_TURN)]
         x = along[np.searchsorted(every, one.times)]
-        above.dots(x, one.frequency, role, dot=dot, label=f"{hertz(float(np.median(one.frequency)))} Hz")
+        above.dots(x, one.frequency, role, dot=dot)
+        above.line(x[:1], [np.nan], role, width=STYLE.thick, label=f"{hertz(float(np.median(one.frequency)))} Hz")
         n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
         parts = np.array_split(np.arange(x.size), n_means) if n_means else []
-        below.line([x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts], role)
+        means = [x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts]
+        below.line(*means, role, width=STYLE.thin, opacity=STYLE.pale if alarms else 1.0)
+        stretches = np.split(np.arange(x.size), np.unique(np.searchsorted(one.times, alarms))) if alarms else []
+        for stretch in filter(len, stretches):
+            level = 100 * float(one.left[stretch].mean())
+            below.line([x[stretch[0]], x[stretch[-1]]], [level, level], role, width=STYLE.thick)
     for time in alarms:
         for panel in (above, below):
             panel.upright(float(along[np.searchsorted(every, time)]), "residual", width=STYLE.thick)

@@ -537,7 +537,7 @@ def _explained(share: float) -> str:
 
 def _caption(tracks: Tracks) -> str:
     causes = ", ".join(tracks.causes) or "none was given, or none helps"
-    marked = " Upright lines: since when something changed." if tracks.alarms else ""
+    marked = " Upright lines: since when something changed; level ones: the means between." if tracks.alarms else ""
     return (
         "Above, a dot for each mode in each record; below, how far each frequency is off its level before the first "
         f"change once the causes ({causes}) are taken off, as means of neighbouring records.{marked}"
@@ -586,6 +586,7 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
             pictures={"tracks": inline(drawn(chart, "tracks", _caption(tracks)))},
             clock=tracks.clock,
             rows=rows,
+            remarks=any(row[-1] for row in rows),
             version=installed_version(),
         )
     )

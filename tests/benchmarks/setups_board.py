@@ -9,9 +9,9 @@
 - hammer: 20 points struck, 2 sensors, 16 modes; the residues judge the modal scaling.
 
 In the row PoSER poles and shapes are plain means of what each set-up gives by itself, shapes scaled by the references
-(Reynders, Magalhaes, De Roeck, Cunha, IMAC 2009), a twin of the joint estimate. In the row PreGER the set-ups' subspaces
-are merged before poles are taken, by a textbook implementation that is told the true order (`tests/reference`). Where no
-bound is known errors are those relative to the truth, in per cent.
+(Reynders, Magalhaes, De Roeck, Cunha, IMAC 2009), a twin of the joint estimate. In the row PreGER the subspaces of the
+set-ups are merged before poles are taken, by a textbook implementation that is told the true order
+(`tests/reference/textbook_modal.py`). Where no bound is known errors are relative to the truth, in per cent.
 """
 
 import argparse
@@ -203,7 +203,7 @@ def poser(records, results, n_points):
 
 def preger(records, order):
     """(frequency, damping ratio, shape over all points) of the modes of the merged subspaces; sensors by number."""
-    names = [[name for name in record.output_names] for record in records]
+    names = [record.output_names for record in records]
     poles, shapes = merged_subspaces(
         [(record.inputs, record.outputs) for record in records], n_references=2, order=order, n_blocks=PAST
     )
@@ -278,10 +278,11 @@ def main():
                         twins[name][1].append(assurance(shape, shapes[:, k]))
         print(f"  so far: found {n_found} of {n_true}, false {n_false}")
         if z:
-            show(np.array(z), np.array(low), over, assurances, twins, residues, unit="bound" if bounds is not None else "%")
+            rows = {"joint": (over, assurances), **twins}
+            show(np.array(z), np.array(low), rows, residues, unit="%" if bounds is None else "bound")
 
 
-def show(z, low, over, assurances, twins, residues, *, unit):
+def show(z, low, rows, residues, *, unit):
     """What was found so far, in figures."""
     within = 100 * np.mean(np.abs(z) < 1.96, axis=0)
     print(f"  within 1.96 deviations: frequency {within[0]:.1f} %, damping {within[1]:.1f} %; rms z {_rms(z)}")
@@ -289,7 +290,7 @@ def show(z, low, over, assurances, twins, residues, *, unit):
         print(f"  lowest modes: damping mean z {z[low, 1].mean():.2f}, rms {_rms(z[low])}")
     if residues:
         print(f"  largest relative error of a mode's residues: {max(residues):.4f}, median {np.median(residues):.4f}")
-    for name, (errors, alike) in {"joint": (over, assurances), **twins}.items():
+    for name, (errors, alike) in rows.items():
         if errors:
             both = np.sqrt(np.mean(np.square(errors)))
             print(

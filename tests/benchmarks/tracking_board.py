@@ -70,8 +70,10 @@ def judge_month(folder):
         z[k, mode] = error[k, mode] / std[k, mode]
     found = (verdicts == "system") | (verdicts == "doubtful")
     print(f"{n_records} records, {seconds.sum() / n_records:.2f} s a record")
-    print("mode: system, doubtful, noise, absent [%]; rms relative error, mean stated; mean z, rms z, |z| > 1.96 [%], "
-          "|z| > 4; largest; kurtosis; shape's 1 - MAC median, largest")
+    print(
+        "mode: system, doubtful, noise, absent [%]; rms relative error, mean stated; mean z, rms z, |z| > 1.96 [%], "
+        "|z| > 4; largest; kurtosis; shape's 1 - MAC median, largest"
+    )
     for mode in range(n_modes):
         share = [100 * np.mean(verdicts[:, mode] == name) for name in ("system", "doubtful", "noise", "absent")]
         own = found[:, mode]
@@ -87,18 +89,25 @@ def judge_month(folder):
     pairs = found.T.astype(float) @ found
     between = kept.T @ kept / np.maximum(pairs, 1.0)
     off = between[np.triu_indices(n_modes, 1)]
-    print(f"correlation of errors between modes: largest {off[np.abs(off).argmax()]:+.3f}, rms {np.std(off):.3f}, by "
-          f"chance {1 / np.sqrt(pairs.min()):.3f}")
+    print(
+        f"correlation of errors between modes: largest {off[np.abs(off).argmax()]:+.3f}, rms {np.std(off):.3f}, by "
+        f"chance {1 / np.sqrt(pairs.min()):.3f}"
+    )
     after = found[1:] & found[:-1]
-    print(f"from a record to the next: {(kept[1:] * kept[:-1]).sum() / after.sum():+.3f} by chance "
-          f"{1 / np.sqrt(after.sum()):.3f}")
+    print(
+        f"from a record to the next: {(kept[1:] * kept[:-1]).sum() / after.sum():+.3f} by chance "
+        f"{1 / np.sqrt(after.sum()):.3f}"
+    )
     misses = (~found).sum(axis=1)
-    print(f"misses a record: mean {misses.mean():.3f}, variance {misses.var():.3f} (independent: "
-          f"{np.sum(found.mean(axis=0) * (1 - found.mean(axis=0))):.3f})")
+    print(
+        f"misses a record: mean {misses.mean():.3f}, variance {misses.var():.3f} (independent: "
+        f"{np.sum(found.mean(axis=0) * (1 - found.mean(axis=0))):.3f})"
+    )
     warm = np.abs(frequency[:, : n_modes // 2] / frequency[:, n_modes // 2 :] - 1.0).min(axis=0)
     print(f"nearest the pairs of modes come [%]: {np.round(100 * warm, 2)}")
     names = [name for name, _ in false]
-    print(f"poles of no mode a record: {', '.join(f'{n} {names.count(n) / n_records:.3f}' for n in sorted(set(names)))}")
+    shares = [f"{name} {names.count(name) / n_records:.3f}" for name in sorted(set(names))]
+    print(f"poles of no mode a record: {', '.join(shares) or 'none'}")
     path = folder / "result" / "tracks.parquet"
     if path.exists():
         owner = np.array(pq.read_table(path).column("track"))

@@ -55,14 +55,7 @@ def rows(batch):
     return {row["record"]: row for row in batch.records.to_pylist()}
 
 
-def command(tmp_path, *arguments, sitecustomize="", largest_file=None):
-    """The command in a process of its own, in which no file may grow larger than so many bytes."""
-
-    def limit():
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, resource.RLIM_INFINITY))
-
+def command(tmp_path, *arguments, sitecustomize=""):
     (tmp_path / "command.py").write_text(COMMAND)
     (tmp_path / "site").mkdir(exist_ok=True)
     (tmp_path / "site" / "sitecustomize.py").write_text(sitecustomize)
@@ -74,7 +67,6 @@ def command(tmp_path, *arguments, sitecustomize="", largest_file=None):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=None if largest_file is None else limit,
     )
 
 
@@ -339,7 +331,8 @@ def test_a_disk_that_fills_up_for_the_command_is_one_sentence_whenever_it_does(r
     recording = (sequential.folder / "recording.rrd").stat().st_size
     assert recording > largest
     for size, n_kept in ((largest // 2, 0), ((largest + recording) // 2, 4)):
-        process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1", largest_file=size)
+        limit = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({size}, r.RLIM_INFINITY))"
+        process = command(tmp_path, str(runs), "-o", str(out), "--workers", "1", sitecustomize=limit)
         said, errors = process.communicate()
         assert (process.returncode, said, errors.count("\n")) == (2, "", 1)
         assert "cannot be written (File too large)" in errors
