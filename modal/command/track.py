@@ -4,6 +4,7 @@ import codecs
 import contextlib
 import itertools
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
@@ -219,6 +220,20 @@ def _unbroken(blocks: list[Record]) -> list[Record]:
     ]
 
 
+def _estimate_lines(estimate: LiveEstimate, *, width: int) -> list[str]:
+    """A time and its modes, wrapped between modes only, below where the modes begin."""
+    bound = "\u00a0"  # where no line ends
+    modes = [
+        f"{mode.frequency:.5g} Hz {100 * mode.damping_ratio:.2g} %".replace(" ", bound)
+        for mode in estimate.modes
+        if mode.kind == "oscillatory"
+    ]
+    when = f"{round(estimate.time, 3):10.15g} s:"
+    lines = textwrap.wrap(", ".join(modes) or "no mode", max(20, width - len(when) - 1), break_long_words=False)
+    heads = [when, *[" " * len(when)] * (len(lines) - 1)]
+    return [f"{head} {line}".replace(bound, " ") for head, line in zip(heads, lines, strict=True)]
+
+
 def _show(estimates: Iterator[LiveEstimate], console: Console, path: Path | None, tell: Callable[[str], None]) -> int:
     """Every estimate as a line and in the recording or viewer; how many there were."""
     count = 0
@@ -229,13 +244,11 @@ def _show(estimates: Iterator[LiveEstimate], console: Console, path: Path | None
         else:
             stream = stack.enter_context(estimate_recording(path))
         for estimate in estimates:
+            if not count:
+                console.print(plain("middle of the window: frequency and damping ratio of each mode", "bold"))
             count += 1
-            said = [
-                f"{mode.frequency:.5g} Hz {100 * mode.damping_ratio:.2g} %"
-                for mode in estimate.modes
-                if mode.kind == "oscillatory"
-            ]
-            console.print(plain(f"{estimate.time:10.4g} s  {', '.join(said) or 'no mode'}", ""))
+            for line in _estimate_lines(estimate, width=console.width):
+                console.print(plain(line, ""))
             for text in estimate.warnings:
                 tell(text)
             if stream is not None:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import modal
 from era.balanced import realise
 from modal.command.main import status
 from modal.command.stopping import Requests
+from modal.command.track import _estimate_lines
 from modal.modes.extraction import extract_modes
+from modal.modes.mode import Mode
 from modal.tracking.live import growing_blocks
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.markov import recover_markov
@@ -379,6 +382,16 @@ def test_lines_longer_than_the_head(tmp_path):
     assert sum(one.n_samples for one in source) == 30
 
 
+def test_lines_end_between_modes_and_times_keep_their_digits():
+    mode = Mode(
+        pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11, shape=np.ones(1), participation=np.ones(1)
+    )
+    estimate = SimpleNamespace(time=123456.25, modes=[mode] * 4)
+    lines = _estimate_lines(estimate, width=50)
+    assert [line[:14] for line in lines] == [" 123456.25 s: ", " " * 14]
+    assert [line[14:] for line in lines] == ["1.44 Hz 11 %, 1.44 Hz 11 %,", "1.44 Hz 11 %, 1.44 Hz 11 %"]
+
+
 def test_the_command_writes_modes_against_time_into_a_recording(tmp_path, writer, capsys):
     force, tip = motion()
     path = tmp_path / "run.csv"
@@ -390,6 +403,7 @@ def test_the_command_writes_modes_against_time_into_a_recording(tmp_path, writer
     found = [float(line.split()[2]) for line in shown.splitlines() if " Hz " in line]
     assert len(found) >= 10
     np.testing.assert_allclose(found, 5.0, rtol=0.01)
+    assert "middle of the window: frequency and damping ratio" in shown
     assert "has not grown" in shown
     assert (tmp_path / "live.rrd").stat().st_size > 1000
     assert status(["live", str(path), *options[:2], "--window", "100", "--patience", "0.2", *options[6:]]) == 1
