@@ -175,10 +175,7 @@ def missed_share(records: Sequence[Record], left: Sequence[FloatArray]) -> float
 
 
 FOLLOWS = 0.01
-"""Doubt a pole at whose frequency outputs that know nothing of the inputs follow them as well so often,"""
-MISSES = 0.05
-"""and only where a pole's own answer would pass for chance less often than this. What is asked is an upper bound: of 200
-records each of 600 and 800 samples, where it says 8 and 1 %, 3 and 0 % of the answers did."""
+"""Doubt a pole at whose frequency outputs that know nothing of the inputs follow them as well so often."""
 
 
 def chance_of_following(
@@ -189,8 +186,7 @@ def chance_of_following(
     The multiple coherence of an output, m inputs over n averages, is chance with the mean m / n; its sum over half as
     many independent lines as the window leaves in the band is about gamma-distributed. The least of all outputs counts,
     times their number (Bonferroni). A segment that is short against the memory of a pole, 1 / (4 pi half width), sees
-    about T / (T + memory) of its answer; the sum is then about noncentral chi-squared. Where that would pass for chance
-    more often than `MISSES` nothing can be told.
+    about T / (T + memory) of its answer; where that would be chance too nothing can be told.
 
     Args:
         records: of one system.
@@ -223,11 +219,9 @@ def chance_of_following(
         if near.any():
             shape = 0.5 * n_inputs * max(2, int(near.sum()))
             seen = 1.0 / (1.0 + lines[1] / (4.0 * np.pi * max(half, np.finfo(float).tiny)))
-            found = n_outputs * scipy.special.gammaincc(shape, shape * coherence[near].mean(axis=0) / bias)
-            least = 2.0 * scipy.special.gammainccinv(shape, FOLLOWS / n_outputs)
-            beyond = 2.0 * shape * (1.0 - bias) * seen / bias
-            missed = scipy.special.chndtr(least, 2.0 * shape, beyond)
-            chances[i] = min(1.0, *found) if missed < MISSES else 0.0
+            ratios = np.append(coherence[near].mean(axis=0), bias + (1.0 - bias) * seen) / bias
+            *found, of_a_pole = n_outputs * scipy.special.gammaincc(shape, shape * ratios)
+            chances[i] = min(1.0, *found) if of_a_pole < FOLLOWS else 0.0
     return chances
 
 
