@@ -268,7 +268,7 @@ def judge(
         ratio = float(np.fmin(ratio, beside))  # no more certain than the excitation at its frequency allows
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
-        unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]))
+        unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]), held_out)
         driven = own_gain if np.isnan(held_out) else held_out
         lucky = chance_line is not None and bool(chance_line[i]) and driven > 0.0
         line = undriven_doubt(mode, 0.0 if lucky else driven, duration)

@@ -2,7 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
+import modal
+import okid
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.judgement import Rerun, Reruns, judge, probability
 from okid.excitation import Excitation
@@ -450,3 +453,17 @@ def test_a_pole_where_nothing_follows_the_inputs_is_no_mode_of_the_system():
     assert "nothing follows the inputs at 5 Hz beyond chance" in mode.reason
     assert judged(vibration(), found_with(data=0.3), chance=np.array([1e-9])).verdict == "doubtful"
     assert judged(vibration(), found_with(data=0.3), chance=np.array([0.4])).verdict == "noise"
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_three_hundred_samples_show_whether_a_mode_follows_the_force(follows):
+    """Segments so short miss the answer in every second record; held-out rows do not."""
+    pole = np.exp((-0.02 + 1j) * 2 * np.pi * 5.0 * 0.01)
+    for seed in (1, 3, 6, 7):
+        rng = np.random.default_rng(seed)
+        force = rng.standard_normal(300)
+        drives = force if follows else rng.standard_normal(800)
+        tip = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], drives)[-300:]
+        tip += 0.02 * tip.std() * rng.standard_normal(300)
+        found = modal.identify(okid.Record(force, tip, 0.01), observer_order=10, order=2).modes.system
+        assert len(found) == int(follows)
