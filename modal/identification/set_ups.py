@@ -521,6 +521,9 @@ def _averaged(
 ) -> Mode:
     """One mode of those of all set-ups: pole by information, and the verdict that half of them reach at least.
 
+    Their log-odds are not added: what makes a false pole in one set-up, such as the colour of the forces, makes it in
+    all, so they are no independent evidence; and on 34 chains that found 163 of 170 modes instead of 162.
+
     Doubts that a pole raises by itself are asked of the joint pole over the `duration` of all set-ups [s]: of its
     damping they tell as much as one record so long.
     """
