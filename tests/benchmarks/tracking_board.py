@@ -49,10 +49,11 @@ def write_month(folder, seed):
 def judge_month(folder):
     """What the tables assume beside what the identified records show."""
     truth = np.load(folder / "truth.npz")
-    frequency, shape = truth["frequency"], truth["shape"]
-    n_records, n_modes = frequency.shape
     table = pq.read_table(folder / "result" / "modes.parquet").to_pydict()
     seconds = np.array(pq.read_table(folder / "result" / "records.parquet").column("seconds"))
+    n_records = seconds.size  # the first ones, where not all were identified
+    frequency, shape = truth["frequency"][:n_records], truth["shape"][:n_records]
+    n_modes = frequency.shape[1]
     z, error, std, loss = (np.full((n_records, n_modes), np.nan) for _ in range(4))
     verdicts, false = np.full((n_records, n_modes), "absent", dtype=object), []
     for row in range(len(table["record"])):
