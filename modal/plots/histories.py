@@ -147,7 +147,8 @@ def frequencies_of_records(
     for role, name in drawn:
         chosen = kinds == role
         if chosen.any():
-            panel.dots(places[chosen], frequencies[chosen], role, dot=dot, label=name)
+            panel.dots(places[chosen], frequencies[chosen], role, dot=dot)
+            panel.dots(places[chosen][:1], np.array([np.nan]), role, dot=2 * DOT, label=name)  # for the key
     panel.x.label, panel.y.label = along, "frequency [Hz]"
     figure.key = Key(panel=panel) if len(panel.keyed) > 1 else None
     return figure
