@@ -14,6 +14,7 @@ from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
+from modal.identification.covariance import told_at_rest
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, White, fit_all_rows, fit_in_white, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -305,6 +306,8 @@ def _identified(
         past=0 if final.noise is None else final.noise.past,
         grows=searched.chosen.weak_modes > 0,
     )
+    if final.refined is not None and white is None:
+        final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
     left = runs.left
     left_there = left if white is None else model_runs(replace(model, K=None), asked).left
