@@ -46,7 +46,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, by_chance, driven_gain, ringing, standing_out
+from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -320,6 +320,9 @@ def _identified(
         gain=driven_gain(unjudged, asked, left_there),
         chance_line=by_chance(unjudged, asked, left_there) if by_inputs else None,
         lines=lines,
+        beyond=beyond_inputs(unjudged, asked, left_there, output_scale=reruns.output_scale)
+        if kind.kind == "driven" and prepared[0].n_inputs and lines is None
+        else None,
         n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
         * model.n_outputs,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
