@@ -523,7 +523,7 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
     """Records divided by their own noise, as far as all outputs have more or less of it together."""
     left = np.array([np.nanmean(error**2, axis=0) for error in errors_of(step, data)])
     of_each = np.maximum(left, SMALLEST_NOISE**2 * left.max())
-    noise = np.exp(0.5 * np.log(of_each).mean(axis=1))
+    noise = np.exp(0.5 * np.median(np.log(of_each), axis=1))
     size = noise / np.exp(np.log(noise).mean())
     records = tuple(
         replace(record, inputs=record.inputs / own, outputs=record.outputs / own)
