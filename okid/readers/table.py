@@ -296,7 +296,7 @@ def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
 
 
 def _check_whole_stamps(table: Table) -> None:
-    """Warn where whole numbers were taken for seconds that may count milliseconds, or as dates do though said not to."""
+    """Warn where whole numbers taken for seconds may count milliseconds, or give dates as such under another header."""
     index = table.time_column()
     if index is None:
         return
