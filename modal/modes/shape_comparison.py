@@ -464,7 +464,7 @@ def mean_modes(tests: Sequence[ModalModel]) -> RepeatedModes:
         for there, here in same:
             mode = test.system[here]
             known = mode.frequency, mode.damping_ratio, mode.frequency_std, mode.damping_ratio_std
-            values[:, number, there] = [np.nan if one is None else one for one in known]
+            values[:, number, there] = known
     found = np.isfinite(values[0])
     n_found = found.sum(axis=0)
     freedom = np.maximum(n_found - 1, 0)
