@@ -280,24 +280,51 @@ def test_what_a_measured_force_does_between_samples_is_no_part_of_the_residues()
     assert errors["zero_order"].max() > 2.0 * errors["band_limited"].max()
 
 
-@pytest.mark.parametrize("sizes", [((1, 1, 1), (4, 4, 4), (16, 16, 16)), ((1, 8, 1), (8, 1, 1), (1, 1, 8))])
-def test_records_of_different_noise_have_the_deviations_that_their_noise_makes(sizes):
-    """Sixty records of one system: the errors over what is stated, squared, are one on average."""
+def unlike(rng, truth, sizes, *, roving=False):
+    """A record a row of (n_records, n_outputs) noise sizes; roving, each driven by an input of its own."""
+    records = []
+    for number, size in enumerate(sizes):
+        u = rng.standard_normal((500, truth.n_inputs))
+        if roving:
+            u[:, np.arange(truth.n_inputs) != number] = 0.0
+        y = simulate(truth, u)
+        records.append(Record(u, y + 0.02 * np.array(size) * rng.standard_normal(y.shape), truth.dt))
+    return records
+
+
+def test_records_count_by_their_noise():
+    """Two noisier records beside a quiet one do no harm: counted alike they make the error five times as large."""
     rng, truth = a_system(11)
     true = np.sort([mode.frequency for mode in extract_modes(exact(truth))])
-    squares, errors = [], []
-    for _ in range(20):
-        records = []
-        for size, quiet in zip(sizes, records_of(rng, truth, (500, 500, 500), noise=0.0), strict=True):
-            noise = 0.02 * np.array(size) * quiet.outputs.std(axis=0) * rng.standard_normal(quiet.outputs.shape)
-            records.append(replace(quiet, outputs=quiet.outputs + noise))
+    alone, together = [], []
+    for _ in range(12):
+        records = unlike(rng, truth, ((1, 1, 1), (4, 4, 4), (16, 16, 16)))
+        for those, errors in ((records[:1], alone), (records, together)):
+            modes = extract_modes(refined_model(those, exact(truth), MOST_STEPS).realisation)
+            errors.append(np.array([mode.frequency for mode in modes]) / true - 1.0)
+    assert np.linalg.norm(together) < 1.2 * np.linalg.norm(alone)
+
+
+def test_deviations_of_roving_inputs_are_those_of_the_noise_of_their_own_records():
+    """What an input does is told by one record, whose outputs are each as noisy as they are there."""
+    rng, truth = a_system(11, n_inputs=3)
+
+    def sizes_of(modes):
+        largest = [int(np.abs(mode.shape).argmax()) for mode in modes]
+        return np.array(
+            [np.divide.outer(m.shape, m.participation) / m.shape[o] ** 2 for m, o in zip(modes, largest, strict=True)]
+        )
+
+    true = sizes_of(extract_modes(exact(truth)).modes)
+    squares = []
+    for _ in range(15):
+        records = unlike(rng, truth, ((1, 1, 1), (2, 8, 2), (6, 6, 12)), roving=True)
         model = refined_model(records, exact(truth), MOST_STEPS)
         modes = extract_modes(model.realisation).modes
         known = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=1)
-        error = np.array([mode.frequency for mode in modes]) - true
-        squares.append((error / known.frequency_std) ** 2)
-        errors.append(error)
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.45)
+        squares.append(((sizes_of(modes) / true - 1.0).real / known.mass_std) ** 2)
+    each = np.mean(squares, axis=(0, 1, 2))
+    assert each == pytest.approx(np.ones(3), abs=0.5)
 
 
 def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_from_the_force():
