@@ -141,7 +141,7 @@ def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.Ar
 
     Returns:
         Responses [m/N] with their deviations, each mode's size, frequency and damping taken for independent of each
-        other. A mode without a modal mass is left out.
+        other: a lower bound where these err together. A mode without a modal mass is left out.
 
     Raises:
         InvalidDataError: shapes of another model.
