@@ -24,14 +24,22 @@ if TYPE_CHECKING:
     from modal.identification.result import Identification, OrderEvidence, load
     from modal.identification.synthesis import frequency_response
     from modal.modes.extraction import extract_modes
+    from modal.modes.modal_mass import (
+        BaseParticipation,
+        ScaledResponse,
+        ScaledShapes,
+        base_participation,
+        normalise_shapes,
+        scaled_response,
+    )
     from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
     from modal.modes.shape_comparison import (
         ModePairs,
-        ScaledShapes,
+        RepeatedModes,
         Shapes,
         assurance,
         coordinate_assurance,
-        normalise_shapes,
+        mean_modes,
         pair_modes,
         read_shapes,
     )
@@ -49,6 +57,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Alarm",
+    "BaseParticipation",
     "Batch",
     "Choice",
     "Element",
@@ -62,6 +71,8 @@ __all__ = [
     "OrderChoice",
     "OrderEvidence",
     "PlantModel",
+    "RepeatedModes",
+    "ScaledResponse",
     "ScaledShapes",
     "Sensor",
     "Shapes",
@@ -71,6 +82,7 @@ __all__ = [
     "Tracks",
     "Uncertainty",
     "assurance",
+    "base_participation",
     "check_limits",
     "check_quality",
     "choose_orders",
@@ -85,6 +97,7 @@ __all__ = [
     "load",
     "log_diagnosis",
     "log_identification",
+    "mean_modes",
     "normalise_shapes",
     "pair_modes",
     "plots",
@@ -94,6 +107,7 @@ __all__ = [
     "read_shapes",
     "read_specification",
     "save_recording",
+    "scaled_response",
     "simulate",
     "track",
     "with_modes",
@@ -103,6 +117,7 @@ __all__ = [
 
 _PLACES = {
     "Alarm": "modal.tracking",
+    "BaseParticipation": "modal.modes.modal_mass",
     "Batch": "modal.batch",
     "Choice": "modal.modes.mode",
     "Element": "modal.structure.elements",
@@ -116,7 +131,9 @@ _PLACES = {
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.structure.plant_model",
-    "ScaledShapes": "modal.modes.shape_comparison",
+    "RepeatedModes": "modal.modes.shape_comparison",
+    "ScaledResponse": "modal.modes.modal_mass",
+    "ScaledShapes": "modal.modes.modal_mass",
     "Sensor": "modal.geometry.sensors",
     "Shapes": "modal.modes.shape_comparison",
     "StabilisationPoint": "modal.verdict.stabilisation",
@@ -125,6 +142,7 @@ _PLACES = {
     "Tracks": "modal.tracking",
     "Uncertainty": "modal.modes.mode",
     "assurance": "modal.modes.shape_comparison",
+    "base_participation": "modal.modes.modal_mass",
     "check_limits": "modal.acceptance.check",
     "check_quality": "modal.quality",
     "choose_orders": "modal.identification.order_search",
@@ -132,14 +150,15 @@ _PLACES = {
     "coordinate_assurance": "modal.modes.shape_comparison",
     "discrepancy": "modal.discrepancy",
     "extract_modes": "modal.modes.extraction",
-    "frequency_response": "modal.identification.synthesis",
     "follow": "modal.tracking.live",
+    "frequency_response": "modal.identification.synthesis",
     "identify": "modal.identification.pipeline",
     "identify_batch": "modal.batch",
     "load": "modal.identification.result",
     "log_diagnosis": "modal.recording",
     "log_identification": "modal.recording",
-    "normalise_shapes": "modal.modes.shape_comparison",
+    "mean_modes": "modal.modes.shape_comparison",
+    "normalise_shapes": "modal.modes.modal_mass",
     "pair_modes": "modal.modes.shape_comparison",
     "plots": "modal.plots",
     "read_geometry": "modal.geometry.file",
@@ -148,6 +167,7 @@ _PLACES = {
     "read_shapes": "modal.modes.shape_comparison",
     "read_specification": "modal.acceptance.test_file",
     "save_recording": "modal.recording",
+    "scaled_response": "modal.modes.modal_mass",
     "simulate": "modal.structure.given",
     "track": "modal.tracking",
     "with_modes": "modal.identification.by_hand",

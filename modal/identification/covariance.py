@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import powers_of
@@ -40,6 +41,10 @@ N_DRAWS = 100
 """Draw noise of the inputs so many times: a deviation is then known to 7 %."""
 N_BLOCK_DRAWS = 10
 """Look at so many of them block by block, as many numbers as blocks each."""
+N_RECORD_DRAWS = 200
+"""Draw noise of records that differ in it so many times: a deviation is then known to 5 %."""
+UNLIKE_AT = 1e-3
+"""Let the noise of records differ where chance alone makes it differ as much more rarely."""
 IN_A_BAND = 16
 """Ask in bands of so many lines of the spectrum whether noise explains it: about a resonance."""
 EXPLAINED = 2.0
@@ -126,12 +131,19 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
     )
 
 
-def _white(model: RefinedModel, variance: FloatArray | None = None) -> _Loadings:
-    """Of white noise with this variance on each output; what the model leaves unless given."""
+def _white(model: RefinedModel, own: FloatArray | None = None) -> _Loadings:
+    """Of white noise with (n_records, n_outputs) variances; of what the model leaves unless given."""
     step, weights, n_rows = model.step, model.weights, model.n_rows
     normal = step_equations(step, weights=weights)
     fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
-    variance = step.linear.squared_errors / max(1.0, n_rows - fitted) if variance is None else variance
+    freedom = max(1.0, n_rows - fitted)
+    rows = np.array([int(there.sum()) for there in model.data.rows])
+    if own is None:
+        left = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, model.data)])
+        own = left / np.maximum(rows, 1)[:, np.newaxis] * rows.sum() / freedom
+    if _unlike(own, rows):
+        return _of_records(model, own, freedom)
+    variance = rows @ own / rows.sum()
     meat = step_equations(step, weights=weights @ np.diag(variance) @ weights).matrix
     # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
     size = _sizes(meat)
@@ -145,8 +157,37 @@ def _white(model: RefinedModel, variance: FloatArray | None = None) -> _Loadings
         coefficients,
         own=step.linear.inverse_factor,
         noise=np.sqrt(variance),
-        degrees_of_freedom=max(1.0, n_rows - fitted),
+        degrees_of_freedom=freedom,
     )
+
+
+def _unlike(variances: FloatArray, rows: np.ndarray) -> bool:
+    """Whether records differ in their noise beyond chance (Bartlett's test), with (n_records, n_outputs) variances."""
+    counted = rows[:, np.newaxis] * (variances > 0.0)
+    known = np.where(variances > 0.0, variances, 1.0)
+    pooled = (counted * variances).sum(axis=0) / np.maximum(counted.sum(axis=0), 1)
+    statistic = float((counted * np.log(np.where(counted > 0, pooled, 1.0) / known)).sum())
+    freedom = (len(rows) - 1) * variances.shape[1]
+    return bool(scipy.special.gammaincc(0.5 * freedom, 0.5 * statistic) < UNLIKE_AT)
+
+
+def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: float) -> _Loadings:
+    """Of drawn white noise with (n_records, n_outputs) variances, by what it has in common with all signals."""
+    step, data, layout = model.step, model.data, model.step.layout
+    rng = np.random.default_rng(0)
+    products = np.zeros((N_RECORD_DRAWS, layout.size, layout.n_outputs))
+    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+        places = layout.places(number)
+        gram = np.zeros((len(places), len(places)))
+        for first, every in signals_of(layout, step.parameters, number, record):
+            signals = every * counted[first : first + len(every), np.newaxis]
+            gram += signals.T @ signals
+        size = _sizes(gram)
+        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+        root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = rng.standard_normal((N_RECORD_DRAWS, len(places), layout.n_outputs))
+        products[:, places] += np.einsum("st,kto->kso", root, drawn) * np.sqrt(variances[number])
+    return _pulled(model, products / np.sqrt(N_RECORD_DRAWS), degrees_of_freedom)
 
 
 def _of_blocks(model: RefinedModel) -> _Loadings:
@@ -183,44 +224,74 @@ def _of_feedback(model: RefinedModel) -> _Loadings:
     return _pulled(model, products[np.newaxis], float("inf"))
 
 
-def _powers(model: RefinedModel) -> tuple[FloatArray, FloatArray, float]:
-    """(n_inputs,) and (n_outputs,) variances of white noise that make what is left likeliest, by its spectrum.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Powers:
+    """White noises that make the spectrum of what is left likeliest; the model answers to that of its inputs.
 
-    Noise of an input is answered to by the model. With them goes how many times as far as by chance means of
-    `IN_A_BAND` neighbouring lines of the spectrum are from what they explain: squares, one by chance alone.
+    Attributes:
+        of_inputs: (n_records, n_inputs) variances, of the channels that the model was fitted to.
+        of_outputs: (n_records, n_outputs) variances.
+        misfit: how many times as far as by chance means of `IN_A_BAND` neighbouring lines of the spectrum are from what
+            they explain: squares, one by chance alone.
+    """
+
+    of_inputs: FloatArray
+    of_outputs: FloatArray
+    misfit: float
+
+
+def _powers(model: RefinedModel) -> _Powers:
+    """One power an input, in all records in which it moves, and one an output and record.
+
+    Between blows an input shows its noise itself, and has that at least.
     """
     step, data = model.step, model.data
     poles, b, c = step.parameters.poles, step.parameters.inputs, step.linear.shapes
     n, m = poles.size, b.shape[1]
     D = step.linear.coefficients[2 * n : 2 * n + m]
-    looks: list[tuple[FloatArray, ...]] = []
-    for left in errors_of(step, data):
+    looks: list[tuple[FloatArray, FloatArray]] = []
+    acting: list[FloatArray] = []
+    for left, record, size in zip(errors_of(step, data), data.records, model.record_scale, strict=True):
         error = np.nan_to_num(left[:LONGEST_LOOK])
         rings = powers_of(poles, len(error) - 1)
         pulses = np.concatenate([D[np.newaxis], np.einsum("kn,nm,on->kmo", rings, b, c).real])
         measured, answers = (np.abs(np.fft.rfft(one, axis=0)[1:]) ** 2 for one in (error, pulses))
-        looks.append((measured, len(error) * answers, np.full((len(answers), 1), float(len(error)))))
-    measured, answers, white = (np.concatenate(own) for own in zip(*looks, strict=True))
-    measured = measured + np.finfo(float).eps * measured.max()
-
-    def of_each(weights: FloatArray) -> FloatArray:
-        """(m + q,) sums of what a unit of each power makes, with (n_frequencies, q) weights."""
-        return np.concatenate([np.einsum("kmo,ko->m", answers, weights), (white * weights).sum(axis=0)])
-
-    made = of_each(np.ones_like(measured))
-    powers = np.divide(measured.sum(), made, out=np.zeros_like(made), where=made > 0.0)
+        moves = (record.inputs != record.inputs[:1]).any(axis=0) / size**2
+        acting.append(moves)
+        looks.append((measured / len(error), answers * moves[:, np.newaxis]))
+    least = np.finfo(float).eps * max(measured.max() for measured, _ in looks)
+    looks = [(measured + least, answers) for measured, answers in looks]
+    alone = np.array([measured.mean(axis=0) for measured, _ in looks])
+    made = sum(answers.sum(axis=(0, 2)) for _, answers in looks)
+    total = sum(float(measured.sum()) for measured, _ in looks)
+    of_inputs, of_outputs = np.divide(total, made, out=np.zeros(m), where=made > 0.0), alone
     for _ in range(N_STEPS):
-        explained = np.einsum("kmo,m->ko", answers, powers[:m]) + white * powers[m:]
-        there = of_each(1.0 / explained)
-        ratio = np.divide(of_each(measured / explained**2), there, out=np.zeros_like(there), where=there > 0.0)
-        powers = powers * np.sqrt(ratio)
-    lines = measured / explained
-    bands = [lines[first : first + IN_A_BAND].mean(axis=0) for first in range(0, len(lines) - IN_A_BAND + 1, IN_A_BAND)]
-    return powers[:m], powers[m:], float(IN_A_BAND * np.square(np.array(bands) - 1.0).mean())
+        there, wanted, outputs = np.zeros(m), np.zeros(m), []
+        for (measured, answers), own in zip(looks, of_outputs, strict=True):
+            inverse = 1.0 / (np.einsum("kmo,m->ko", answers, of_inputs) + own)
+            there += np.einsum("kmo,ko->m", answers, inverse)
+            wanted += np.einsum("kmo,ko->m", answers, measured * inverse**2)
+            outputs.append(own * np.sqrt((measured * inverse**2).sum(axis=0) / inverse.sum(axis=0)))
+        of_inputs = of_inputs * np.sqrt(np.divide(wanted, there, out=np.zeros(m), where=there > 0.0))
+        of_outputs = np.array(outputs)
+    gained, squares = 0.0, []
+    for (measured, answers), own, before in zip(looks, of_outputs, alone, strict=True):
+        explained = np.einsum("kmo,m->ko", answers, of_inputs) + own
+        lines = measured / explained
+        gained += 2.0 * float((np.log(before / explained) + measured / before - lines).sum())
+        whole = len(lines) // IN_A_BAND * IN_A_BAND
+        squares.append(np.square(lines[:whole].reshape(-1, IN_A_BAND, lines.shape[1]).mean(axis=1) - 1.0))
+    if not gained > 2.0 * m:  # Akaike's price of so many numbers
+        of_inputs, of_outputs = np.zeros(m), alone
+    return _Powers(
+        of_inputs=np.maximum(of_inputs * np.array(acting), model.at_rest),
+        of_outputs=of_outputs,
+        misfit=float(IN_A_BAND * np.concatenate(squares).mean()) if any(map(len, squares)) else np.inf,
+    )
 
 
 def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loadings]:
-    """Of drawn noise of the inputs: all rows, and block by block."""
+    """Of drawn noise of the inputs with (n_records, n_inputs) powers: all rows, and block by block."""
     step, data = model.step, model.data
     parameters, layout = step.parameters, step.layout
     n, m = layout.n_poles, layout.n_inputs
@@ -233,10 +304,11 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
+        sizes = np.sqrt(powers[number])[:, np.newaxis] * (record.inputs != 0.0).T  # a force window leaves no noise
         for first, every in signals_of(layout, parameters, number, record):
             signals = every * counted[first : first + len(every), np.newaxis]
             for k in range(N_DRAWS):
-                noise = np.sqrt(powers)[:, np.newaxis] * rng.standard_normal((m, len(signals)))
+                noise = sizes[:, first : first + len(signals)] * rng.standard_normal((m, len(signals)))
                 state, states[k] = recursion.run(parameters.inputs @ noise, states[k])
                 left = ((step.linear.shapes @ state).real + D @ noise).T
                 whole[k, places] += signals.T @ left
@@ -248,6 +320,11 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
         _pulled(model, whole / np.sqrt(N_DRAWS), float(N_DRAWS)),
         _pulled(model, each / np.sqrt(N_BLOCK_DRAWS), float(N_BLOCK_DRAWS)),
     )
+
+
+def told_at_rest(model: RefinedModel, variances: FloatArray) -> RefinedModel:
+    """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
+    return replace(model, at_rest=variances / (model.scaling.input_scale * model.record_scale[:, np.newaxis]) ** 2)
 
 
 def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float) -> _Loadings:
@@ -441,13 +518,13 @@ def judged_deviations(
     """
     known = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=n_lags)
     inflation, moved = np.ones(len(modes)), np.zeros(len(modes))
-    if not model.leaves_white_noise:
-        by_blocks = known
-        of_inputs, of_outputs, misfit = _powers(model)
-        if misfit <= EXPLAINED:
-            loadings = _white(model, of_outputs), *_of_inputs(model, of_inputs)
-            white, drawn, drawn_by_blocks = (_deviations(one, model, modes, n_lags) for one in loadings)
-            known, by_blocks = (_together(np.hypot, one, white) for one in (drawn, drawn_by_blocks))
+    by_blocks, powers = known, _powers(model)
+    white = model.leaves_white_noise
+    if powers.of_inputs.any() and (white or powers.misfit <= EXPLAINED):
+        loadings = _white(model, powers.of_outputs), *_of_inputs(model, powers.of_inputs)
+        outputs, drawn, drawn_by_blocks = (_deviations(one, model, modes, n_lags) for one in loadings)
+        known, by_blocks = (_together(np.hypot, one, outputs) for one in (drawn, drawn_by_blocks))
+    if not white:
         times = _together(_at_least_once, _deviations(_of_blocks(model), model, modes, n_lags), by_blocks)
         inflation = np.fmax(times.frequency_std, times.damping_ratio_std)
         with np.errstate(invalid="ignore"):  # of exact data: none times more than can be told

@@ -14,6 +14,7 @@ from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
+from modal.identification.covariance import told_at_rest
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, White, fit_all_rows, fit_in_white, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -45,7 +46,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
-from modal.verdict.excitation import between_lines, by_chance, driven_gain, ringing, standing_out
+from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -305,6 +306,8 @@ def _identified(
         past=0 if final.noise is None else final.noise.past,
         grows=searched.chosen.weak_modes > 0,
     )
+    if final.refined is not None and white is None:
+        final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
     left = runs.left
     left_there = left if white is None else model_runs(replace(model, K=None), asked).left
@@ -317,6 +320,9 @@ def _identified(
         gain=driven_gain(unjudged, asked, left_there),
         chance_line=by_chance(unjudged, asked, left_there) if by_inputs else None,
         lines=lines,
+        beyond=beyond_inputs(unjudged, asked, left_there, output_scale=reruns.output_scale)
+        if kind.kind == "driven" and prepared[0].n_inputs and lines is None
+        else None,
         n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
         * model.n_outputs,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,

@@ -51,6 +51,7 @@ from modal.estimation.output_error import (
     RefinementStep,
     refine,
     step_at,
+    without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
 from modal.identification.order_search import Search, as_good, significantly_worse
@@ -361,6 +362,8 @@ class RefinedModel:
         whiteness_ratio: of what the free run leaves; nan where it leaves nothing.
         n_rows: whole rows that were measured.
         n_parts: blocks of the data among which lies what they tell of a pole.
+        record_scale: (n_records,) that all channels of a record were divided by, beside their scaling.
+        at_rest: (n_records, n_inputs) variances of what inputs showed where a force window made them zero, of the data.
     """
 
     realisation: Realisation
@@ -371,6 +374,8 @@ class RefinedModel:
     whiteness_ratio: float
     n_rows: int
     n_parts: int
+    record_scale: FloatArray
+    at_rest: FloatArray
 
     @property
     def leaves_white_noise(self) -> bool:
@@ -422,12 +427,17 @@ def refined_model(
         larger = with_weak_mode(last, data, by="blow" if by == "rows" else driven)
         last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
-    ratio = _whiteness_ratio(last, data)
-    if n_steps == MOST_STEPS and start.n_outputs > 1:
-        likeliest, own = _weighted(last, data, least_gain)
-        own_ratio = _whiteness_ratio(likeliest, data)
+    if n_steps == MOST_STEPS and records[0].input_hold == "band_limited":
+        between = without_what_moves_between_samples(last, data)
+        other = refine(step_at(last.parameters, between), between, n_steps=most, least_gain=least_gain)[-1]
+        if other.error < last.error:  # else the inputs were held, whatever was said of them
+            last, data = other, between
+    ratio, record_scale = _whiteness_ratio(last, data), np.ones(len(records))
+    if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1):
+        likeliest, alike, own, size = _weighted(last, data, least_gain)
+        own_ratio = _whiteness_ratio(likeliest, alike)
         if own_ratio <= WHITE or by == "rows":
-            last, weights, ratio = likeliest, own, own_ratio
+            last, data, weights, ratio, record_scale = likeliest, alike, own, own_ratio, size
     realisation = in_units(last, start if evidence is None else evidence, scaling)
     n_parts = len(data.blocks)
     if by == "rows" and not ratio <= WHITE:
@@ -443,6 +453,8 @@ def refined_model(
         whiteness_ratio=ratio,
         n_rows=sum(int(there.sum()) for there in rows) - n_rest,
         n_parts=n_parts,
+        record_scale=record_scale,
+        at_rest=np.zeros((len(records), start.n_inputs)),
     )
 
 
@@ -480,21 +492,46 @@ def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, 
     return tuple(blocks)
 
 
-def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tuple[RefinementStep, FloatArray]:
-    """Refined with each output weighted by the inverse of its own noise, and the weights, settled in a few rounds.
+def _weighted(
+    step: RefinementStep, data: OutputError, least_gain: float
+) -> tuple[RefinementStep, OutputError, FloatArray, FloatArray]:
+    """Refined with each output and each record weighted by its own noise, settled in a few rounds.
 
     An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
-    the weights come before the test for whiteness.
+    the weights come before the test for whiteness. A whole record in other units has the same model, so a record
+    counts by its own noise where all its channels are divided by that.
+
+    Returns:
+        The model, the data it is fitted to, the weights of the outputs, and (n_records,) what divides each record.
     """
-    weights = np.eye(step.layout.n_outputs)
+    weights, whole = np.eye(step.layout.n_outputs), np.ones(len(data.records))
     for _ in range(WEIGHTINGS):
         variance = step.linear.squared_errors
-        largest = variance.max()
-        if largest == 0.0:
+        if variance.max() == 0.0:
             break
+        if len(data.records) > 1:
+            step, data, size = _alike(step, data)
+            whole = whole * size
+            variance = step.linear.squared_errors
+        largest = variance.max()
         weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
         step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
-    return step, weights
+    return step, data, weights, whole
+
+
+def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, OutputError, FloatArray]:
+    """Records divided by their own noise, as far as all outputs have more or less of it together."""
+    left = np.array([np.nanmean(error**2, axis=0) for error in errors_of(step, data)])
+    of_each = np.maximum(left, SMALLEST_NOISE**2 * left.max())
+    noise = np.exp(0.5 * np.median(np.log(of_each), axis=1))
+    size = noise / np.exp(np.log(noise).mean())
+    records = tuple(
+        replace(record, inputs=record.inputs / own, outputs=record.outputs / own)
+        for record, own in zip(data.records, size, strict=True)
+    )
+    states = step.parameters.states / size[:, np.newaxis]
+    data = replace(data, records=records)
+    return step_at(replace(step.parameters, states=states), data), data, size
 
 
 def _whiteness_ratio(step: RefinementStep, data: OutputError) -> float:

@@ -1,4 +1,4 @@
-"""Modes compared: overlap of their pulse responses, and sets of shapes paired, read from files, scaled to modal mass.
+"""Modes compared: overlap of their pulse responses, and sets of shapes paired, averaged and read from files.
 
 Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
 
@@ -13,15 +13,10 @@ R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a r
 all count, without a tolerance for any of them, and the scaling of eigenvectors cancels. Channels are made comparable
 by the scales of the records, so a change of unit changes nothing.
 
-Sets of shapes with the names of their channels: compared, paired, read from files, scaled to modal mass.
+Sets of shapes with the names of their channels: compared, paired, averaged over repeated tests, read from files.
 
 A set may come from an identification, a finite-element program or another test. Two sets are joined by the names of
 their channels, so neither their order nor channels that only one of them has matter.
-
-**Modal mass.** Near a mode the response of displacement x_o to a force f_i is psi_o psi_i / (2 j w (s - s_r)) for a
-shape psi of unit modal mass, w = Im s_r. At a driving point, where o and i are one place and direction, the residue
-R = psi^2 / (2 j w) gives the scale; the residue of a velocity or an acceleration is divided by s_r or s_r^2 first. The
-modal mass of the shape whose largest component is 1 is then 1 / psi_largest^2.
 """
 
 import csv
@@ -32,11 +27,10 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
-from modal.modes.modal_form import discrete_poles, largest_component
+from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
-from modal.modes.response_synthesis import continuous_residue
-from modal.wording.text import NINETY_FIVE
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
@@ -210,9 +204,6 @@ def repeatability(reference: Pulses, reruns: Sequence[Pulses], *, n_steps: int) 
 EVEN = 0.5
 """Pair two shapes only if more of the one is in the other than is not."""
 
-DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
-"""Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
-
 DIRECTIONS = ("X+", "Y+", "Z+", "RX+", "RY+", "RZ+")
 
 
@@ -275,26 +266,6 @@ class ModePairs(Displayed):
     assurance_std: FloatArray
     only_first: tuple[int, ...]
     only_second: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class ScaledShapes(Displayed):
-    """Shapes for unit modal mass.
-
-    Attributes:
-        shapes: (n_outputs, n_modes) of the system modes, as displacements, for unit modal mass [1/kg^0.5]; nan for a
-            mode of which the driving point shows too little to tell the sign of its mass.
-        shapes_std: (n_outputs, n_modes) standard deviations of their sizes; nan where not known.
-        modal_mass: (n_modes,) [kg] of the shape whose largest component is 1; nan likewise.
-        modal_mass_std: (n_modes,) [kg]; nan where not known.
-        driving_point: names of the output and the input at one place and in one direction.
-    """
-
-    shapes: ComplexArray
-    shapes_std: FloatArray
-    modal_mass: FloatArray
-    modal_mass_std: FloatArray
-    driving_point: tuple[str, str]
 
 
 def assurance(
@@ -433,74 +404,97 @@ def _assurance_std(one: ComplexArray, other: ComplexArray, std: FloatArray, othe
     return cast("FloatArray", np.where(known, np.sqrt((errors**2).mean(axis=0)), np.nan))
 
 
-def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> ScaledShapes:
-    """Shapes for unit modal mass, from the residue at a driving point.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class RepeatedModes(Displayed):
+    """What repeated tests of one structure say of the modes of the first of them.
+
+    Attributes:
+        frequencies: (n_tests, n_modes) [Hz], nan where a test did not show the mode.
+        damping_ratios: (n_tests, n_modes) likewise.
+        mean_frequency: (n_modes,) [Hz] plain mean of the tests that show the mode.
+        mean_damping_ratio: (n_modes,).
+        frequency_scatter: (n_modes,) [Hz] standard deviation between the tests; nan of one alone.
+        damping_ratio_scatter: (n_modes,) likewise.
+        frequency_chi2: (n_modes,) squares of the scatter over those that the tests state; chance makes 1 on average,
+            more says that the structure or its mounting was another each time; nan where no deviation is known.
+        damping_ratio_chi2: (n_modes,) likewise.
+        p_values: (n_modes, 2) how often chance alone makes the chi2 of frequency and of damping as large.
+        n_found: (n_modes,) tests that show the mode.
+    """
+
+    frequencies: FloatArray
+    damping_ratios: FloatArray
+    mean_frequency: FloatArray
+    mean_damping_ratio: FloatArray
+    frequency_scatter: FloatArray
+    damping_ratio_scatter: FloatArray
+    frequency_chi2: FloatArray
+    damping_ratio_chi2: FloatArray
+    p_values: FloatArray
+    n_found: IndexArray
+
+
+def mean_modes(tests: Sequence[ModalModel]) -> RepeatedModes:
+    """Mean and scatter of the modes over repeated tests, beside the deviations that each test states.
 
     Args:
-        model: of an identification, which knows the names and units of its channels.
-        driving_point: name of the output and of the input [N] at one place and in one direction.
+        tests: models of at least two tests (`result.modes`); the system modes of the first are looked for in the others
+            by `pair_modes`.
 
     Raises:
-        InvalidDataError: no such channel, an output that is no displacement, velocity or acceleration, no system mode,
-            or a mode whose residue there has the sign of a negative mass.
+        InvalidDataError: fewer than two tests, or no channel in common.
 
     References:
-        Ewins, Modal Testing, 2nd edition, 2000, section 2.4; Brandt, Noise and Vibration Analysis, 2011, section 6.4.
+        Birge, Physical Review 40(2), 1932, 207-227, doi 10.1103/PhysRev.40.207 (external over internal consistency).
+
+    Example:
+        >>> mean_modes([ModalModel(modes=(), indicator_caution=0.0, dt=0.01)])
+        Traceback (most recent call last):
+        okid.errors.InvalidDataError: scatter needs at least two tests, but there is 1; identify each run by itself.
     """
-    output_name, input_name = driving_point
-    if not model.input_names:
+    tests = tuple(tests)
+    if len(tests) < 2:
         raise InvalidDataError(
-            "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
-            "this model has no inputs; identify it with the force among them."
+            f"scatter needs at least two tests, but there is {len(tests)}; identify each run by itself."
         )
-    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
-        if name not in names:
-            raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
-    if not model.system:
-        raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
-    output, force = model.output_names.index(output_name), model.input_names.index(input_name)
-    powers = np.array(
-        [_derivative(name, unit) for name, unit in zip(model.output_names, model.output_units, strict=True)]
+    first = tests[0].system
+    values = np.full((4, len(tests), len(first)), np.nan)
+    for number, test in enumerate(tests):
+        same = [(k, k) for k in range(len(first))] if number == 0 else pair_modes(tests[0], test).pairs
+        for there, here in same:
+            mode = test.system[here]
+            known = mode.frequency, mode.damping_ratio, mode.frequency_std, mode.damping_ratio_std
+            values[:, number, there] = known
+    found = np.isfinite(values[0])
+    n_found = found.sum(axis=0)
+    freedom = np.maximum(n_found - 1, 0)
+
+    def over(own: FloatArray) -> FloatArray:
+        total: FloatArray = np.where(found, own, 0.0).sum(axis=0)
+        return total
+
+    told = []
+    for value, std in ((values[0], values[2]), (values[1], values[3])):
+        mean = over(value) / n_found
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scatter = np.sqrt(over((value - mean) ** 2) / np.where(freedom > 0, freedom, np.nan))
+            weight = 1.0 / std**2
+            weighted = over(weight * value) / over(weight)
+            squares = over(weight * (value - weighted) ** 2)
+            told.append((mean, scatter, squares / np.where(freedom > 0, freedom, np.nan), squares))
+    p_values = np.array([scipy.special.gammaincc(0.5 * np.maximum(freedom, 1), 0.5 * one[3]) for one in told]).T
+    return RepeatedModes(
+        frequencies=values[0],
+        damping_ratios=values[1],
+        mean_frequency=told[0][0],
+        mean_damping_ratio=told[1][0],
+        frequency_scatter=told[0][1],
+        damping_ratio_scatter=told[1][1],
+        frequency_chi2=told[0][2],
+        damping_ratio_chi2=told[1][2],
+        p_values=np.where(freedom[:, np.newaxis] > 0, p_values, np.nan),
+        n_found=n_found,
     )
-    scaled, spread = zip(*(_unit_mass(model, mode, output, force, powers) for mode in model.system), strict=True)
-    shapes = np.array(scaled).T
-    largest = largest_component(shapes)
-    mass = 1.0 / np.abs(largest) ** 2
-    relative = np.array(spread)
-    return ScaledShapes(
-        shapes=shapes,
-        shapes_std=0.5 * relative * np.abs(shapes),
-        modal_mass=mass,
-        modal_mass_std=relative * mass,
-        driving_point=(output_name, input_name),
-    )
-
-
-def _unit_mass(
-    model: ModalModel, mode: Mode, output: int, force: int, powers: npt.NDArray[np.intp]
-) -> tuple[ComplexArray, float]:
-    """The shape as displacements for unit modal mass, and the relative standard deviation of the modal mass."""
-    shape = mode.shape / mode.pole**powers
-    residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
-    square = 2j * mode.pole.imag * residue
-    spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
-    if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
-        return np.full_like(shape, np.nan), np.nan
-    if not square.real > 0:
-        raise InvalidDataError(
-            f"the mode at {mode.frequency:.4g} Hz has a negative modal mass at {model.output_names[output]} and "
-            f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
-        )
-    return shape * np.sqrt(square) / shape[output], spread
-
-
-def _derivative(name: str, unit: str) -> int:
-    if unit not in DERIVATIVES:
-        raise InvalidDataError(
-            f"modal mass needs displacements, velocities or accelerations, but {name} is in {unit or 'no unit'}; state "
-            "its unit in the file or in output_units."
-        )
-    return DERIVATIVES[unit]
 
 
 def _joined(

@@ -18,9 +18,9 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
+from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, ModalModel
 from modal.modes.response_synthesis import continuous_residue
-from modal.modes.shape_comparison import DERIVATIVES
 from modal.preparation.quick_model import observer_order
 from okid.arrays import CHUNK_VALUES, ComplexArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError

@@ -63,11 +63,13 @@ class Rested:
     Attributes:
         records: about the level at which they rest.
         n_rest: rows in front of each that were not measured.
+        at_rest: (n_records, n_inputs) variances of what a force window took from the inputs.
         choices: what was done and why.
     """
 
     records: tuple[Record, ...]
     n_rest: tuple[int, ...]
+    at_rest: FloatArray
     choices: tuple[Choice, ...]
 
 
@@ -141,6 +143,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
     length = max(1, min(LONGEST, n_samples // (3 * n_channels), MOST_UNKNOWNS // n_channels))
     resting = [_rests(record, first) for record, first in zip(centred, starts, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
+    whole = padded
     padded, window = _without_noise_of_rest(padded)
     if all(resting):
         value, reason = "used", "no row before the first blow moves more than the quietest part of its record"
@@ -151,6 +154,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
     return Rested(
         records=padded,
         n_rest=tuple(length * rests for rests in resting),
+        at_rest=np.array([_noise_left_out(*both) for both in zip(whole, padded, strict=True)]),
         choices=(Choice(what="rest before the blow", value=value, reason=reason), *window),
     )
 
@@ -178,6 +182,13 @@ def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, .
         return records, (Choice(what="force window", value="not used", reason=words),)
     words = "between the blows the inputs show noise of their sensors: a first model explains no less without it"
     return window, (Choice(what="force window", value="used", reason=words),)
+
+
+def _noise_left_out(record: Record, window: Record) -> FloatArray:
+    """(n_inputs,) mean squares of what the inputs showed where the force window made them zero."""
+    left_out = record.inputs - window.inputs
+    power: FloatArray = np.square(left_out).sum(axis=0) / np.maximum(1, (left_out != 0.0).sum(axis=0))
+    return power
 
 
 def _widened(rows: BoolArray) -> BoolArray:

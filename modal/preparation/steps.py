@@ -52,6 +52,7 @@ class Preparation:
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
         n_rest: rows of rest in front of each of the records, which were not measured.
+        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off; else zeros.
     """
 
     mended: tuple[Record, ...]
@@ -63,6 +64,7 @@ class Preparation:
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
     n_rest: tuple[int, ...]
+    at_rest: FloatArray
 
     def complete(self, realisation: Realisation) -> Realisation:
         """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
@@ -177,6 +179,7 @@ def prepare(
             *([drifting.warning] if drifting.warning else []),
         ),
         n_rest=tuple(max(0, n - longest) for n in n_rest),
+        at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
 
 

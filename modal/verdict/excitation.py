@@ -48,6 +48,8 @@ NEARLY_ALL = 0.99
 """Count the strongest lines that hold this share of their power: a fit at best tells a hundredth."""
 WEAK_LINE = 1e-3
 """Leave out beside the lines what stands above its neighbourhood more than chance lets one record do in a thousand."""
+FAINT = 1e-4
+"""Ask in a mode's own band where the inputs hold less than this share of their largest density: noise and leakage."""
 MOST_SHOWN = 6
 """Name so many lines in a sentence."""
 MOSTLY = 0.5
@@ -211,6 +213,55 @@ def between_lines(
             n_values[i] += int(near.sum()) * output_scale.size
     gain = 1.0 - with_it / np.maximum(without, np.finfo(float).tiny)
     return BetweenLines(lines=lines, gain=np.where(n_values > 0, gain, np.nan), n_values=n_values)
+
+
+def beyond_inputs(
+    model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """The evidence of each mode in its own band, where the inputs hardly move there: at the edge of theirs.
+
+    A pole there fits the flank that the answers have within the band of the inputs. What a mode does shows in its own
+    band: the gain of `driven_gain` there, in the frequency domain (Parseval, Blackman-Harris window), in which the
+    noise of a measured input explains nothing.
+
+    Args:
+        model: modes of the model that ran.
+        records: that it ran through.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+        output_scale: (n_outputs,) sizes of the outputs.
+
+    Returns:
+        (n_modes,) gain, nan where an input moves in the mode's band, and (n_modes,) independent values.
+    """
+    with_it, without, n_values = np.zeros(len(model)), np.zeros(len(model)), np.zeros(len(model), dtype=np.intp)
+    poles, _ = discrete_poles(model.modes, model.dt)
+    moving = np.zeros(len(model), dtype=np.bool_)
+    for record, errors in zip(records, left, strict=True):
+        n, there = record.n_samples, complete_rows(errors)
+        frequencies, inputs = np.fft.rfftfreq(n, record.dt), np.nan_to_num(record.inputs)
+        window = np.where(there, blackman_harris(n), 0.0)[:, np.newaxis]
+        density = np.square(np.abs(np.fft.rfft(window * (inputs - inputs.mean(axis=0)), axis=0)))
+        rest = np.fft.rfft(window * np.where(there[:, np.newaxis], errors / output_scale, 0.0), axis=0)
+        every = np.ones(n, dtype=np.bool_)
+        summed = np.vstack([np.zeros(density.shape[1]), np.cumsum(density, axis=0)])
+        for i, mode in enumerate(model.modes):
+            half = max(mode.damping_ratio * mode.frequency, (MAIN_LOBE + 1) / (n * record.dt))
+            first, last = np.searchsorted(frequencies, [mode.frequency - half, mode.frequency + half])
+            if mode.kind != "oscillatory" or last - first < 2:
+                moving[i] = True
+                continue
+            bands = summed[last - first :] - summed[: first - last]
+            here = summed[last] - summed[first]
+            moving[i] |= bool((here > FAINT * bands.max(axis=0)).any())
+            if moving[i]:
+                continue
+            near = slice(first, last)
+            part = _response(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, every) / output_scale
+            with_it[i] += np.square(np.abs(rest[near])).sum()
+            without[i] += np.square(np.abs((rest + np.fft.rfft(window * part, axis=0))[near])).sum()
+            n_values[i] += int(last - first) * output_scale.size
+    gain = 1.0 - with_it / np.maximum(without, np.finfo(float).tiny)
+    return np.where(moving | (n_values == 0), np.nan, gain), n_values
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -488,6 +539,14 @@ def by_chance(model: ModalModel, records: Sequence[Record], left: Sequence[Float
                 shares[k] += float(((basis.T @ values) ** 2).sum())
         chance[i] = shares[0] <= shares[1:].max()
     return chance
+
+
+def beyond_doubt(mode: Mode, ratio: float) -> tuple[str, ...]:
+    """Why a mode may be the edge of the inputs' band, in words; `ratio` as `f_ratio` has it in the mode's own band."""
+    if not ratio < HARDLY_DRIVEN:
+        return ()
+    words = f"the inputs hardly move at {mode.frequency:.4g} Hz, and nothing there follows them"
+    return (f"{words}: it may be a fit to the edge of their band",)
 
 
 def line_doubt(lines: BetweenLines | None, ratio: float) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from modal.modes.extraction import NOT_JUDGED, remarks
 from modal.modes.mode import ModalModel, Mode, Verdict
@@ -36,7 +37,7 @@ from modal.modes.shape_comparison import (
     repeatability,
 )
 from modal.verdict.constancy import sums_of_stronger
-from modal.verdict.excitation import BetweenLines, line_doubt, undriven_doubt
+from modal.verdict.excitation import BetweenLines, beyond_doubt, line_doubt, undriven_doubt
 from modal.verdict.probability import (
     HARDLY_DRIVEN,
     clipping_doubt,
@@ -192,6 +193,7 @@ def judge(
     excitation: Excitation | None = None,
     gain: FloatArray | None = None,
     lines: BetweenLines | None = None,
+    beyond: tuple[FloatArray, npt.NDArray[np.intp]] | None = None,
     n_values: int = 0,
     edge: float = np.inf,
     chance: FloatArray | None = None,
@@ -225,6 +227,7 @@ def judge(
         gain: (n_modes,) share of the free-run error that each mode removes (`modal.verdict.excitation`); None where
             unknown.
         lines: what inputs of a few lines tell of each mode; None where they are no lines.
+        beyond: of `modal.verdict.excitation.beyond_inputs`, None where that was not asked.
         n_values: measured values, rows times outputs, that the gain was taken on.
         edge: frequency [Hz] from which a pole may belong to the filter of a decimated record.
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
@@ -265,7 +268,10 @@ def judge(
         own_gain = np.nan if gain is None else float(gain[i])
         ratio = f_ratio(mode, own_gain, n_values)
         beside = np.nan if lines is None else f_ratio(mode, float(lines.gain[i]), int(lines.n_values[i]))
-        ratio = float(np.fmin(ratio, beside))  # no more certain than the excitation at its frequency allows
+        own_band = np.nan if beyond is None else f_ratio(mode, float(beyond[0][i]), int(beyond[1][i]))
+        ratio = float(
+            np.fmin(np.fmin(ratio, beside), own_band)
+        )  # no more certain than the excitation at its frequency allows
         p = probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]), held_out)
@@ -279,6 +285,7 @@ def judge(
             *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
+            *beyond_doubt(mode, own_band),
             *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),
         )
         verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))

@@ -296,22 +296,31 @@ def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
 
 
 def _check_whole_stamps(table: Table) -> None:
-    """Warn where whole numbers without a unit were taken for seconds: they may as well count milliseconds."""
+    """Warn where whole numbers taken for seconds may count milliseconds, or give dates as such under another header."""
     index = table.time_column()
-    if index is None or _time_name(table.columns[index])[1]:
+    if index is None:
         return
-    stamps = np.asarray(table.values[:, index])
-    name = _plain(table.columns[index].name)
-    if name.startswith("sec") or _seconds_of_stamps(stamps, name) != 1.0 or stamps[-1] - stamps[0] < len(stamps) - 1:
+    column, stamps = table.columns[index], np.asarray(table.values[:, index])
+    unit, name = _time_name(column)[1], _plain(column.name)
+    conversion = convert_unit("time", unit)
+    if (conversion.factor if conversion.unit else 1.0) != 1.0 or not np.array_equal(stamps, np.rint(stamps)):
         return
-    if np.array_equal(stamps, np.rint(stamps)):
-        warnings.warn(
-            f"the time column {table.columns[index].name!r} of {table.path.name} has no unit and counts in whole "
-            "numbers, which were taken for seconds; write the unit into its header, as in 'time [ms]', or give the "
-            "time step (--dt).",
-            IdentificationWarning,
-            stacklevel=4,
-        )
+    date = _seconds_of_stamps(stamps, name)
+    known = date >= 1.0 if unit else name.startswith("sec") or date != 1.0
+    if known or stamps[-1] - stamps[0] < len(stamps) - 1:
+        return
+    said = f"is in {unit}" if unit else "has no unit"
+    if date < 1.0:
+        meant = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[date]
+        doubt = f"but as seconds its numbers give no date of this century, as {meant} since 1970 they do"
+    else:
+        doubt = "and counts in whole numbers, which were taken for seconds"
+    warnings.warn(
+        f"the time column {column.name!r} of {table.path.name} {said} {doubt}; write the unit into its header, as in "
+        "'time [ms]', or give the time step (--dt).",
+        IdentificationWarning,
+        stacklevel=4,
+    )
 
 
 def _uniform_step(stamps: FloatArray, factor: float, name: str) -> float:

@@ -13,9 +13,11 @@ from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
+from modal.identification.covariance import judged_deviations, output_error_uncertainty, told_at_rest
 from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.modes.extraction import extract_modes
+from modal.modes.response_synthesis import continuous_residue
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
@@ -241,3 +243,96 @@ def test_an_identification_has_refined_modes_and_a_gain():
     assert plain.uncertainty.method == "propagation"
     errors = [np.abs(one.modes.frequencies / truth.frequencies - 1).max() for one in (found, plain)]
     assert errors[0] < errors[1]
+
+
+def band_limited(rng, *, hold, noise=1e-3, n=4096, rate=256.0):
+    """Accelerations of two modes under a force up to 0.45 of the rate, from the frequency response of time itself."""
+    lines = np.fft.rfftfreq(n, 1.0 / rate)
+    force = np.where(lines < 0.45 * rate, np.fft.rfft(rng.standard_normal(n)), 0.0)
+    s = 2j * np.pi * lines
+    shapes, poles = np.array([[1.0, 0.6], [0.7, -1.0]]), []
+    motion, blocks = np.zeros((lines.size, 2), dtype=complex), []
+    for f, zeta, shape in ((20.0, 0.01, shapes[0]), (62.0, 0.012, shapes[1])):
+        w = 2 * np.pi * f
+        motion += (force * s**2 / (s**2 + 2 * zeta * w * s + w**2))[:, np.newaxis] * shape * shape[0]
+        pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        poles.append(pole)
+        z = np.exp(1.01 * pole / rate)
+        blocks.append([[z.real, z.imag], [-z.imag, z.real]])
+    y = np.fft.irfft(motion, n, axis=0)
+    y += noise * y.std(axis=0) * rng.standard_normal(y.shape)
+    A = np.block([[np.array(blocks[0]), np.zeros((2, 2))], [np.zeros((2, 2)), np.array(blocks[1])]])
+    C = np.column_stack([shapes[0], np.zeros(2), shapes[1], np.zeros(2)])
+    start = Realisation(A, np.array([[1.0], [0.1], [1.0], [0.1]]), C, np.zeros((2, 1)), 1.0 / rate)
+    residues = [shape[0] ** 2 * pole**2 / (2j * pole.imag) for shape, pole in zip(shapes, poles, strict=True)]
+    return [Record(np.fft.irfft(force, n), y, 1.0 / rate, input_hold=hold)], start, residues
+
+
+def test_what_a_measured_force_does_between_samples_is_no_part_of_the_residues():
+    """Left in, it is made up for: the same record under a hold that it has not shows by how much."""
+    errors = {}
+    for hold in ("band_limited", "zero_order"):
+        records, start, residues = band_limited(np.random.default_rng(5), hold=hold)
+        modes = extract_modes(refined_model(records, start, MOST_STEPS).realisation)
+        found = [continuous_residue(mode, modes.dt, hold="band_limited")[0, 0] for mode in modes]
+        errors[hold] = np.abs(np.abs(np.array(found) / np.array(residues)) - 1.0)
+    assert errors["band_limited"].max() < 4e-4
+    assert errors["zero_order"].max() > 2.0 * errors["band_limited"].max()
+
+
+def unlike(rng, truth, sizes, *, roving=False):
+    """A record a row of (n_records, n_outputs) noise sizes; roving, each driven by an input of its own."""
+    records = []
+    for number, size in enumerate(sizes):
+        u = rng.standard_normal((500, truth.n_inputs))
+        if roving:
+            u[:, np.arange(truth.n_inputs) != number] = 0.0
+        y = simulate(truth, u)
+        records.append(Record(u, y + 0.02 * np.array(size) * rng.standard_normal(y.shape), truth.dt))
+    return records
+
+
+def test_records_count_by_their_noise():
+    """Two noisier records beside a quiet one do no harm: counted alike they make the error five times as large."""
+    rng, truth = a_system(11)
+    true = np.sort([mode.frequency for mode in extract_modes(exact(truth))])
+    alone, together = [], []
+    for _ in range(12):
+        records = unlike(rng, truth, ((1, 1, 1), (4, 4, 4), (16, 16, 16)))
+        for those, errors in ((records[:1], alone), (records, together)):
+            modes = extract_modes(refined_model(those, exact(truth), MOST_STEPS).realisation)
+            errors.append(np.array([mode.frequency for mode in modes]) / true - 1.0)
+    assert np.linalg.norm(together) < 1.2 * np.linalg.norm(alone)
+
+
+def test_deviations_of_roving_inputs_are_those_of_the_noise_of_their_own_records():
+    """What an input does is told by one record, whose outputs are each as noisy as they are there."""
+    rng, truth = a_system(11, n_inputs=3)
+
+    def sizes_of(modes):
+        largest = [int(np.abs(mode.shape).argmax()) for mode in modes]
+        return np.array(
+            [np.divide.outer(m.shape, m.participation) / m.shape[o] ** 2 for m, o in zip(modes, largest, strict=True)]
+        )
+
+    true = sizes_of(extract_modes(exact(truth)).modes)
+    squares = []
+    for _ in range(15):
+        records = unlike(rng, truth, ((1, 1, 1), (1, 1, 1), (20, 20, 1)), roving=True)
+        model = refined_model(records, exact(truth), MOST_STEPS)
+        modes = extract_modes(model.realisation).modes
+        known = output_error_uncertainty(replace(model, whiteness_ratio=1.0), modes, n_lags=1)
+        squares.append(((sizes_of(modes) / true - 1.0).real / known.mass_std) ** 2)
+    each = np.mean(squares, axis=(0, 1, 2))
+    assert each == pytest.approx(np.ones(3), abs=0.5)
+
+
+def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_from_the_force():
+    rng, truth = a_system(12, n_inputs=1)
+    records = records_of(rng, truth, (800,), noise=0.02)
+    model = refined_model(records, exact(truth), MOST_STEPS)
+    modes = extract_modes(model.realisation).modes
+    plain, *_ = judged_deviations(model, modes, n_lags=1, fed_back=False)
+    noisy, *_ = judged_deviations(told_at_rest(model, np.array([[0.04]])), modes, n_lags=1, fed_back=False)
+    assert (noisy.mass_std > plain.mass_std).all()
+    assert (noisy.frequency_std >= plain.frequency_std).all()

@@ -9,7 +9,7 @@ from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.constancy import sums_of_stronger
-from modal.verdict.excitation import by_chance, driven_gain, ringing
+from modal.verdict.excitation import beyond_inputs, by_chance, driven_gain, ringing
 from okid.record import Record
 
 
@@ -258,3 +258,55 @@ def test_only_the_inputs_that_acted_drive_a_lightly_damped_mode(light):
     left = rng.standard_normal((3000, 1)) + (0.0 if light else hum - driven)
     found = by_chance(model, [Record(u, left + driven, 0.01)], [left])
     assert found.tolist() == [not light, False]  # a mode that is damped is not asked
+
+
+def answer(force, pole, dt):
+    """One sample after the other: a mode of unit shape and participation, from rest."""
+    state, out = 0j, np.empty(len(force))
+    for k, value in enumerate(force):
+        out[k] = 2.0 * state.real
+        state = np.exp(pole * dt) * state + value
+    return out
+
+
+def test_beyond_the_band_of_the_inputs_a_mode_must_show_where_it_is():
+    """A force up to 30 Hz of 50 and its sensor's noise, which the structure does not feel: -60 dB of its density."""
+    rng, n, dt = np.random.default_rng(6), 16_384, 0.01
+    lines = np.fft.rfftfreq(n, dt)
+    felt = np.fft.irfft(np.where(lines < 30.0, np.fft.rfft(rng.standard_normal(n)), 0.0), n)
+    measured = felt + 1e-3 * rng.standard_normal(n)
+    inside, edge = (2j * np.pi * f - 0.01 * 2 * np.pi * f for f in (12.0, 31.5))
+    y = answer(felt, inside, dt)
+    noise = 0.01 * y.std() * rng.standard_normal(n)
+    model = ModalModel(
+        modes=tuple(
+            Mode(
+                pole=pole,
+                kind="oscillatory",
+                frequency=abs(pole) / 2 / np.pi,
+                damping_ratio=0.01,
+                shape=np.ones(1),
+                participation=np.full(1, size),
+            )
+            for pole, size in ((inside, 1.0), (edge, 0.003))
+        ),
+        dt=dt,
+        indicator_caution=0.1,
+    )
+
+    def asked(outputs, left):
+        record = Record(measured, outputs, dt)
+        return beyond_inputs(model, [record], [left[:, np.newaxis]], output_scale=outputs.std(keepdims=True))
+
+    # the pole at the edge fits the flank of the answer, and nothing where it stands itself
+    gain, values = asked(y + noise, noise - 0.003 * answer(felt, edge, dt))
+    assert np.isnan(gain[0])
+    assert abs(gain[1]) * values[1] < 20.0
+    # a mode whose answer to a faint force stands above the noise is one
+    weak = felt + 2e-3 * rng.standard_normal(n)
+    measured = weak
+    strong = y + 0.1 * answer(weak, edge, dt)
+    model = replace(model, modes=(model.modes[0], replace(model.modes[1], participation=np.full(1, 0.1))))
+    quiet = 0.01 * noise
+    gain, values = asked(strong + quiet, quiet)
+    assert gain[1] > 0.5

@@ -236,6 +236,17 @@ def test_whole_numbers_without_a_unit_are_taken_for_seconds_and_it_is_said(tmp_p
     assert read_record(tmp_path / "a.csv").dt == step
 
 
+@pytest.mark.parametrize(("thousand", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
+def test_stamps_in_seconds_that_are_dates_of_today_in_less_are_named(tmp_path, thousand, unit):
+    """A day of 2026 in milliseconds, under a header that says seconds, would be a day of the year 57 000."""
+    rows = "".join(f"{1.79e9 * thousand + k:.0f},{k % 7}\n" for k in range(N_SAMPLES))
+    (tmp_path / "a.csv").write_text(f"timestamp [s],y\n{rows}")
+    with pytest.warns(IdentificationWarning, match=f"is in s but as seconds.* as {unit} since 1970 they do"):
+        assert read_record(tmp_path / "a.csv").dt == 1.0
+    (tmp_path / "a.csv").write_text("timestamp [s],y\n" + "".join(f"{k},{k % 7}\n" for k in range(N_SAMPLES)))
+    assert read_record(tmp_path / "a.csv").dt == 1.0  # a slow logger is believed
+
+
 @pytest.mark.parametrize("header", ["loop time", "delay [ms]"])
 def test_what_is_no_ramp_is_a_channel(file_with_time, header):
     values = np.random.default_rng(1).standard_normal(N_SAMPLES)

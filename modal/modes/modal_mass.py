@@ -1,0 +1,271 @@
+"""Sizes of modes: shapes for unit modal mass, responses rebuilt from them, and participation in a base's motion.
+
+**Modal mass.** Near a mode the response of displacement x_o to a force f_i is psi_o psi_i / (2 j w (s - s_r)) for a
+shape psi of unit modal mass, w = Im s_r. At a driving point, where o and i are one place and direction, the residue
+R = psi^2 / (2 j w) gives the scale; the residue of a velocity or an acceleration is divided by s_r or s_r^2 first. The
+modal mass of the shape whose largest component is 1 is then 1 / psi_largest^2.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from modal.modes.modal_form import largest_component
+from modal.modes.mode import ModalModel, Mode
+from modal.modes.response_synthesis import continuous_residue
+from modal.wording.text import NINETY_FIVE
+from okid.arrays import ComplexArray, FloatArray, frozen
+from okid.display import Displayed
+from okid.errors import InvalidDataError
+
+DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
+"""Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ScaledShapes(Displayed):
+    """Shapes for unit modal mass.
+
+    Attributes:
+        shapes: (n_outputs, n_modes) of the system modes, as displacements, for unit modal mass [1/kg^0.5]; nan for a
+            mode of which the driving point shows too little to tell the sign of its mass.
+        shapes_std: (n_outputs, n_modes) standard deviations of their sizes; nan where not known.
+        modal_mass: (n_modes,) [kg] of the shape whose largest component is 1; nan likewise.
+        modal_mass_std: (n_modes,) [kg]; nan where not known.
+        driving_point: names of the output and the input at one place and in one direction.
+    """
+
+    shapes: ComplexArray
+    shapes_std: FloatArray
+    modal_mass: FloatArray
+    modal_mass_std: FloatArray
+    driving_point: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ScaledResponse(Displayed):
+    """Receptance rebuilt from scaled shapes.
+
+    Attributes:
+        response: (n_lines, n_outputs, n_outputs) [m/N], of each sensor to a force at each sensor.
+        response_std: (n_lines, n_outputs, n_outputs) [m/N] standard deviation of the complex number: the root of the
+            mean square of its distance; nan where a mode's is not known.
+        frequencies: (n_lines,) [Hz].
+        names: of the sensors.
+    """
+
+    response: ComplexArray
+    response_std: FloatArray
+    frequencies: FloatArray
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class BaseParticipation(Displayed):
+    """How much each mode takes part where the base of a structure is shaken.
+
+    Attributes:
+        factors: (n_outputs, n_modes) participation factor for a shape that is 1 at the sensor [-].
+        factors_std: (n_outputs, n_modes) standard deviations; nan where not known.
+        completeness: (n_outputs,) sum over the modes: 1 where none is missing, along the motion of the base.
+        effective_mass: (n_modes,) [kg]; nan without masses.
+        effective_mass_std: (n_modes,) [kg] with the errors of all sensors in step, as those of the residue's size are.
+        names: of the sensors.
+        base: input that shakes.
+    """
+
+    factors: FloatArray
+    factors_std: FloatArray
+    completeness: FloatArray
+    effective_mass: FloatArray
+    effective_mass_std: FloatArray
+    names: tuple[str, ...]
+    base: str
+
+
+def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> ScaledShapes:
+    """Shapes for unit modal mass, from the residue at a driving point.
+
+    Args:
+        model: of an identification, which knows the names and units of its channels.
+        driving_point: name of the output and of the input [N] at one place and in one direction.
+
+    Raises:
+        InvalidDataError: no such channel, an output that is no displacement, velocity or acceleration, no system mode,
+            or a mode whose residue there has the sign of a negative mass.
+
+    References:
+        Ewins, Modal Testing, 2nd edition, 2000, section 2.4; Brandt, Noise and Vibration Analysis, 2011, section 6.4.
+    """
+    output_name, input_name = driving_point
+    if not model.input_names:
+        raise InvalidDataError(
+            "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
+            "this model has no inputs; identify it with the force among them."
+        )
+    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
+        if name not in names:
+            raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
+    if not model.system:
+        raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
+    output, force = model.output_names.index(output_name), model.input_names.index(input_name)
+    powers = np.array(
+        [_derivative(name, unit) for name, unit in zip(model.output_names, model.output_units, strict=True)]
+    )
+    scaled, spread = zip(*(_unit_mass(model, mode, output, force, powers) for mode in model.system), strict=True)
+    shapes = np.array(scaled).T
+    largest = largest_component(shapes)
+    mass = 1.0 / np.abs(largest) ** 2
+    relative = np.array(spread)
+    return ScaledShapes(
+        shapes=shapes,
+        shapes_std=0.5 * relative * np.abs(shapes),
+        modal_mass=mass,
+        modal_mass_std=relative * mass,
+        driving_point=(output_name, input_name),
+    )
+
+
+def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.ArrayLike) -> ScaledResponse:
+    """Receptance between all sensors, rebuilt from shapes of unit modal mass and poles.
+
+    A force acts at each sensor in turn and in its direction, struck or not. Modes that were not identified are missing,
+    with them the mass line below the first and the stiffness line above the last one.
+
+    Args:
+        model: whose system modes were scaled.
+        scaled: by `normalise_shapes`.
+        frequencies: (n_lines,) increasing [Hz].
+
+    Returns:
+        Responses [m/N] with their deviations, each mode's size, frequency and damping taken for independent of each
+        other: a lower bound where these err together. A mode without a modal mass is left out.
+
+    Raises:
+        InvalidDataError: shapes of another model.
+
+    References:
+        Ewins, Modal Testing, 2nd edition, 2000, section 2.4 (modal superposition).
+    """
+    modes = model.system
+    if scaled.shapes.shape != (len(model.output_names), len(modes)):
+        raise InvalidDataError(
+            f"the scaled shapes have {scaled.shapes.shape[0]} channels and {scaled.shapes.shape[1]} modes, but the "
+            f"model has {len(model.output_names)} and {len(modes)}; scale the shapes of this model."
+        )
+    lines = frozen(frequencies, name="frequencies", shape=(None,))
+    s = 2j * np.pi * lines[:, np.newaxis, np.newaxis]
+    n_outputs = len(model.output_names)
+    response = np.zeros((lines.size, n_outputs, n_outputs), dtype=np.complex128)
+    variance = np.zeros(response.shape)
+    for k, mode in enumerate(modes):
+        shape = scaled.shapes[:, k]
+        if not np.isfinite(shape).all():
+            continue
+        pole, product = mode.pole, np.outer(shape, shape)
+        residue = product / (2j * pole.imag)
+        own, mirrored = residue / (s - pole), residue.conj() / (s - np.conj(pole))
+        response += own + mirrored
+        # s = -zeta w + j w sqrt(1 - zeta^2); the residue goes with 1 / w
+        w, zeta = abs(pole), mode.damping_ratio
+        by_w = pole / w
+        by_zeta = -w - 1j * w * zeta / np.sqrt(max(1.0 - zeta**2, np.finfo(float).tiny))
+        size = np.abs(own + mirrored)
+        for change, std in ((by_w, 2 * np.pi * mode.frequency_std), (by_zeta, mode.damping_ratio_std)):
+            moved = own / (s - pole) * change + mirrored / (s - np.conj(pole)) * np.conj(change)
+            variance += (np.abs(moved) * std) ** 2
+        relative = _relative_sizes(mode, scaled.modal_mass_std[k] / scaled.modal_mass[k])
+        variance += (size * np.sqrt(relative[0] + relative[1][:, np.newaxis] + relative[1])) ** 2
+    return ScaledResponse(
+        response=response, response_std=np.sqrt(variance), frequencies=lines, names=model.output_names
+    )
+
+
+def _relative_sizes(mode: Mode, mass: float) -> tuple[float, FloatArray]:
+    """Relative variance of the modal mass, and (n_outputs,) of the components beside the largest one."""
+    size = np.abs(mode.shape)
+    if mode.shape_std is None:
+        return float(mass**2), np.full(size.size, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = np.where(size > 0, mode.shape_std / size, np.inf)
+    return float(mass**2), np.square(own)
+
+
+def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, float] | None = None) -> BaseParticipation:
+    """How much each mode takes part where a structure is shaken at its base.
+
+    With the base's acceleration as input, the displacement of sensor o relative to the base answers with
+    - psi_o gamma / (s^2 + 2 zeta w s + w^2) a mode, and so does its motion in space beside the base's own. Psi gamma,
+    the participation factor for a shape that is 1 at that sensor, is read from the residue; over all modes of the
+    structure it adds up to 1 at every sensor along the base's motion. With the masses that the sensors stand for,
+    sum m_o psi_o gamma is the effective mass, and no shape needs a scale.
+
+    Args:
+        model: identified from the base's motion and the structure's.
+        base: input with the base's acceleration [m/s^2].
+        masses: [kg] of each output that stands for some, by name; none for the others.
+
+    Raises:
+        InvalidDataError: no such channel, units that are none of motion, or no system mode.
+
+    References:
+        Girard, Roy, Structural Dynamics in Industry, 2008, chapter 5 (effective parameters); ECSS-E-HB-32-26A, 2013.
+    """
+    if base not in model.input_names:
+        raise InvalidDataError(f"there is no input {base!r}; the inputs are {', '.join(model.input_names) or 'none'}.")
+    unknown = sorted(set(masses or {}) - set(model.output_names))
+    if unknown:
+        raise InvalidDataError(
+            f"masses are given for {', '.join(unknown)}, but the outputs are {', '.join(model.output_names)}."
+        )
+    if not model.system:
+        raise InvalidDataError("the model has no system mode, so none takes part.")
+    powers = np.array([_derivative(*both) for both in zip(model.output_names, model.output_units, strict=True)])
+    acting = model.input_names.index(base)
+    factors, spread = np.empty((2, len(model.output_names), len(model.system)))
+    for k, mode in enumerate(model.system):
+        residue = continuous_residue(mode, model.dt, hold=model.input_hold)[:, acting] / mode.pole**powers
+        factors[:, k] = -(2j * mode.pole.imag * residue).real
+        largest = int(np.abs(mode.shape).argmax())
+        known = np.nan if mode.mass_std is None else float(mode.mass_std[largest, acting])
+        of_all, of_each = _relative_sizes(mode, known)
+        spread[:, k] = np.abs(factors[:, k]) * np.sqrt(of_all + of_each)
+    weights = np.array([np.nan if masses is None else float(masses.get(name, 0.0)) for name in model.output_names])
+    return BaseParticipation(
+        factors=factors,
+        factors_std=spread,
+        completeness=factors.sum(axis=1),
+        effective_mass=weights @ factors,
+        effective_mass_std=np.abs(weights) @ spread,
+        names=model.output_names,
+        base=base,
+    )
+
+
+def _unit_mass(
+    model: ModalModel, mode: Mode, output: int, force: int, powers: npt.NDArray[np.intp]
+) -> tuple[ComplexArray, float]:
+    """The shape as displacements for unit modal mass, and the relative standard deviation of the modal mass."""
+    shape = mode.shape / mode.pole**powers
+    residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
+    square = 2j * mode.pole.imag * residue
+    spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
+    if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
+        return np.full_like(shape, np.nan), np.nan
+    if not square.real > 0:
+        raise InvalidDataError(
+            f"the mode at {mode.frequency:.4g} Hz has a negative modal mass at {model.output_names[output]} and "
+            f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
+        )
+    return shape * np.sqrt(square) / shape[output], spread
+
+
+def _derivative(name: str, unit: str) -> int:
+    if unit not in DERIVATIVES:
+        raise InvalidDataError(
+            f"modal mass needs displacements, velocities or accelerations, but {name} is in {unit or 'no unit'}; state "
+            "its unit in the file or in output_units."
+        )
+    return DERIVATIVES[unit]

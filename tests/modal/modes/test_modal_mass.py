@@ -1,0 +1,143 @@
+"""Sizes of modes against the matrices of a chain: rebuilt receptance, a shaken base, repeated tests."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy
+
+import modal
+from era.realisation import Realisation
+from modal.modes.extraction import extract_modes
+from okid.errors import InvalidDataError
+
+MASS = np.diag([2.0, 1.0, 3.0])
+STIFFNESS = 1e4 * np.array([[3.0, -1.0, 0.0], [-1.0, 2.5, -1.5], [0.0, -1.5, 1.5]])
+DAMPING = 0.3 * MASS + 2e-5 * STIFFNESS
+DT = 0.002
+NAMES = ("a", "b", "c")
+
+
+def known(force, *, unit="m", inputs=("f",)):
+    """Modes of the chain, each believed, from its matrices alone: a held force, displacements or accelerations."""
+    inverse = np.linalg.inv(MASS)
+    A = np.block([[np.zeros((3, 3)), np.eye(3)], [-inverse @ STIFFNESS, -inverse @ DAMPING]])
+    B = np.vstack([np.zeros_like(force), inverse @ force])
+    C, D = (np.eye(3, 6), np.zeros_like(force)) if unit == "m" else (A[3:], B[3:])
+    m = force.shape[1]
+    step = scipy.linalg.expm(DT * np.block([[A, B], [np.zeros((m, 6 + m))]]))
+    modes = extract_modes(Realisation(step[:6, :6], step[:6, 6:], C, D, DT))
+    return dataclasses.replace(
+        modes,
+        modes=tuple(dataclasses.replace(mode, verdict="system") for mode in modes),
+        output_names=NAMES,
+        output_units=(unit,) * 3,
+        input_names=inputs,
+    )
+
+
+def receptance(frequencies):
+    w = 2 * np.pi * np.asarray(frequencies)[:, np.newaxis, np.newaxis]
+    return np.linalg.inv(STIFFNESS - w**2 * MASS + 1j * w * DAMPING)
+
+
+@pytest.mark.parametrize("unit", ["m", "m/s^2"])
+def test_one_driving_point_rebuilds_the_receptance_between_all_sensors(unit):
+    model = known(np.array([[0.0], [0.0], [1.0]]), unit=unit)
+    lines = np.linspace(0.0, 40.0, 81)
+    rebuilt = modal.scaled_response(model, modal.normalise_shapes(model, driving_point=("c", "f")), lines)
+    assert rebuilt.response == pytest.approx(receptance(lines), rel=1e-6, abs=1e-12)
+    assert rebuilt.names == NAMES
+
+
+def test_the_interval_of_a_rebuilt_response_is_what_the_deviations_of_its_modes_make():
+    model = known(np.array([[0.0], [0.0], [1.0]]))
+    lines = np.linspace(5.0, 40.0, 36)
+    scaled = modal.normalise_shapes(model, driving_point=("c", "f"))
+    plain = modal.scaled_response(model, scaled, lines).response
+    rng, std = np.random.default_rng(3), (2e-3, 2e-4, 0.01)
+    told = tuple(
+        dataclasses.replace(
+            mode,
+            frequency_std=std[0],
+            damping_ratio_std=std[1],
+            mass_std=np.full((3, 1), std[2]),
+            shape_std=np.zeros(3),
+        )
+        for mode in model.modes
+    )
+    with_std = dataclasses.replace(model, modes=told)
+    stated = modal.scaled_response(with_std, modal.normalise_shapes(with_std, driving_point=("c", "f")), lines)
+    errors = []
+    for _ in range(2000):  # modes drawn anew and summed here, not by the function that is asked
+        drawn = np.zeros_like(plain)
+        for k, mode in enumerate(model.modes):
+            w = 2 * np.pi * (mode.frequency + std[0] * rng.standard_normal())
+            zeta = mode.damping_ratio + std[1] * rng.standard_normal()
+            # unit modal mass is known to std, and a residue goes with 1 / Im s
+            shape = scaled.shapes[:, k]
+            size = (1 + std[2] * rng.standard_normal()) * mode.pole.imag / (w * np.sqrt(1 - zeta**2))
+            pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+            residue = size * np.outer(shape, shape) / (2j * mode.pole.imag)
+            s = 2j * np.pi * lines[:, np.newaxis, np.newaxis]
+            drawn += residue / (s - pole) + residue.conj() / (s - np.conj(pole))
+        errors.append(np.abs(drawn - plain) ** 2)
+    assert stated.response_std == pytest.approx(np.sqrt(np.mean(errors, axis=0)), rel=0.1)
+
+
+@pytest.mark.parametrize("unit", ["m", "m/s^2"])
+def test_a_shaken_base_gives_the_effective_masses_of_the_matrices(unit):
+    """Relative motion under a base's acceleration is what forces -M 1 make, so the matrices know every factor."""
+    model = known(-MASS @ np.ones((3, 1)), unit=unit, inputs=("base",))
+    masses = dict(zip(NAMES, np.diag(MASS), strict=True))
+    found = modal.base_participation(model, base="base", masses=masses)
+    _, vectors = scipy.linalg.eigh(STIFFNESS, MASS)
+    gamma = vectors.T @ MASS @ np.ones(3)
+    assert found.factors == pytest.approx(vectors * gamma, rel=1e-5, abs=1e-7)
+    assert found.completeness == pytest.approx(np.ones(3), rel=1e-5)
+    assert found.effective_mass == pytest.approx(gamma**2, rel=1e-5)
+    assert found.effective_mass.sum() == pytest.approx(6.0, rel=1e-5)
+    assert np.isnan(modal.base_participation(model, base="base").effective_mass).all()
+    with pytest.raises(InvalidDataError, match="no input 'table'; the inputs are base"):
+        modal.base_participation(model, base="table")
+    with pytest.raises(InvalidDataError, match="masses are given for d"):
+        modal.base_participation(model, base="base", masses={"d": 1.0})
+
+
+def repeated(rng, n_tests, *, std, moved=0.0):
+    """Tests whose frequencies and damping are drawn about the chain's with the deviations that they state."""
+    model = known(np.array([[0.0], [0.0], [1.0]]))
+    tests = []
+    for _ in range(n_tests):
+        modes = []
+        for mode in model.modes:
+            w = abs(mode.pole) + 2 * np.pi * np.hypot(std, moved) * rng.standard_normal()
+            zeta = mode.damping_ratio + 1e-4 * rng.standard_normal()
+            pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
+            own = {"frequency": w / 2 / np.pi, "damping_ratio": zeta, "frequency_std": std, "damping_ratio_std": 1e-4}
+            modes.append(dataclasses.replace(mode, pole=pole, **own))
+        tests.append(dataclasses.replace(model, modes=tuple(modes)))
+    return tests
+
+
+def test_scatter_of_repeated_tests_is_judged_by_the_deviations_that_they_state():
+    rng = np.random.default_rng(8)
+    many = [modal.mean_modes(repeated(rng, 5, std=0.01)) for _ in range(200)]
+    assert np.mean([one.frequency_chi2 for one in many]) == pytest.approx(1.0, abs=0.1)
+    assert np.mean([one.damping_ratio_chi2 for one in many]) == pytest.approx(1.0, abs=0.1)
+    assert np.mean([one.p_values < 0.05 for one in many]) == pytest.approx(0.05, abs=0.025)
+    scatter = np.sqrt(np.mean([one.frequency_scatter**2 for one in many]))
+    assert scatter == pytest.approx(0.01, rel=0.1)
+    other = modal.mean_modes(repeated(rng, 5, std=0.01, moved=0.05))
+    assert (other.p_values[:, 0] < 1e-3).all()
+    assert (other.frequency_scatter > 0.02).all()
+
+
+def test_a_mode_that_one_test_does_not_show_is_averaged_over_the_others():
+    tests = repeated(np.random.default_rng(2), 3, std=0.01)
+    tests[2] = dataclasses.replace(tests[2], modes=tests[2].modes[1:])
+    found = modal.mean_modes(tests)
+    assert found.n_found.tolist() == [2, 3, 3]
+    assert found.mean_frequency[0] == pytest.approx(np.mean([test.modes[0].frequency for test in tests[:2]]))
+    with pytest.raises(InvalidDataError, match="at least two tests, but there is 1"):
+        modal.mean_modes(tests[:1])
