@@ -15,7 +15,7 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
-from modal.identification.final_model import FinalModel, White, fit_all_rows, fit_in_white, with_deviations
+from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
@@ -223,8 +223,17 @@ def identify(
             feedback=suspected,
             progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
-        free = refinement == order == "auto" and kind_found.kind == "driven" and not suspected
-        white, final = _in_white(preparation.records, taken, final, asked=free, tell=tell)
+        white = None
+        if refinement == "auto" and kind_found.kind == "driven" and not suspected:
+            words = "looking where the noise is white"
+            again = in_white(
+                preparation.records,
+                taken,
+                final,
+                grows=order == "auto",
+                progress=lambda done: tell(words, FITTED + (WHITENED - FITTED) * done),
+            )
+            white, final = (None, final) if again is None else again
         result = _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
         )
@@ -247,17 +256,6 @@ def identify(
                 ),
             )
         return result
-
-
-def _in_white(
-    records: Sequence[Record], found: Search, final: FinalModel, *, asked: bool, tell: Callable[[str, float], None]
-) -> tuple[White | None, FinalModel]:
-    """The model where its noise is white, if that was asked for and explains more; else the one that is there."""
-    if not asked or not records[0].n_inputs:
-        return None, final
-    words = "searching again where the noise is white"
-    again = fit_in_white(records, found, final, progress=lambda done: tell(words, FITTED + (WHITENED - FITTED) * done))
-    return (None, final) if again is None else again
 
 
 def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:
@@ -289,7 +287,7 @@ def _identified(
     n_rest = preparation.n_rest
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
-    fit = measure_fit(found.chosen if white is None else white.trial, found.power, runs)
+    fit = measure_fit(searched.chosen, found.power, runs)
     tell("identifying again with other halves, orders and ridges", WHITENED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
@@ -303,7 +301,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
-        grows=searched.chosen.weak_modes > 0,
+        grows=white is not None or searched.chosen.weak_modes > 0,
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
     left = runs.left

@@ -14,9 +14,9 @@ Where a refinement may run until it stands still and leaves white noise, its las
 that it has: then it is the maximum-likelihood estimate for noise on the outputs, and reaches the Cramer-Rao bound.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -139,7 +139,9 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
     elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
-        grown = _grown(shop, chosen)
+        key = (chosen.observer_order, chosen.ridge, chosen.model_order)
+        steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
+        grown = [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, chosen), MOST_WEAK_MODES)]
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
         chosen = grown[-1] if grown else chosen
     progress(1.0)
@@ -182,42 +184,50 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
     return trials if len(model_orders) > 1 else [trial for trial in trials if trial.model_order in model_orders]
 
 
-def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
-    """Trials with one weak mode more each, as long as held-out rows gain: found by an observer, then by answers."""
-    key = (chosen.observer_order, chosen.ridge, chosen.model_order)
-    steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
-    grown: list[Trial] = []
-    last = chosen
+def growing(
+    ground: Ground, data: OutputError, steps: Sequence[RefinementStep], chosen: Trial
+) -> Iterator[tuple[Trial, list[RefinementStep]]]:
+    """Trials with one weak mode more each, and their models, as long as held-out rows gain.
+
+    They are found by an observer, then by answers.
+
+    Args:
+        ground: of the trials.
+        data: of the ground.
+        steps: the model of each fold.
+        chosen: their trial.
+    """
+    steps = list(steps)
     by: Proposal = "observer"
-    while len(grown) < MOST_WEAK_MODES:
-        larger = [with_weak_mode(step, shop.data, held_out=fold, by=by) for fold, step in enumerate(steps)]
+    while True:
+        larger = [with_weak_mode(step, data, held_out=fold, by=by) for fold, step in enumerate(steps)]
         trial = None
         if any(larger):
             there = [  # a fold that has nothing to find keeps what it has found before the others
-                refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
+                refine(step, data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
                 for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
             ]
             errors = [
-                step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])
+                step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold])
                 for fold, step in enumerate(there)
             ]
             trial = trial_of(
-                *key[:2],
-                last.model_order + 2,
+                chosen.observer_order,
+                chosen.ridge,
+                chosen.model_order + 2,
                 errors,
-                shop.ground.power,
+                ground.power,
                 refinement_steps=MOST_STEPS,
-                weak_modes=len(grown) + 1,
-                answers=last.answers + (by == "answer"),
+                weak_modes=chosen.weak_modes + 1,
+                answers=chosen.answers + (by == "answer"),
             )
-        if trial is not None and significantly_worse(last, trial):
-            grown.append(trial)
-            last, steps = trial, there
+        if trial is not None and significantly_worse(chosen, trial):
+            chosen, steps = trial, there
+            yield chosen, steps
         elif by == "observer":
             by = "answer"
         else:
-            break
-    return grown
+            return
 
 
 def _observers(found: Search) -> list[tuple[int, float]]:
