@@ -43,7 +43,7 @@ OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
 GROWN = 4
-"""Find so many modes of a model that grew again in what the others leave, at most half of them."""
+"""Find so many modes of a model that grew again in what the others leave: a cut may hold noise in their place."""
 
 
 def repeat(
@@ -175,8 +175,8 @@ def _refinement(
 
 
 def _most(n_states: int) -> int:
-    """So many states but for `GROWN` modes, at least about half of them, in pairs."""
-    return max(2 * -(-n_states // 4), n_states - 2 * GROWN)
+    """So many states but for `GROWN` modes, at least a pair."""
+    return min(n_states, max(2, n_states - 2 * GROWN))
 
 
 def _refined(
