@@ -18,6 +18,7 @@ from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
+    WITHIN,
     Folds,
     Ground,
     Trial,
@@ -39,11 +40,12 @@ from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
-from modal.identification.order_search import Search
+from modal.identification.order_search import Search, significantly_worse
 from modal.identification.refined_search import (
     MOST_STEPS,
     STANDS_STILL,
     RefinedModel,
+    estimation_share,
     growing,
     output_error_data,
     refined_model,
@@ -64,8 +66,8 @@ BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
 COLOURED = 0.5
 """Look behind the filter that makes the noise white where that leaves less than this share of its power."""
-SURELY = 2.0
-"""Take what is left for what is not linear where a model loses by so many standard errors of held-out blocks."""
+N_FREQUENCIES = 1024
+"""Look for where noise is loudest in so many frequencies."""
 MOST_MADE = 8
 """Models made of all rows before the first one is taken for want of a better."""
 LARGEST_ORDER = 64
@@ -219,18 +221,19 @@ def in_white(
     if not white:
         return None
     judged = White(records=white, filter=a, share=share, found=found)
-    best = _better_in_white(white, found, final.realisation, grows=grows)
+    best = _better_in_white(white, a, found, final.realisation, grows=grows)
+    if best is None:
+        return None
     progress(0.5)
-    same = None if final.noise is None else (judged, final)
-    if best is None or (same is not None and not best[0].weak_modes):
-        return same
     trial, as_it_came = best
+    if final.noise is not None and not trial.weak_modes:  # the likeliest estimate as it is
+        return judged, final
     model = _refined_in_white(records, white, found, final, trial, lambda done: progress(0.5 + 0.5 * done))
-    return same if model is None else (replace(judged, found=replace(found, chosen=as_it_came)), model)
+    return None if model is None else (replace(judged, found=replace(found, chosen=as_it_came)), model)
 
 
 def _better_in_white(
-    white: Sequence[Record], found: Search, model: Realisation, *, grows: bool
+    white: Sequence[Record], a: FloatArray, found: Search, model: Realisation, *, grows: bool
 ) -> tuple[Trial, Trial] | None:
     """The trial of the model refined, and grown, behind the filter: there, and on the records as they came."""
     try:
@@ -239,15 +242,15 @@ def _better_in_white(
         return None
     data = output_error_data(here), output_error_data(there)
     chosen = replace(found.chosen, refinement_steps=MOST_STEPS, weak_modes=0, answers=0)
-    first, own = _of_folds(model, here, data[0]), _of_folds(model, there, data[1])
-    before = _trial(chosen, first, here, data[0]), _trial(chosen, _carried(first, here, there, data[1]), there, data[1])
+    first = _trial(chosen, _of_folds(model, here, data[0]), here, data[0])
+    own = _of_folds(model, there, data[1])
     start = _trial(chosen, own, there, data[1])
-    if before[0] is None or before[1] is None or start is None:
+    if first is None or start is None:
         return None
     best = None
     for trial, steps in chain([(start, own)], growing(there, data[1], own, start) if grows else ()):
         as_it_came = _trial(trial, _carried(steps, there, here, data[0]), here, data[0])
-        if as_it_came is None or _surer(before[0], as_it_came) > max(SURELY, _surer(trial, before[1])):
+        if as_it_came is None or _loses(as_it_came, first, here, a):
             break
         best = trial, replace(as_it_came, weak_modes=found.chosen.weak_modes + trial.weak_modes)
     return best
@@ -334,11 +337,15 @@ def _trial(like: Trial, steps: Sequence[RefinementStep], ground: Ground, data: O
     )
 
 
-def _surer(better: Trial, worse: Trial) -> float:
-    """By how many standard errors of held-out blocks it is better."""
-    gain = worse.block_errors - better.block_errors
-    moves = gain.size > 1 and gain.std() > 0.0
-    return float(gain.sum() / (np.sqrt(gain.size) * gain.std(ddof=1))) if moves else 0.0
+def _loses(trial: Trial, best: Trial, ground: Ground, a: FloatArray) -> bool:
+    """Whether it is significantly worse than the best, by more than estimating costs where its noise is loudest.
+
+    Noise a(q) e = w has the spectrum of 1 / |a|^2: `loudest` is its largest value over its mean.
+    """
+    response = np.abs(np.fft.rfft(a, N_FREQUENCIES)) ** 2
+    loudest = 1.0 / max(float(response.min() * np.mean(1.0 / response)), np.finfo(np.float64).tiny)
+    cost = np.sqrt(1.0 + loudest * estimation_share(ground, trial.model_order))
+    return significantly_worse(trial, best) and trial.error > best.error * min(WITHIN, cost)
 
 
 def _with_observer(

@@ -301,7 +301,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
-        grows=white is not None or searched.chosen.weak_modes > 0,
+        grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
     )
     unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
     left = runs.left

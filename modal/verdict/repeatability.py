@@ -8,6 +8,7 @@ a pole as well, and a mode would be lost to its alias.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -43,7 +44,9 @@ OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
 GROWN = 4
-"""Find so many modes of a model that grew again in what the others leave: a cut may hold noise in their place."""
+"""Find so many modes of a model that grew again in what the others leave."""
+Grown = Literal["", "half", "all"]
+"""How many modes a rerun may find so, at most: where noise is loud a cut holds it in the place of weak modes."""
 
 
 def repeat(
@@ -57,7 +60,7 @@ def repeat(
     folds: Folds = "blocks",
     refined: Realisation | None = None,
     past: int = 0,
-    grows: bool = False,
+    grown: Grown = "",
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -92,7 +95,7 @@ def repeat(
     other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
     other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
     dt = records[0].dt
-    sizes = (_most(model_order), model_order) if grows else (model_order,)
+    sizes = _starts(model_order, grown)
     runs = []
     second_half = tuple(~rows for rows in first_half)
     if folds == "rows":
@@ -107,7 +110,7 @@ def repeat(
         models = [model for model in cuts if model is not None]
         if models:
             starts = models if folds == "blocks" or refined is None else [*models, refined]
-            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grows else 0)
+            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
@@ -117,12 +120,12 @@ def repeat(
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined(models, again, grown_to=model_order if grows else 0))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
-    others = _other_orders(model_order, 2 * largest if grows else largest)
-    for n, count in _nearest(model_order, others) if grows else [(n, 1) for n in others]:
-        start = realise_from(decomposition, min(_most(n), largest) if grows else n)
-        modes = extract_modes(_refined((start,), again, grown_to=n if grows else 0))
+    others = _other_orders(model_order, 2 * largest if grown else largest)
+    for n, count in _nearest(model_order, others) if grown else [(n, 1) for n in others]:
+        cuts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
+        modes = extract_modes(_refined(cuts, again, grown_to=n if grown else 0))
         change: Change = "lower order" if n < model_order else "higher order"
         runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
@@ -174,9 +177,15 @@ def _refinement(
     return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
 
 
-def _most(n_states: int) -> int:
-    """So many states but for `GROWN` modes, at least a pair."""
-    return min(n_states, max(2, n_states - 2 * GROWN))
+def _starts(n_states: int, grown: Grown) -> list[int]:
+    """Sizes of the cuts that a rerun of so many states starts from: all, and but for at most `GROWN` modes, in pairs.
+
+    Example:
+        >>> _starts(10, ""), _starts(10, "half"), _starts(10, "all")
+        ([10], [6, 10], [2, 10])
+    """
+    least = {"": n_states, "half": 2 * -(-n_states // 4), "all": 2}[grown]
+    return sorted({min(n_states, max(least, n_states - 2 * GROWN)), n_states})
 
 
 def _refined(
