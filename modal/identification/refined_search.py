@@ -432,10 +432,10 @@ def refined_model(
         larger = with_weak_mode(last, data, by="blow" if by == "rows" else driven)
         last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
     last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
-    ratio = _whiteness_ratio(last, data)
+    ratio = whiteness_ratio(last, data)
     if n_steps == MOST_STEPS and start.n_outputs > 1:
         likeliest, own = _weighted(last, data, least_gain)
-        own_ratio = _whiteness_ratio(likeliest, data)
+        own_ratio = whiteness_ratio(likeliest, data)
         if own_ratio <= WHITE or by == "rows":
             last, weights, ratio = likeliest, own, own_ratio
     realisation = in_units(last, start if evidence is None else evidence, scaling)
@@ -507,5 +507,5 @@ def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tup
     return step, weights
 
 
-def _whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
+def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
     return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio
