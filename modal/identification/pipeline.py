@@ -68,7 +68,7 @@ SECONDS_A_VALUE = (4e-6, 8e-5)
 """Expect so many CPU seconds a value used: 26 s at 1e6 x 8 in white noise, 1041 s at 1.6e6 x 8 with states of noise."""
 FITTING, FITTED, WHITENED = 0.4, 0.8, 0.85
 """Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record, and after
-the search where its noise is white."""
+what is done where its noise is white."""
 MOST_MEMORY = 1.5e9
 """Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
 
@@ -223,17 +223,8 @@ def identify(
             feedback=suspected,
             progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
-        white = None
-        if refinement == "auto" and kind_found.kind == "driven" and not suspected:
-            words = "looking where the noise is white"
-            again = in_white(
-                preparation.records,
-                taken,
-                final,
-                grows=order == "auto",
-                progress=lambda done: tell(words, FITTED + (WHITENED - FITTED) * done),
-            )
-            white, final = (None, final) if again is None else again
+        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
+        white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
         result = _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
         )
@@ -256,6 +247,27 @@ def identify(
                 ),
             )
         return result
+
+
+def _in_white(
+    records: Sequence[Record],
+    found: Search,
+    final: FinalModel,
+    *,
+    asked: bool,
+    grows: bool,
+    tell: Callable[[str, float], None],
+) -> tuple[White | None, FinalModel]:
+    """Where the noise of the model is white, if that was asked for and can be told, and the model that stands there."""
+    if not asked or not records[0].n_inputs:
+        return None, final
+    words = "looking where the noise is white"
+
+    def own(done: float) -> None:
+        tell(words, FITTED + (WHITENED - FITTED) * done)
+
+    again = in_white(records, found, final, grows=grows, progress=own)
+    return (None, final) if again is None else again
 
 
 def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:

@@ -135,7 +135,7 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
     if not trials:
         return found
-    chosen = _chosen(everything, lambda n: estimation_share(found.ground, n))
+    chosen = _chosen(everything, lambda n: _estimation_share(found.ground, n))
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
     elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
@@ -338,7 +338,7 @@ def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda _ord
     return longer[0] if longer else best
 
 
-def estimation_share(ground: Ground, order: int) -> float:
+def _estimation_share(ground: Ground, order: int) -> float:
     """Share of the squared error that estimating adds: numbers of a model of this order over values of a fold."""
     n_inputs, n_outputs = ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
     values = n_outputs * sum(int(rows.sum()) for fold in ground.trained for rows in fold) / len(ground.trained)
@@ -508,4 +508,5 @@ def _weighted(step: RefinementStep, data: OutputError, least_gain: float) -> tup
 
 
 def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
+    """Of what the free run leaves of all rows; nan where it leaves nothing."""
     return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

@@ -78,8 +78,8 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: some modes were found in what others leave: reruns start with some less, and find them so again; with the
-            other observer from a cut of all, too: the one that a refinement takes further counts.
+        grown: how many modes may be found in what others leave, as some of the model were: reruns start with so many
+            less, and find them so again, or from a cut of all: the one that a refinement takes further counts.
     """
     scaling = channel_scaling(records)
     if past:
@@ -124,8 +124,8 @@ def repeat(
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grown else largest)
     for n, count in _nearest(model_order, others) if grown else [(n, 1) for n in others]:
-        cuts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
-        modes = extract_modes(_refined(cuts, again, grown_to=n if grown else 0))
+        starts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
+        modes = extract_modes(_refined(starts, again, grown_to=n if grown else 0))
         change: Change = "lower order" if n < model_order else "higher order"
         runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
