@@ -109,7 +109,7 @@ def repeat(
         cuts = [_model(_carried(gram, model_order), ridge, scaling, dt, n) for n in sizes]
         models = [model for model in cuts if model is not None]
         if models:
-            starts = models if folds == "blocks" or refined is None else [*models, refined]
+            starts = models if folds == "blocks" or refined is None else [refined, *models]
             model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen)
@@ -193,7 +193,7 @@ def _refined(
 ) -> Realisation:
     """The best of the models after a few steps on the rows that are not held out, and grown to so many states.
 
-    The first as it is without steps or a stable start.
+    The last as it is without steps, or where none is stable and grows so far; after a blow what is over needs no more.
     """
     best: tuple[RefinementStep, Realisation] | None = None
     struck = any(block.step > 1 for block in again.data.blocks)
@@ -207,10 +207,12 @@ def _refined(
                 if larger is None:
                     break
                 last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+            if last.order < grown_to and not struck:
+                continue
             if grown_to:
                 last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
-    return models[0] if best is None else in_units(*best, again.scaling)
+    return models[-1] if best is None else in_units(*best, again.scaling)
 
 
 def _gain(
