@@ -67,7 +67,7 @@ COLOURED = 0.5
 """Look behind the filter that makes the noise white where that leaves less than this share of its power."""
 NEARLY_WHITE = 5.0
 """Take a filter that leaves a whiteness ratio of no more: in simulated red noise, with modes missing that spoil the
-filter, it was at most 3.4; with hidden forces at least 13, with springs that are not linear at least 200."""
+filter, it was at most 3.4; with hidden forces at least 10, with springs that are not linear at least 200."""
 MOST_MADE = 8
 """Models made of all rows before the first one is taken for want of a better."""
 LARGEST_ORDER = 64
