@@ -174,8 +174,12 @@ def cubic_chain():
 
 
 def wind_chain():
-    case = noise_record("wind", system=51000, record=0)
+    case = noise_record("wind", system=51002, record=0)
     return Record(case.inputs, case.outputs, case.system.dt)
+
+
+def with_interval(result):
+    return sum(np.isfinite(mode.frequency_std) for mode in result.modes.system)
 
 
 @pytest.mark.parametrize("make", [cubic_chain, wind_chain])
@@ -187,7 +191,7 @@ def test_what_is_no_noise_of_sensors_is_not_filtered(make, monkeypatch):
     monkeypatch.setattr(final_model, "NEARLY_WHITE", np.inf)
     filtered_one = pipeline.identify(record)
     assert "noise filter" in [choice.what for choice in filtered_one.choices]
-    n_lost = len(result.modes.system) - len(filtered_one.modes.system)
+    n_lost = with_interval(result) - with_interval(filtered_one)
     assert n_lost > 0 or filtered_one.fit.mean < result.fit.mean - 0.001
 
 
