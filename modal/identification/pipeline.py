@@ -16,7 +16,7 @@ from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
-from modal.identification.final_model import FinalModel, White, fit_all_rows, fit_in_white, with_deviations
+from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
@@ -69,7 +69,7 @@ SECONDS_A_VALUE = (4e-6, 8e-5)
 """Expect so many CPU seconds a value used: 26 s at 1e6 x 8 in white noise, 1041 s at 1.6e6 x 8 with states of noise."""
 FITTING, FITTED, WHITENED = 0.4, 0.8, 0.85
 """Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record, and after
-the search where its noise is white."""
+what is done where its noise is white."""
 MOST_MEMORY = 1.5e9
 """Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
 
@@ -224,8 +224,8 @@ def identify(
             feedback=suspected,
             progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
         )
-        free = refinement == order == "auto" and kind_found.kind == "driven" and not suspected
-        white, final = _in_white(preparation.records, taken, final, asked=free, tell=tell)
+        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
+        white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
         result = _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
         )
@@ -251,13 +251,23 @@ def identify(
 
 
 def _in_white(
-    records: Sequence[Record], found: Search, final: FinalModel, *, asked: bool, tell: Callable[[str, float], None]
+    records: Sequence[Record],
+    found: Search,
+    final: FinalModel,
+    *,
+    asked: bool,
+    grows: bool,
+    tell: Callable[[str, float], None],
 ) -> tuple[White | None, FinalModel]:
-    """The model where its noise is white, if that was asked for and explains more; else the one that is there."""
+    """Where the noise of the model is white, if that was asked for and can be told, and the model that stands there."""
     if not asked or not records[0].n_inputs:
         return None, final
-    words = "searching again where the noise is white"
-    again = fit_in_white(records, found, final, progress=lambda done: tell(words, FITTED + (WHITENED - FITTED) * done))
+    words = "looking where the noise is white"
+
+    def own(done: float) -> None:
+        tell(words, FITTED + (WHITENED - FITTED) * done)
+
+    again = in_white(records, found, final, grows=grows, progress=own)
     return (None, final) if again is None else again
 
 
@@ -290,7 +300,7 @@ def _identified(
     n_rest = preparation.n_rest
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
-    fit = measure_fit(found.chosen if white is None else white.trial, found.power, runs)
+    fit = measure_fit(searched.chosen, found.power, runs)
     tell("identifying again with other halves, orders and ridges", WHITENED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
@@ -304,7 +314,7 @@ def _identified(
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
-        grows=searched.chosen.weak_modes > 0,
+        grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))

@@ -14,9 +14,9 @@ Where a refinement may run until it stands still and leaves white noise, its las
 that it has: then it is the maximum-likelihood estimate for noise on the outputs, and reaches the Cramer-Rao bound.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -140,7 +140,9 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
     elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
-        grown = _grown(shop, chosen)
+        key = (chosen.observer_order, chosen.ridge, chosen.model_order)
+        steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
+        grown = [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, chosen), MOST_WEAK_MODES)]
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
         chosen = grown[-1] if grown else chosen
     progress(1.0)
@@ -183,42 +185,50 @@ def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequenc
     return trials if len(model_orders) > 1 else [trial for trial in trials if trial.model_order in model_orders]
 
 
-def _grown(shop: _Workshop, chosen: Trial) -> list[Trial]:
-    """Trials with one weak mode more each, as long as held-out rows gain: found by an observer, then by answers."""
-    key = (chosen.observer_order, chosen.ridge, chosen.model_order)
-    steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
-    grown: list[Trial] = []
-    last = chosen
+def growing(
+    ground: Ground, data: OutputError, steps: Sequence[RefinementStep], chosen: Trial
+) -> Iterator[tuple[Trial, list[RefinementStep]]]:
+    """Trials with one weak mode more each, and their models, as long as held-out rows gain.
+
+    They are found by an observer, then by answers.
+
+    Args:
+        ground: of the trials.
+        data: of the ground.
+        steps: the model of each fold.
+        chosen: their trial.
+    """
+    steps = list(steps)
     by: Proposal = "observer"
-    while len(grown) < MOST_WEAK_MODES:
-        larger = [with_weak_mode(step, shop.data, held_out=fold, by=by) for fold, step in enumerate(steps)]
+    while True:
+        larger = [with_weak_mode(step, data, held_out=fold, by=by) for fold, step in enumerate(steps)]
         trial = None
         if any(larger):
             there = [  # a fold that has nothing to find keeps what it has found before the others
-                refine(step, shop.data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
+                refine(step, data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
                 for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
             ]
             errors = [
-                step.block_errors([i for i, block in enumerate(shop.data.blocks) if block.label == fold])
+                step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold])
                 for fold, step in enumerate(there)
             ]
             trial = trial_of(
-                *key[:2],
-                last.model_order + 2,
+                chosen.observer_order,
+                chosen.ridge,
+                chosen.model_order + 2,
                 errors,
-                shop.ground.power,
+                ground.power,
                 refinement_steps=MOST_STEPS,
-                weak_modes=len(grown) + 1,
-                answers=last.answers + (by == "answer"),
+                weak_modes=chosen.weak_modes + 1,
+                answers=chosen.answers + (by == "answer"),
             )
-        if trial is not None and significantly_worse(last, trial):
-            grown.append(trial)
-            last, steps = trial, there
+        if trial is not None and significantly_worse(chosen, trial):
+            chosen, steps = trial, there
+            yield chosen, steps
         elif by == "observer":
             by = "answer"
         else:
-            break
-    return grown
+            return
 
 
 def _observers(found: Search) -> list[tuple[int, float]]:
@@ -432,10 +442,10 @@ def refined_model(
         other = refine(step_at(last.parameters, between), between, n_steps=most, least_gain=least_gain)[-1]
         if other.error < last.error:  # else the inputs were held, whatever was said of them
             last, data = other, between
-    ratio, record_scale = _whiteness_ratio(last, data), np.ones(len(records))
+    ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1):
         likeliest, alike, own, size = _weighted(last, data, least_gain)
-        own_ratio = _whiteness_ratio(likeliest, alike)
+        own_ratio = whiteness_ratio(likeliest, alike)
         if own_ratio <= WHITE or by == "rows":
             last, data, weights, ratio, record_scale = likeliest, alike, own, own_ratio, size
     realisation = in_units(last, start if evidence is None else evidence, scaling)
@@ -534,5 +544,6 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
     return step_at(replace(step.parameters, states=states), data), data, size
 
 
-def _whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
+def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
+    """Of what the free run leaves of all rows; nan where it leaves nothing."""
     return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

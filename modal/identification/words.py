@@ -179,12 +179,11 @@ def explain_noise(noise: NoiseModel | None, why: str) -> tuple[Choice, ...]:
 
 
 def explain_filter(a: FloatArray, share: float) -> tuple[Choice, ...]:
-    """That the model was searched for and its modes judged in filtered records, and by which filter."""
+    """That modes were judged, and weak ones looked for, in filtered records, and by which filter."""
     terms = "".join(f" {'+' if one > 0 else '-'} {abs(one):.3g} q^-{k}" for k, one in enumerate(a) if k)
     reason = (
-        f"behind it the noise is white, with {100 * share:.2g} % of its power; noise at other frequencies does not "
-        "drown weak modes there, and held-out rows are explained better; observer, orders and refinement were chosen, "
-        "and modes judged, there"
+        f"behind it the noise is nearly white, with {100 * share:.2g} % of its power; noise at other frequencies does "
+        "not drown weak modes there, so that they were looked for, and all modes judged, there"
     )
     return (Choice(what="noise filter", value=f"1{terms}", reason=reason),)
 

@@ -8,6 +8,7 @@ a pole as well, and a mode would be lost to its alias.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -43,7 +44,9 @@ OBSERVER_SHARE = 0.7
 RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
 GROWN = 4
-"""Find so many modes of a model that grew again in what the others leave, at most half of them."""
+"""Find so many modes of a model that grew again in what the others leave."""
+Grown = Literal["", "half", "all"]
+"""How many modes a rerun may find so, at most: where noise is loud a cut holds it in the place of weak modes."""
 
 
 def repeat(
@@ -57,7 +60,7 @@ def repeat(
     folds: Folds = "blocks",
     refined: Realisation | None = None,
     past: int = 0,
-    grows: bool = False,
+    grown: Grown = "",
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -75,8 +78,8 @@ def repeat(
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
             from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
-        grows: some modes were found in what others leave: reruns start with some less, and find them so again; with the
-            other observer from a cut of all, too: the one that a refinement takes further counts.
+        grown: how many modes may be found in what others leave, as some of the model were: reruns start with so many
+            less, and find them so again, or from a cut of all: the one that a refinement takes further counts.
     """
     scaling = channel_scaling(records)
     if past:
@@ -92,7 +95,7 @@ def repeat(
     other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
     other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
     dt = records[0].dt
-    sizes = (_most(model_order), model_order) if grows else (model_order,)
+    sizes = _starts(model_order, grown)
     runs = []
     second_half = tuple(~rows for rows in first_half)
     if folds == "rows":
@@ -106,8 +109,8 @@ def repeat(
         cuts = [_model(_carried(gram, model_order), ridge, scaling, dt, n) for n in sizes]
         models = [model for model in cuts if model is not None]
         if models:
-            starts = models if folds == "blocks" or refined is None else [*models, refined]
-            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grows else 0)
+            starts = models if folds == "blocks" or refined is None else [refined, *models]
+            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
@@ -117,12 +120,12 @@ def repeat(
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined(models, again, grown_to=model_order if grows else 0))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
-    others = _other_orders(model_order, 2 * largest if grows else largest)
-    for n, count in _nearest(model_order, others) if grows else [(n, 1) for n in others]:
-        start = realise_from(decomposition, min(_most(n), largest) if grows else n)
-        modes = extract_modes(_refined((start,), again, grown_to=n if grows else 0))
+    others = _other_orders(model_order, 2 * largest if grown else largest)
+    for n, count in _nearest(model_order, others) if grown else [(n, 1) for n in others]:
+        starts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
+        modes = extract_modes(_refined(starts, again, grown_to=n if grown else 0))
         change: Change = "lower order" if n < model_order else "higher order"
         runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
@@ -174,9 +177,15 @@ def _refinement(
     return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
 
 
-def _most(n_states: int) -> int:
-    """So many states but for `GROWN` modes, at least about half of them, in pairs."""
-    return max(2 * -(-n_states // 4), n_states - 2 * GROWN)
+def _starts(n_states: int, grown: Grown) -> list[int]:
+    """Sizes of the cuts that a rerun of so many states starts from: all, and but for at most `GROWN` modes, in pairs.
+
+    Example:
+        >>> _starts(10, ""), _starts(10, "half"), _starts(10, "all")
+        ([10], [6, 10], [2, 10])
+    """
+    least = {"": n_states, "half": 2 * -(-n_states // 4), "all": 2}[grown]
+    return sorted({min(n_states, max(least, n_states - 2 * GROWN)), n_states})
 
 
 def _refined(
@@ -184,7 +193,7 @@ def _refined(
 ) -> Realisation:
     """The best of the models after a few steps on the rows that are not held out, and grown to so many states.
 
-    The first as it is without steps or a stable start.
+    The last as it is without steps, or where none is stable and grows so far; after a blow what is over needs no more.
     """
     best: tuple[RefinementStep, Realisation] | None = None
     struck = any(block.step > 1 for block in again.data.blocks)
@@ -198,10 +207,12 @@ def _refined(
                 if larger is None:
                     break
                 last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+            if last.order < grown_to and not struck:
+                continue
             if grown_to:
                 last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
-    return models[0] if best is None else in_units(*best, again.scaling)
+    return models[-1] if best is None else in_units(*best, again.scaling)
 
 
 def _gain(
