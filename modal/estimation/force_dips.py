@@ -190,15 +190,19 @@ class _Search:
         if not np.isfinite(columns).all():
             return _Point(unknowns=unknowns, error=np.inf, left=columns, columns=columns, spans=(), coefficients=())
         each = list(zip(self.weights, self.wanted, strict=True))
-        solved = [orthonormal(w[:, np.newaxis] * columns, w * y) for w, y in each]
-        left = np.array([w * (y - columns @ c) for (w, y), (_, c) in zip(each, solved, strict=True)])
+        spans, solved = [], []
+        for w, y in each:
+            span, mixed = orthonormal(w[:, np.newaxis] * columns)
+            spans.append(span)
+            solved.append(mixed @ (span.T @ (w * y)))
+        left = np.array([w * (y - columns @ c) for (w, y), c in zip(each, solved, strict=True)])
         return _Point(
             unknowns=unknowns,
             error=float(np.square(left).sum()),
             left=left,
             columns=columns,
-            spans=tuple(span for span, _ in solved),
-            coefficients=tuple(c for _, c in solved),
+            spans=tuple(spans),
+            coefficients=tuple(solved),
         )
 
     def _slopes(self, point: _Point) -> FloatArray:

@@ -5,7 +5,7 @@ the table through the window -> order by evidence -> noise from coherence or sca
 again from halves of the averages, other lags and other orders -> verdict.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,10 +18,11 @@ from modal.estimation.force_dips import moved_by_dips
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
-    pole_energies,
+    losses,
     realised,
     refined,
     start_of,
+    without,
 )
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
 from modal.identification.result import Identification, OrderEvidence
@@ -57,7 +58,7 @@ LEAST_TRIED = 24
 """Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
 edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
 WEAKEST = 3
-"""Try to leave out one of so many of the weakest poles before all are kept."""
+"""Try to leave out one of so many of the weakest poles before a loss is taken."""
 QUICK = 5
 """Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 OTHER_LAGS = 0.7
@@ -94,7 +95,7 @@ class _Found:
     fit: ResponseFit
     noise: Noise
     order: int
-    candidates: dict[int, ResponseFit]
+    first: int
     evidence: dict[int, float]
     fits: dict[int, float]
     likelihood: float
@@ -148,39 +149,30 @@ def _search(
     largest = min(found.rank, found.max_order)
     if largest < 1:
         raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
-    first = order if order != "auto" else max(2, min(order_choice(found).order, largest))
-    fit = _fitted(table, found, min(first, largest), _first_weight(table))
-    noise = noise_of(table, fit)
-    evidence: dict[int, float] = {}
-    fits: dict[int, float] = {}
-    chosen = min(first, largest)
-    candidates = {chosen: fit}
-    for _ in range(PASSES):
-        weight = _weight(table, noise)
-        least = 2 if not evidence else chosen  # poles too many are taken out below, by the same evidence
-        orders = [chosen] if order != "auto" else sorted({*range(least, largest + 1, 2), chosen, largest})
-        evidence = {}
-        for n in orders:
-            candidates[n] = _fitted(table, found, n, weight, candidates.get(n))
-            evidence[n] = _evidence(table, candidates[n])
-            fits[n] = float(np.mean(_fit_of(candidates[n].left, table, weight)))
-            best = min(evidence, key=lambda each: evidence[each])
-            enough = n > max(chosen, LEAST_TRIED if least == 2 else 0)
-            if enough and sum(each > best for each in evidence) >= WITHOUT_GAIN:
-                break
-        best = min(evidence, key=lambda each: evidence[each])
-        again = best == chosen
-        fit, chosen = candidates[best], best
-        noise = noise_of(table, fit)
-        if again:
+    first = min(max(LEAST_TRIED, order_choice(found).order) if order == "auto" else order, largest)
+    fit = _fitted(table, found, first, _first_weight(table))
+    weight = _weight(table, noise_of(table, fit))
+    fit = refined(table, fit, weight, n_steps=QUICK)
+    while order == "auto" and first < largest:  # more poles, as long as they tell more
+        more = min(largest, first + first // 2)
+        trial = _fitted(table, found, more, weight)
+        if _evidence(table, trial) >= _evidence(table, fit):
             break
-    if order == "auto":
-        weight = _weight(table, noise)
-        fit = _pruned(table, fit, weight)
-        chosen = int(np.where(fit.is_pair, 2, 1).sum())
-        evidence = {**{n: each for n, each in evidence.items() if n > chosen}, chosen: _evidence(table, fit)}
-        fits[chosen] = float(np.mean(_fit_of(fit.left, table, weight)))
-    fit, noise, likelihood = _settled(table, fit, noise)
+        first, fit = more, trial
+    path = [fit]
+    evidence = {fit.order: _evidence(table, fit)}
+    chosen = 0
+    for _ in range(PASSES if order == "auto" else 0):
+        weight = _weight(table, noise_of(table, fit))
+        start = refined(table, path[max(0, path.index(fit) - 2)], weight, n_steps=QUICK)
+        path = list(_until_worse(table, start, weight))
+        fit = min(path, key=lambda one: _evidence(table, one))
+        evidence = {**evidence, **{one.order: _evidence(table, one) for one in path}}
+        if fit.order == chosen:
+            break
+        chosen = fit.order
+    fits = {one.order: float(np.mean(_fit_of(one.left, table, weight))) for one in path}
+    fit, noise, likelihood = _settled(table, fit, noise_of(table, fit))
     return _Found(
         response=response,
         table=table,
@@ -189,13 +181,41 @@ def _search(
         decomposition=found,
         fit=fit,
         noise=noise,
-        order=chosen,
-        candidates=candidates,
-        evidence=evidence,
+        order=fit.order,
+        first=first,
+        evidence={n: evidence[n] for n in fits},
         fits=fits,
         likelihood=likelihood,
         finer=finer,
     )
+
+
+def _with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
+    """The fit without the pole that is missed least, then without the next one, and so on.
+
+    Where the evidence loses, the next ones by that estimate are tried as well, and the best is kept.
+    """
+    while fit.poles.size > 1:
+        states, least = np.where(fit.is_pair, 2, 1), _evidence(table, fit)
+        trials: list[ResponseFit] = []
+        for pole in np.argsort(losses(fit) / states)[:WEAKEST]:
+            trials.append(without(table, fit, int(pole), weight, n_steps=QUICK))
+            if _evidence(table, trials[-1]) < least:
+                break
+        fit = min(trials, key=lambda trial: _evidence(table, trial))
+        yield fit
+
+
+def _until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
+    """The fit and those with fewer and fewer poles, until several in a row are less likely than the best by evidence."""
+    best, worse = _evidence(table, fit), 0
+    yield fit
+    for one in _with_fewer(table, fit, weight):
+        yield one
+        evidence = _evidence(table, one)
+        best, worse = min(best, evidence), 0 if evidence < best else worse + 1
+        if worse >= WITHOUT_GAIN:
+            return
 
 
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
@@ -216,25 +236,6 @@ def _settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[Resp
     fit = refined(table, fit, _weight(table, noise))
     variance = noise.variance[table.known]
     return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
-
-
-def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> ResponseFit:
-    """The fit without the poles that do the least, as long as the evidence gains by leaving one out.
-
-    What a realisation cuts last is what is weakest in all lines together, so a candidate may have come to what matters
-    only after poles that follow noise where the responses are large.
-    """
-    fit = refined(table, fit, weight, n_steps=QUICK)
-    evidence, gained = _evidence(table, fit), True
-    while gained and fit.poles.size > 1:
-        gained = False
-        for weakest in np.argsort(pole_energies(table, fit, weight))[:WEAKEST]:
-            kept = np.arange(fit.poles.size) != weakest
-            trial = refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=QUICK)
-            if _evidence(table, trial) < evidence:
-                fit, evidence, gained = trial, _evidence(table, trial), True
-                break
-    return fit
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -333,11 +334,23 @@ def _first_weight(table: ResponseLines) -> FloatArray:
     return np.where(table.known, 1 / np.sqrt(variance), 0.0)
 
 
-def _fitted(
-    table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
-) -> ResponseFit:
-    """The model of an order, from its realisation or from a fit of it, after a few steps."""
-    return refined(table, start or start_of(realise_from(found, order), table.dt), weight, n_steps=QUICK)
+def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray) -> ResponseFit:
+    """The model of an order, from its realisation, after a few steps."""
+    order = min(order, found.rank, found.max_order)
+    return refined(table, start_of(realise_from(found, order), table.dt), weight, n_steps=QUICK)
+
+
+def _path_down(
+    table: ResponseLines, found: HankelDecomposition, first: int, orders: list[int], weight: FloatArray
+) -> list[ResponseFit]:
+    """Models of falling orders, or the next lower ones, each left from one of order `first` as the model was."""
+    fit, models = _fitted(table, found, first, weight), []
+    fewer = _with_fewer(table, fit, weight)
+    for order in orders:
+        while fit.order > order and fit.poles.size > 1:
+            fit = next(fewer)
+        models.append(fit)
+    return models
 
 
 def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
@@ -501,7 +514,7 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     errors = []
     for number, half in enumerate(halves):
         _, start = _realisations(half, found.response.frequencies, found.grid, found.response)
-        own = _fitted(half, start, min(found.order, start.rank, start.max_order), weight)
+        (own,) = _path_down(half, start, found.first, [found.order], weight)
         from_model = refined(half, found.fit, weight, n_steps=QUICK)
         again = min((own, from_model), key=lambda fit: fit.error)
         modes = extract_modes(realised(again, table))
@@ -511,15 +524,13 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
         runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
     shorter, other = _realisations(table, found.response.frequencies, found.grid, found.response, share=OTHER_LAGS)
     whole = _weight(table, noise)
-    again = _fitted(table, other, min(found.order, other.rank, other.max_order), whole)
+    (again,) = _path_down(table, other, found.first, [found.order], whole)
     runs.append(Rerun(label=f"{shorter.n_lags} lags", change="observer", modes=extract_modes(realised(again, table))))
     largest = min(found.decomposition.rank, found.decomposition.max_order)
-    for n in (found.order - 2, found.order + 2, found.order + 4):
-        if 0 < n <= largest and largest > found.order:
-            other_order = _fitted(table, found.decomposition, n, whole, found.candidates.get(n))
-            modes = extract_modes(realised(other_order, table))
-            change: Literal["lower order", "higher order"] = "lower order" if n < found.order else "higher order"
-            runs.append(Rerun(label=f"order {n}", change=change, modes=modes))
+    others = [n for n in (found.order + 4, found.order + 2, found.order - 2) if 0 < n <= largest > found.order]
+    for fit in _path_down(table, found.decomposition, max(found.first, found.order) + 4, others, whole):
+        change: Literal["lower order", "higher order"] = "lower order" if fit.order < found.order else "higher order"
+        runs.append(Rerun(label=f"order {fit.order}", change=change, modes=extract_modes(realised(fit, table))))
     folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
     n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
