@@ -207,7 +207,7 @@ def _with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> I
 
 
 def _until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
-    """The fit and those with fewer and fewer poles, until several in a row are less likely than the best by evidence."""
+    """The fit and those with fewer and fewer poles, until several in a row are less likely than the best."""
     best, worse = _evidence(table, fit), 0
     yield fit
     for one in _with_fewer(table, fit, weight):
