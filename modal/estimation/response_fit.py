@@ -174,6 +174,11 @@ class ResponseFit:
         return self.poles.size + int(self.is_pair.sum())
 
     @property
+    def start(self) -> "Start":
+        """What a refinement begins with."""
+        return self.poles, self.is_pair, self.inputs
+
+    @property
     def n_parameters(self) -> int:
         """Numbers that were fitted, linear ones included."""
         return int(self.slopes.shape[-1]) + self.order * len(self.shapes) + self.feedthrough.size
@@ -353,7 +358,7 @@ def refined(
         n_steps: at most so many.
         still: share of the squared error that a step must take away for another one to follow.
     """
-    first = (start.poles, start.is_pair, start.inputs) if isinstance(start, ResponseFit) else start
+    first = start.start if isinstance(start, ResponseFit) else start
     best, damping, growth = fit_at(table, *first, weight), 1e-3, 2.0
     for _ in range(n_steps):
         flat = best.slopes.reshape(-1, best.slopes.shape[-1])
@@ -442,4 +447,6 @@ def losses(fit: ResponseFit) -> FloatArray:
 def without(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
     """The fit without a pole, the others refined."""
     kept = np.arange(fit.poles.size) != pole
-    return refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps, still=ON_THE_WAY)
+    return refined(
+        table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps, still=ON_THE_WAY
+    )

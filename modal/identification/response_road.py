@@ -5,7 +5,7 @@ the table through the window -> order by evidence -> noise from coherence or sca
 again from halves of the averages, other lags and other orders -> verdict.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,17 +14,17 @@ import scipy
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
-from modal.estimation.force_dips import moved_by_dips
+from modal.estimation.force_dips import with_dips
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
-    losses,
+    Start,
     realised,
     refined,
     start_of,
-    without,
 )
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
+from modal.estimation.response_order import QUICK, evidence_of, schwarz, settled, until_worse, weight_of, with_fewer
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
@@ -52,15 +52,9 @@ BETWEEN = 4
 analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
-WITHOUT_GAIN = 4
-"""Try no higher orders once so many in a row were worse than the best by evidence."""
 LEAST_TRIED = 24
 """Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
 edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
-WEAKEST = 3
-"""Try to leave out one of so many of the weakest poles before a loss is taken."""
-QUICK = 5
-"""Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 OTHER_LAGS = 0.7
 """Realise again from this share of the lags: the share by which an observer is shortened for a rerun."""
 TRIED: tuple[ResponseWindow, ...] = ("hann", "flattop", "uniform", "periodic")
@@ -77,7 +71,8 @@ WORDS = {
 """Say what was changed for a rerun of responses."""
 FORCE_DIPS = (
     "The force dips at the resonances, as that of a shaker does which the structure loads, and the lines are too far "
-    "apart to show how: deviations hold how far the modes may be shifted by that. Average over longer blocks."
+    "apart to show how: the modes are those that go with such a force, and deviations hold how far the ways to explain "
+    "the table put them apart. Average over longer blocks."
 )
 SEED = 20
 """Draw the halves of the averages from one seed, so that equal tables give equal results."""
@@ -94,8 +89,11 @@ class _Found:
     decomposition: HankelDecomposition
     fit: ResponseFit
     noise: Noise
+    under_white: ResponseFit
+    moved: FloatArray
     order: int
     first: int
+    fewer: tuple[Start, ...]
     evidence: dict[int, float]
     fits: dict[int, float]
     likelihood: float
@@ -134,6 +132,7 @@ def identify_response(
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
             found = _search(response, best, order, found.finer)
+        found = _under_dips(found)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         tell("done", 1.0)
@@ -151,28 +150,37 @@ def _search(
         raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
     first = min(max(LEAST_TRIED, order_choice(found).order) if order == "auto" else order, largest)
     fit = _fitted(table, found, first, _first_weight(table))
-    weight = _weight(table, noise_of(table, fit))
+    weight = weight_of(table, noise_of(table, fit))
     fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more
         more = min(largest, first + first // 2)
         trial = _fitted(table, found, more, weight)
-        if _evidence(table, trial) >= _evidence(table, fit):
+        if evidence_of(table, trial) >= evidence_of(table, fit):
             break
         first, fit = more, trial
-    path = [fit]
-    evidence = {fit.order: _evidence(table, fit)}
-    chosen = 0
+    starts: list[Start] = [fit.start]
+    at, chosen = 0, 0
+    evidence: dict[int, float] = {}
+    fits: dict[int, float] = {}
     for _ in range(PASSES if order == "auto" else 0):
-        weight = _weight(table, noise_of(table, fit))
-        start = refined(table, path[max(0, path.index(fit) - 2)], weight, n_steps=QUICK)
-        path = list(_until_worse(table, start, weight))
-        fit = min(path, key=lambda one: _evidence(table, one))
-        evidence = {**evidence, **{one.order: _evidence(table, one) for one in path}}
+        weight = weight_of(table, noise_of(table, fit))
+        fit = refined(table, starts[max(0, at - 2)], weight, n_steps=QUICK)
+        starts, at, evidence, fits = [], 0, {}, {}
+        for one in until_worse(table, fit, weight):
+            starts.append(one.start)
+            evidence[one.order] = evidence_of(table, one)
+            fits[one.order] = float(np.mean(_fit_of(one.left, table, weight)))
+            if evidence[one.order] <= min(evidence.values()):
+                at, fit = len(starts) - 1, one
         if fit.order == chosen:
             break
         chosen = fit.order
-    fits = {one.order: float(np.mean(_fit_of(one.left, table, weight))) for one in path}
-    fit, noise, likelihood = _settled(table, fit, noise_of(table, fit))
+    fit, noise, likelihood = settled(table, fit, noise_of(table, fit))
+    if not fits:
+        evidence, fits = (
+            {fit.order: 0.0},
+            {fit.order: float(np.mean(_fit_of(fit.left, table, weight_of(table, noise))))},
+        )
     return _Found(
         response=response,
         table=table,
@@ -181,41 +189,34 @@ def _search(
         decomposition=found,
         fit=fit,
         noise=noise,
+        under_white=fit,
+        moved=np.zeros((2, fit.poles.size)),
         order=fit.order,
         first=first,
-        evidence={n: evidence[n] for n in fits},
+        fewer=tuple(starts[at + 1 :]),
+        evidence=evidence,
         fits=fits,
         likelihood=likelihood,
         finer=finer,
     )
 
 
-def _with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
-    """The fit without the pole that is missed least, then without the next one, and so on.
-
-    Where the evidence loses, the next ones by that estimate are tried as well, and the best is kept.
-    """
-    while fit.poles.size > 1:
-        states, least = np.where(fit.is_pair, 2, 1), _evidence(table, fit)
-        trials: list[ResponseFit] = []
-        for pole in np.argsort(losses(fit) / states)[:WEAKEST]:
-            trials.append(without(table, fit, int(pole), weight, n_steps=QUICK))
-            if _evidence(table, trials[-1]) < least:
-                break
-        fit = min(trials, key=lambda trial: _evidence(table, trial))
-        yield fit
-
-
-def _until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
-    """The fit and those with fewer and fewer poles, until several in a row are less likely than the best."""
-    best, worse = _evidence(table, fit), 0
-    yield fit
-    for one in _with_fewer(table, fit, weight):
-        yield one
-        evidence = _evidence(table, one)
-        best, worse = min(best, evidence), 0 if evidence < best else worse + 1
-        if worse >= WITHOUT_GAIN:
-            return
+def _under_dips(found: _Found) -> _Found:
+    """The same, or the model that goes with a force that dips where such a one makes the table likelier."""
+    table, weight = found.table, weight_of(found.table, found.noise)
+    models = [found.fit, *(refined(table, start, weight, n_steps=QUICK) for start in found.fewer)]
+    best = with_dips(
+        table,
+        models,
+        lambda fit: weight_of(table, noise_of(table, fit)),
+        lambda error, n_parameters: schwarz(table, error, n_parameters),
+    )
+    if best is None:
+        return found
+    number, fit, moved = best
+    under_white = models[number]
+    noise = noise_of(table, fit)
+    return replace(found, fit=fit, noise=noise, under_white=under_white, moved=moved, order=fit.order)
 
 
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
@@ -223,19 +224,9 @@ def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> fl
     table, _ = _table(found.response, window, finer)
     poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
-    weight = _weight(table, found.noise)
+    weight = weight_of(table, found.noise)
     fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
-    return _settled(table, fit, noise_of(table, fit))[2]
-
-
-def _settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
-    """The fit and its noise after each was made with the other a few times, and their log-likelihood."""
-    for _ in range(2):
-        fit = refined(table, fit, _weight(table, noise))
-        noise = noise_of(table, fit)
-    fit = refined(table, fit, _weight(table, noise))
-    variance = noise.variance[table.known]
-    return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+    return settled(table, fit, noise_of(table, fit))[2]
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -321,10 +312,6 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
-def _weight(table: ResponseLines, noise: Noise) -> FloatArray:
-    return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
-
-
 def _first_weight(table: ResponseLines) -> FloatArray:
     """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
     if table.noise is None:
@@ -345,25 +332,12 @@ def _path_down(
 ) -> list[ResponseFit]:
     """Models of falling orders, or the next lower ones, each left from one of order `first` as the model was."""
     fit, models = _fitted(table, found, first, weight), []
-    fewer = _with_fewer(table, fit, weight)
+    fewer = with_fewer(table, fit, weight)
     for order in orders:
         while fit.order > order and fit.poles.size > 1:
             fit = next(fewer)
         models.append(fit)
     return models
-
-
-def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
-    """Schwarz's criterion: twice the squared error in standard deviations, and log N a parameter.
-
-    Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
-    """
-    return _schwarz(table, fit.error, fit.n_parameters)
-
-
-def _schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
-    joined = lines_joined(table)
-    return 2 * error / joined + n_parameters * float(np.log(2 * int(table.known.sum()) / joined))
 
 
 def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
@@ -380,21 +354,21 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     table, fit, noise = found.table, found.fit, found.noise
     model = realised(fit, table)
     frequency_std, damping_std = pole_deviations(table, fit, noise)
-    dips = moved_by_dips(table, fit, _weight(table, noise), lambda error, n: _schwarz(table, error, n))
-    frequency_std, damping_std = np.hypot(frequency_std, dips[0]), np.hypot(damping_std, dips[1])
-    unjudged = _with_deviations(extract_modes(model), fit, table, frequency_std, damping_std)
+    frequency_std, damping_std = np.hypot([frequency_std, damping_std], found.moved)
+    white = found.under_white
+    unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
-    weight = _weight(table, noise)
+    weight = weight_of(table, noise)
     whole = _fit_of(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
     modes = judge(
         unjudged,
         reruns,
-        gain=_gains(unjudged, fit.left, weight, table),
+        gain=_gains(unjudged, white.left, weight, table),
         n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
     )
-    modes = _named(_in_these_words(_within(found.response, modes)), found.response)
+    modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
@@ -421,7 +395,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if dips.any() else [])),
+        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if fit is not white else [])),
     )
 
 
@@ -442,6 +416,21 @@ def _with_deviations(
         )
     why = "the model is fitted to the responses themselves, and cut from no Hankel matrix"
     return replace(model, modes=tuple(modes), indicators_missing=why)
+
+
+def _moved(modes: ModalModel, found: _Found) -> ModalModel:
+    """What was judged, each mode where it is under a force with dips."""
+    if found.fit is found.under_white:
+        return modes
+    own = extract_modes(realised(found.fit, found.table))
+    before, after = (np.log(fit.poles) / found.table.dt for fit in (found.under_white, found.fit))
+    moved = []
+    for mode in modes.modes:
+        pole = after[int(np.abs(before - mode.pole).argmin())]
+        there = min(own.modes, key=lambda each: abs(each.pole - pole))
+        names = ("pole", "kind", "frequency", "damping_ratio", "shape", "participation", "phase_collinearity", "mpd")
+        moved.append(replace(mode, **{name: getattr(there, name) for name in names}))
+    return replace(modes, modes=tuple(moved))
 
 
 def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
@@ -507,15 +496,15 @@ def _gains(modes: ModalModel, left: ComplexArray, weight: FloatArray, table: Res
 def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     """The same identified from halves of the averages, other lags and other orders; fits of each half to the other."""
     table, noise = found.table, found.noise
-    error = drawn_noise(table, found.fit, noise, np.random.default_rng(SEED))
-    weight = _weight(table, noise) / np.sqrt(2)
+    error = drawn_noise(table, found.under_white, noise, np.random.default_rng(SEED))
+    weight = weight_of(table, noise) / np.sqrt(2)
     halves = [replace(table, values=table.values + sign * error) for sign in (1.0, -1.0)]
     runs: list[Rerun] = []
     errors = []
     for number, half in enumerate(halves):
         _, start = _realisations(half, found.response.frequencies, found.grid, found.response)
         (own,) = _path_down(half, start, found.first, [found.order], weight)
-        from_model = refined(half, found.fit, weight, n_steps=QUICK)
+        from_model = refined(half, found.under_white, weight, n_steps=QUICK)
         again = min((own, from_model), key=lambda fit: fit.error)
         modes = extract_modes(realised(again, table))
         unseen = np.where(table.known, halves[1 - number].values - (half.values - again.left), 0.0)
@@ -523,7 +512,7 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
         gain = _gains(modes, unseen, weight, table)
         runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
     shorter, other = _realisations(table, found.response.frequencies, found.grid, found.response, share=OTHER_LAGS)
-    whole = _weight(table, noise)
+    whole = weight_of(table, noise)
     (again,) = _path_down(table, other, found.first, [found.order], whole)
     runs.append(Rerun(label=f"{shorter.n_lags} lags", change="observer", modes=extract_modes(realised(again, table))))
     largest = min(found.decomposition.rank, found.decomposition.max_order)
@@ -553,7 +542,7 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
     if order != "auto":
         reason = "given as an argument"
     else:
-        best = found.evidence[found.order]
+        best = found.evidence.get(found.order, 0.0)
         near = sorted(found.evidence, key=lambda n: abs(n - found.order))[1:5]
         shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
         reason = f"least Schwarz criterion of {len(found.fits)} orders; others differ by {shown or 'nothing'}"
