@@ -22,6 +22,9 @@ MOST_STEPS = 15
 """Take at most so many steps: from a realisation of the same table a refinement stands still within some five."""
 STANDS_STILL = 1e-7
 """Stop where a step lowers the squared error by a smaller share: far below what noise decides."""
+ON_THE_WAY = 3e-4
+"""Stop earlier, where it lowers it by a smaller share than this, while poles are still to be left out: of 3000 lines in
+standard deviations that is one, which decides nothing."""
 INDEPENDENT = 1e-5
 """Ask the rank of columns of length 1 where one stands no further off the span of those before it: their Gram matrix
 holds the square of that."""
@@ -109,12 +112,26 @@ class ResponseLines:
         np.multiply(powers[:, : n - 1], lags[..., np.newaxis, 1:], out=series[..., 1:])
         return np.asarray(np.fft.fft(series), dtype=np.complex128)
 
+    def joined(self, offset: int) -> complex:
+        """Correlation of the errors of lines so far apart, for errors that are white over time."""
+        if self.lags is None:
+            return 1.0 + 0j
+        n = self.lags.size
+        w = self._window()
+        return complex(w**2 @ np.exp(-2j * np.pi * offset / n * np.arange(n)) / (w @ w))
+
+    def _window(self) -> FloatArray:
+        assert self.lags is not None
+        if self.window == "exponential":
+            return self.lags
+        return window_samples(self.window, self.lags.size, None, self.dt)
+
     def ambiguity(self, offset: int) -> tuple[ComplexArray, ComplexArray]:
         """(n_samples,) sums of w(t) w(t - tau) exp(-2 pi j offset t / n) over sum w^2, for tau >= 0 and for -tau."""
         if self.lags is None:
             return np.ones(1, dtype=np.complex128), np.ones(1, dtype=np.complex128)
         n = self.lags.size
-        w = self.lags if self.window == "exponential" else window_samples(self.window, n, None, self.dt)
+        w = self._window()
         turned = w * np.exp(-2j * np.pi * offset / n * np.arange(n))
         both = np.fft.ifft(np.fft.fft(turned, 2 * n) * np.fft.fft(w, 2 * n).conj()) / (w @ w)
         return both[:n], np.r_[both[:1], both[:n:-1]]
@@ -135,6 +152,9 @@ class ResponseFit:
         slopes: (n_outputs, 2, n_lines, n_inputs, n_parameters) weighted derivatives of the model's real and imaginary
             part, what shapes and feedthrough can do projected out: by the real part of the poles' logarithms and of the
             free participations, then by the imaginary part of those of pairs.
+        inverse: (n_outputs, n_columns, n_columns) covariance of what is linear: real parts of an output's shapes,
+            imaginary ones of pairs, feedthrough.
+        answers: (n_outputs, n_columns, n_parameters) by how much that falls as each parameter grows.
     """
 
     poles: ComplexArray
@@ -145,12 +165,23 @@ class ResponseFit:
     error: float
     left: ComplexArray
     slopes: FloatArray
+    inverse: FloatArray
+    answers: FloatArray
+
+    @property
+    def order(self) -> int:
+        """Number of states: one for a real pole, two for a pair."""
+        return self.poles.size + int(self.is_pair.sum())
+
+    @property
+    def start(self) -> "Start":
+        """What a refinement begins with."""
+        return self.poles, self.is_pair, self.inputs
 
     @property
     def n_parameters(self) -> int:
         """Numbers that were fitted, linear ones included."""
-        n_states = int(np.where(self.is_pair, 2, 1).sum())
-        return int(self.slopes.shape[-1]) + n_states * len(self.shapes) + self.feedthrough.size
+        return int(self.slopes.shape[-1]) + self.order * len(self.shapes) + self.feedthrough.size
 
     def expanded(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Poles, participations and shapes with the conjugates of the pairs."""
@@ -202,8 +233,7 @@ def fit_at(
     (g, mirrored), (dg, d_mirrored) = table.basis(poles)
     mirrored, d_mirrored = mirrored * is_pair, d_mirrored * is_pair
     pairs, n_poles = np.flatnonzero(is_pair), poles.size
-    real_part, imag_part = _parts(g[:, np.newaxis] * inputs.T, mirrored[:, np.newaxis] * inputs.T.conj())
-    columns = np.hstack([real_part, imag_part[:, pairs], _stacked(np.tile(np.eye(n_inputs) + 0j, (n_lines, 1, 1)))])
+    columns = _columns(g, mirrored, is_pair, inputs)
     of_pole, of_input = _free(inputs)
     only = np.eye(n_inputs)[:, of_input]
     bend, turn = _parts(
@@ -216,11 +246,15 @@ def fit_at(
     feedthrough = np.zeros((n_outputs, n_inputs))
     left = np.zeros_like(table.values)
     slopes = np.empty((n_outputs, len(columns), owner.size + int(turns.sum())))
+    inverse = np.empty((n_outputs, columns.shape[1], columns.shape[1]))
+    answers = np.empty((n_outputs, columns.shape[1], slopes.shape[-1]))
     error = 0.0
     for q in range(n_outputs):
         w = np.tile(weight[:, q].ravel(), 2)
         wanted = _stacked(table.values[:, q, :, np.newaxis])[:, 0]
-        basis, found = orthonormal(w[:, np.newaxis] * columns, w * wanted)
+        basis, mixed = orthonormal(w[:, np.newaxis] * columns)
+        found = mixed @ (basis.T @ (w * wanted))
+        inverse[q] = mixed @ mixed.T
         c = found[:n_poles] + 0j
         c[pairs] += 1j * found[n_poles : n_poles + pairs.size]
         shapes[q], feedthrough[q] = c, found[n_poles + pairs.size :]
@@ -233,7 +267,9 @@ def fit_at(
         slope[:, : owner.size] = bend * c.real + turn * c.imag
         slope[:, owner.size :] = turn[:, turns] * c.real[turns] - bend[:, turns] * c.imag[turns]
         slope *= w[:, np.newaxis]
-        slope -= basis @ (basis.T @ slope)
+        within = basis.T @ slope
+        answers[q] = mixed @ within
+        slope -= basis @ within
     return ResponseFit(
         poles=poles,
         is_pair=is_pair,
@@ -243,7 +279,16 @@ def fit_at(
         error=error,
         left=left,
         slopes=slopes.reshape(n_outputs, 2, n_lines, n_inputs, -1),
+        inverse=inverse,
+        answers=answers,
     )
+
+
+def _columns(g: ComplexArray, mirrored: ComplexArray, is_pair: BoolArray, inputs: ComplexArray) -> FloatArray:
+    """What shapes multiply, their real parts and then the imaginary ones of pairs, and what the feedthrough does."""
+    real_part, imag_part = _parts(g[:, np.newaxis] * inputs.T, mirrored[:, np.newaxis] * inputs.T.conj())
+    direct = _stacked(np.tile(np.eye(inputs.shape[1]) + 0j, (len(g), 1, 1)))
+    return np.hstack([real_part, imag_part[:, is_pair], direct])
 
 
 def _free(inputs: ComplexArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -263,23 +308,25 @@ def _stacked(values: ComplexArray) -> FloatArray:
     return np.concatenate([flat.real, flat.imag])
 
 
-def orthonormal(columns: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal basis of what the columns span, and the coefficients that fit what is wanted.
+def orthonormal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal basis of what the columns span, and what makes it of them: basis = columns @ mixed.
+
+    So the coefficients that fit what is wanted are mixed @ (basis.T @ wanted), and mixed @ mixed.T their covariance.
 
     By Cholesky factors of the Gram matrix, twice over, which is as orthonormal as Householder's and a third of the work
     (Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, ETNA 44, 2015, 306-326); by singular values where columns nearly depend.
     """
     size = np.maximum(np.linalg.norm(columns, axis=0), TINY)
-    basis, upper = columns / size, np.eye(len(size))
+    basis, mixed = columns / size, np.diag(1 / size)
     for _ in range(2):
         lower = _cholesky(basis.T @ basis)
         if lower is None:
             left, values, right = np.linalg.svd(columns / size, full_matrices=False)
             kept = values > values.max(initial=0.0) * np.finfo(float).eps * len(size)
-            basis = left[:, kept]
-            return basis, right[kept].T @ ((basis.T @ wanted) / values[kept]) / size
-        basis, upper = basis @ np.linalg.inv(lower).T, lower.T @ upper
-    return basis, np.linalg.solve(upper, basis.T @ wanted) / size
+            return left[:, kept], right[kept].T / values[kept] / size[:, np.newaxis]
+        step = np.linalg.inv(lower).T
+        basis, mixed = basis @ step, mixed @ step
+    return basis, mixed
 
 
 def _cholesky(gram: FloatArray) -> FloatArray | None:
@@ -292,7 +339,12 @@ def _cholesky(gram: FloatArray) -> FloatArray | None:
 
 
 def refined(
-    table: ResponseLines, start: ResponseFit | Start, weight: FloatArray, *, n_steps: int = MOST_STEPS
+    table: ResponseLines,
+    start: ResponseFit | Start,
+    weight: FloatArray,
+    *,
+    n_steps: int = MOST_STEPS,
+    still: float = STANDS_STILL,
 ) -> ResponseFit:
     """Poles and participations after damped Gauss-Newton steps, as long as the squared error falls.
 
@@ -304,8 +356,9 @@ def refined(
         start: where to begin.
         weight: as in `fit_at`.
         n_steps: at most so many.
+        still: share of the squared error that a step must take away for another one to follow.
     """
-    first = (start.poles, start.is_pair, start.inputs) if isinstance(start, ResponseFit) else start
+    first = start.start if isinstance(start, ResponseFit) else start
     best, damping, growth = fit_at(table, *first, weight), 1e-3, 2.0
     for _ in range(n_steps):
         flat = best.slopes.reshape(-1, best.slopes.shape[-1])
@@ -327,7 +380,7 @@ def refined(
         if gained <= 0:
             break
         best = trial
-        if gained <= STANDS_STILL * best.error:
+        if gained <= still * best.error:
             break
     return best
 
@@ -349,7 +402,7 @@ def _moved(fit: ResponseFit, step: FloatArray) -> Start:
 
 def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
     """The model in the units of the responses, with one state for a real pole and two for a pair."""
-    order = int(np.where(fit.is_pair, 2, 1).sum())
+    order = fit.order
     A, B = np.zeros((order, order)), np.zeros((order, fit.inputs.shape[1]))
     C = np.zeros((len(fit.shapes), order))
     row = 0
@@ -363,13 +416,37 @@ def realised(fit: ResponseFit, table: ResponseLines) -> Realisation:
     return Realisation(A, B / into, C * out, fit.feedthrough * out / into, table.dt)
 
 
-def pole_energies(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> FloatArray:
-    """(n_poles,) squares of what each pole adds to the table, in standard deviations."""
-    plus, minus = table.basis(fit.poles)[0]
-    minus = minus * fit.is_pair
-    powers = []
-    for r, (c, b) in enumerate(zip(fit.shapes.T, fit.inputs, strict=True)):
-        part = plus[:, r, np.newaxis, np.newaxis] * np.outer(c, b)
-        part += minus[:, r, np.newaxis, np.newaxis] * np.outer(c, b).conj()
-        powers.append(float(np.square(np.abs(weight * part)).sum()))
-    return np.array(powers)
+def losses(fit: ResponseFit) -> FloatArray:
+    """(n_poles,) by about how much the squared error would grow without each pole, everything else fitted again.
+
+    Wald's statistic of its shapes, with the other poles free to move: of two poles that share one resonance, either may
+    go, because the other one can take its part.
+    """
+    n_poles, pairs = fit.poles.size, np.flatnonzero(fit.is_pair)
+    flat = fit.slopes.reshape(-1, fit.slopes.shape[-1])
+    curvature = flat.T @ flat
+    of_pole = _free(fit.inputs)[0]
+    owner = np.r_[np.arange(n_poles), of_pole]
+    owner = np.r_[owner, owner[fit.is_pair[owner]]]
+    found = np.zeros(n_poles)
+    for r in range(n_poles):
+        others = np.flatnonzero(owner != r)
+        own = [r, n_poles + int(np.searchsorted(pairs, r))] if fit.is_pair[r] else [r]
+        parts = np.stack([fit.shapes[:, r].real, fit.shapes[:, r].imag], axis=1)[:, : len(own)]
+        means = np.linalg.pinv(fit.inverse[:, own][:, :, own], hermitian=True)
+        with_others = fit.answers[:, own][:, :, others]
+        found[r] = np.einsum("qa,qab,qb->", parts, means, parts)
+        pull = np.einsum("qau,qab,qb->u", with_others, means, parts)
+        give = curvature[np.ix_(others, others)] + np.einsum("qau,qab,qbv->uv", with_others, means, with_others)
+        if others.size:
+            size = np.sqrt(np.maximum(np.diag(give), TINY))
+            found[r] -= (pull / size) @ np.linalg.pinv(give / np.outer(size, size), hermitian=True) @ (pull / size)
+    return np.maximum(found, 0.0)
+
+
+def without(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
+    """The fit without a pole, the others refined."""
+    kept = np.arange(fit.poles.size) != pole
+    return refined(
+        table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps, still=ON_THE_WAY
+    )

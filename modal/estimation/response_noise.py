@@ -172,7 +172,7 @@ def _reach(table: ResponseLines) -> list[int]:
     if table.lags is None or table.window in {"uniform", "periodic"}:
         return [0]
     most = min(FARTHEST, table.z.size - 1)
-    return [m for m in range(most + 1) if abs(table.ambiguity(m)[0][0]) > np.sqrt(np.finfo(float).eps)]
+    return [m for m in range(most + 1) if abs(table.joined(m)) > np.sqrt(np.finfo(float).eps)]
 
 
 def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int) -> ComplexArray:
@@ -186,17 +186,17 @@ def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: i
     own = range(n_lines - offset)
     if not table.leaks:
         size = np.sqrt(variance)
-        common = 1.0 if table.lags is None else table.ambiguity(offset)[0][0]
+        common = table.joined(offset)
         alone = (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * np.eye(n_outputs)
         return np.asarray(common * alone, dtype=np.complex128)
-    across = table.ambiguity(offset)[0][0]
+    across = table.joined(offset)
     groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
     leaks = np.stack([_leakage(table, fit, group, offset) for group in groups]) * noise.share[:, np.newaxis, None, None]
     power = noise.leakage.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
     rest = np.sqrt(np.maximum(variance - power, 0.0))
     both = leaks + across * (rest[:, offset:, :, np.newaxis] * rest[:, own, np.newaxis]) * np.eye(n_outputs)
     size = np.sqrt(variance / np.maximum(power + rest**2, TINY))
-    scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * across.conj()
+    scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * across.conjugate()
     return np.asarray(scaled, dtype=np.complex128)
 
 
@@ -204,7 +204,7 @@ def lines_joined(table: ResponseLines) -> float:
     """Sum over lines of the correlation of their errors with those of one."""
     if table.lags is None or not table.leaks:
         return 1.0
-    powers = [abs(table.ambiguity(m)[0][0]) ** 2 for m in range(9)]
+    powers = [abs(table.joined(m)) ** 2 for m in range(9)]
     return float(powers[0] + 2 * sum(powers[1:]))
 
 
@@ -223,7 +223,7 @@ def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.ra
     if table.lags is not None and table.leaks:
         across = np.zeros(n)
         for m in _reach(table):
-            across[[m, -m]] = abs(table.ambiguity(m)[0][0]) ** 2
+            across[[m, -m]] = abs(table.joined(m)) ** 2
         colour = np.sqrt(np.maximum(np.fft.fft(across).real, 0.0))
     shape = (n_inputs, n, n_outputs)
     white = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)

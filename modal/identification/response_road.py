@@ -14,16 +14,17 @@ import scipy
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
-from modal.estimation.force_dips import moved_by_dips
+from modal.estimation.force_dips import with_dips
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
-    pole_energies,
+    Start,
     realised,
     refined,
     start_of,
 )
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
+from modal.estimation.response_order import QUICK, evidence_of, schwarz, settled, until_worse, weight_of, with_fewer
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
@@ -51,15 +52,9 @@ BETWEEN = 4
 analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
 PASSES = 3
 """Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
-WITHOUT_GAIN = 4
-"""Try no higher orders once so many in a row were worse than the best by evidence."""
 LEAST_TRIED = 24
 """Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
 edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
-WEAKEST = 3
-"""Try to leave out one of so many of the weakest poles before all are kept."""
-QUICK = 5
-"""Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 OTHER_LAGS = 0.7
 """Realise again from this share of the lags: the share by which an observer is shortened for a rerun."""
 TRIED: tuple[ResponseWindow, ...] = ("hann", "flattop", "uniform", "periodic")
@@ -76,7 +71,8 @@ WORDS = {
 """Say what was changed for a rerun of responses."""
 FORCE_DIPS = (
     "The force dips at the resonances, as that of a shaker does which the structure loads, and the lines are too far "
-    "apart to show how: deviations hold how far the modes may be shifted by that. Average over longer blocks."
+    "apart to show how: the modes are those that go with such a force, and deviations hold how far the ways to explain "
+    "the table put them apart. Average over longer blocks."
 )
 SEED = 20
 """Draw the halves of the averages from one seed, so that equal tables give equal results."""
@@ -93,8 +89,11 @@ class _Found:
     decomposition: HankelDecomposition
     fit: ResponseFit
     noise: Noise
+    under_white: ResponseFit
+    moved: FloatArray
     order: int
-    candidates: dict[int, ResponseFit]
+    first: int
+    fewer: tuple[Start, ...]
     evidence: dict[int, float]
     fits: dict[int, float]
     likelihood: float
@@ -133,6 +132,7 @@ def identify_response(
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
             found = _search(response, best, order, found.finer)
+        found = _under_dips(found)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         tell("done", 1.0)
@@ -148,39 +148,39 @@ def _search(
     largest = min(found.rank, found.max_order)
     if largest < 1:
         raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
-    first = order if order != "auto" else max(2, min(order_choice(found).order, largest))
-    fit = _fitted(table, found, min(first, largest), _first_weight(table))
-    noise = noise_of(table, fit)
+    first = min(max(LEAST_TRIED, order_choice(found).order) if order == "auto" else order, largest)
+    fit = _fitted(table, found, first, _first_weight(table))
+    weight = weight_of(table, noise_of(table, fit))
+    fit = refined(table, fit, weight, n_steps=QUICK)
+    while order == "auto" and first < largest:  # more poles, as long as they tell more
+        more = min(largest, first + first // 2)
+        trial = _fitted(table, found, more, weight)
+        if evidence_of(table, trial) >= evidence_of(table, fit):
+            break
+        first, fit = more, trial
+    starts: list[Start] = [fit.start]
+    at, chosen = 0, 0
     evidence: dict[int, float] = {}
     fits: dict[int, float] = {}
-    chosen = min(first, largest)
-    candidates = {chosen: fit}
-    for _ in range(PASSES):
-        weight = _weight(table, noise)
-        least = 2 if not evidence else chosen  # poles too many are taken out below, by the same evidence
-        orders = [chosen] if order != "auto" else sorted({*range(least, largest + 1, 2), chosen, largest})
-        evidence = {}
-        for n in orders:
-            candidates[n] = _fitted(table, found, n, weight, candidates.get(n))
-            evidence[n] = _evidence(table, candidates[n])
-            fits[n] = float(np.mean(_fit_of(candidates[n].left, table, weight)))
-            best = min(evidence, key=lambda each: evidence[each])
-            enough = n > max(chosen, LEAST_TRIED if least == 2 else 0)
-            if enough and sum(each > best for each in evidence) >= WITHOUT_GAIN:
-                break
-        best = min(evidence, key=lambda each: evidence[each])
-        again = best == chosen
-        fit, chosen = candidates[best], best
-        noise = noise_of(table, fit)
-        if again:
+    for _ in range(PASSES if order == "auto" else 0):
+        weight = weight_of(table, noise_of(table, fit))
+        fit = refined(table, starts[max(0, at - 2)], weight, n_steps=QUICK)
+        starts, at, evidence, fits = [], 0, {}, {}
+        for one in until_worse(table, fit, weight):
+            starts.append(one.start)
+            evidence[one.order] = evidence_of(table, one)
+            fits[one.order] = float(np.mean(_fit_of(one.left, table, weight)))
+            if evidence[one.order] <= min(evidence.values()):
+                at, fit = len(starts) - 1, one
+        if fit.order == chosen:
             break
-    if order == "auto":
-        weight = _weight(table, noise)
-        fit = _pruned(table, fit, weight)
-        chosen = int(np.where(fit.is_pair, 2, 1).sum())
-        evidence = {**{n: each for n, each in evidence.items() if n > chosen}, chosen: _evidence(table, fit)}
-        fits[chosen] = float(np.mean(_fit_of(fit.left, table, weight)))
-    fit, noise, likelihood = _settled(table, fit, noise)
+        chosen = fit.order
+    fit, noise, likelihood = settled(table, fit, noise_of(table, fit))
+    if not fits:
+        evidence, fits = (
+            {fit.order: 0.0},
+            {fit.order: float(np.mean(_fit_of(fit.left, table, weight_of(table, noise))))},
+        )
     return _Found(
         response=response,
         table=table,
@@ -189,8 +189,11 @@ def _search(
         decomposition=found,
         fit=fit,
         noise=noise,
-        order=chosen,
-        candidates=candidates,
+        under_white=fit,
+        moved=np.zeros((2, fit.poles.size)),
+        order=fit.order,
+        first=first,
+        fewer=tuple(starts[at + 1 :]),
         evidence=evidence,
         fits=fits,
         likelihood=likelihood,
@@ -198,43 +201,32 @@ def _search(
     )
 
 
+def _under_dips(found: _Found) -> _Found:
+    """The same, or the model that goes with a force that dips where such a one makes the table likelier."""
+    table, weight = found.table, weight_of(found.table, found.noise)
+    models = [found.fit, *(refined(table, start, weight, n_steps=QUICK) for start in found.fewer)]
+    best = with_dips(
+        table,
+        models,
+        lambda fit: weight_of(table, noise_of(table, fit)),
+        lambda error, n_parameters: schwarz(table, error, n_parameters),
+    )
+    if best is None:
+        return found
+    number, fit, moved = best
+    under_white = models[number]
+    noise = noise_of(table, fit)
+    return replace(found, fit=fit, noise=noise, under_white=under_white, moved=moved, order=fit.order)
+
+
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
     """Of the table through another window, or described by other steps, from the poles that were found."""
     table, _ = _table(found.response, window, finer)
     poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
-    weight = _weight(table, found.noise)
+    weight = weight_of(table, found.noise)
     fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
-    return _settled(table, fit, noise_of(table, fit))[2]
-
-
-def _settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
-    """The fit and its noise after each was made with the other a few times, and their log-likelihood."""
-    for _ in range(2):
-        fit = refined(table, fit, _weight(table, noise))
-        noise = noise_of(table, fit)
-    fit = refined(table, fit, _weight(table, noise))
-    variance = noise.variance[table.known]
-    return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
-
-
-def _pruned(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> ResponseFit:
-    """The fit without the poles that do the least, as long as the evidence gains by leaving one out.
-
-    What a realisation cuts last is what is weakest in all lines together, so a candidate may have come to what matters
-    only after poles that follow noise where the responses are large.
-    """
-    fit = refined(table, fit, weight, n_steps=QUICK)
-    evidence, gained = _evidence(table, fit), True
-    while gained and fit.poles.size > 1:
-        gained = False
-        for weakest in np.argsort(pole_energies(table, fit, weight))[:WEAKEST]:
-            kept = np.arange(fit.poles.size) != weakest
-            trial = refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=QUICK)
-            if _evidence(table, trial) < evidence:
-                fit, evidence, gained = trial, _evidence(table, trial), True
-                break
-    return fit
+    return settled(table, fit, noise_of(table, fit))[2]
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -320,10 +312,6 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
-def _weight(table: ResponseLines, noise: Noise) -> FloatArray:
-    return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
-
-
 def _first_weight(table: ResponseLines) -> FloatArray:
     """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
     if table.noise is None:
@@ -333,24 +321,23 @@ def _first_weight(table: ResponseLines) -> FloatArray:
     return np.where(table.known, 1 / np.sqrt(variance), 0.0)
 
 
-def _fitted(
-    table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray, start: ResponseFit | None = None
-) -> ResponseFit:
-    """The model of an order, from its realisation or from a fit of it, after a few steps."""
-    return refined(table, start or start_of(realise_from(found, order), table.dt), weight, n_steps=QUICK)
+def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray) -> ResponseFit:
+    """The model of an order, from its realisation, after a few steps."""
+    order = min(order, found.rank, found.max_order)
+    return refined(table, start_of(realise_from(found, order), table.dt), weight, n_steps=QUICK)
 
 
-def _evidence(table: ResponseLines, fit: ResponseFit) -> float:
-    """Schwarz's criterion: twice the squared error in standard deviations, and log N a parameter.
-
-    Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
-    """
-    return _schwarz(table, fit.error, fit.n_parameters)
-
-
-def _schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
-    joined = lines_joined(table)
-    return 2 * error / joined + n_parameters * float(np.log(2 * int(table.known.sum()) / joined))
+def _path_down(
+    table: ResponseLines, found: HankelDecomposition, first: int, orders: list[int], weight: FloatArray
+) -> list[ResponseFit]:
+    """Models of falling orders, or the next lower ones, each left from one of order `first` as the model was."""
+    fit, models = _fitted(table, found, first, weight), []
+    fewer = with_fewer(table, fit, weight)
+    for order in orders:
+        while fit.order > order and fit.poles.size > 1:
+            fit = next(fewer)
+        models.append(fit)
+    return models
 
 
 def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
@@ -367,21 +354,21 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     table, fit, noise = found.table, found.fit, found.noise
     model = realised(fit, table)
     frequency_std, damping_std = pole_deviations(table, fit, noise)
-    dips = moved_by_dips(table, fit, _weight(table, noise), lambda error, n: _schwarz(table, error, n))
-    frequency_std, damping_std = np.hypot(frequency_std, dips[0]), np.hypot(damping_std, dips[1])
-    unjudged = _with_deviations(extract_modes(model), fit, table, frequency_std, damping_std)
+    frequency_std, damping_std = np.hypot([frequency_std, damping_std], found.moved)
+    white = found.under_white
+    unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
-    weight = _weight(table, noise)
+    weight = weight_of(table, noise)
     whole = _fit_of(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
     modes = judge(
         unjudged,
         reruns,
-        gain=_gains(unjudged, fit.left, weight, table),
+        gain=_gains(unjudged, white.left, weight, table),
         n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
     )
-    modes = _named(_in_these_words(_within(found.response, modes)), found.response)
+    modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
@@ -408,7 +395,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if dips.any() else [])),
+        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if fit is not white else [])),
     )
 
 
@@ -429,6 +416,21 @@ def _with_deviations(
         )
     why = "the model is fitted to the responses themselves, and cut from no Hankel matrix"
     return replace(model, modes=tuple(modes), indicators_missing=why)
+
+
+def _moved(modes: ModalModel, found: _Found) -> ModalModel:
+    """What was judged, each mode where it is under a force with dips."""
+    if found.fit is found.under_white:
+        return modes
+    own = extract_modes(realised(found.fit, found.table))
+    before, after = (np.log(fit.poles) / found.table.dt for fit in (found.under_white, found.fit))
+    moved = []
+    for mode in modes.modes:
+        pole = after[int(np.abs(before - mode.pole).argmin())]
+        there = min(own.modes, key=lambda each: abs(each.pole - pole))
+        names = ("pole", "kind", "frequency", "damping_ratio", "shape", "participation", "phase_collinearity", "mpd")
+        moved.append(replace(mode, **{name: getattr(there, name) for name in names}))
+    return replace(modes, modes=tuple(moved))
 
 
 def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
@@ -494,15 +496,15 @@ def _gains(modes: ModalModel, left: ComplexArray, weight: FloatArray, table: Res
 def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     """The same identified from halves of the averages, other lags and other orders; fits of each half to the other."""
     table, noise = found.table, found.noise
-    error = drawn_noise(table, found.fit, noise, np.random.default_rng(SEED))
-    weight = _weight(table, noise) / np.sqrt(2)
+    error = drawn_noise(table, found.under_white, noise, np.random.default_rng(SEED))
+    weight = weight_of(table, noise) / np.sqrt(2)
     halves = [replace(table, values=table.values + sign * error) for sign in (1.0, -1.0)]
     runs: list[Rerun] = []
     errors = []
     for number, half in enumerate(halves):
         _, start = _realisations(half, found.response.frequencies, found.grid, found.response)
-        own = _fitted(half, start, min(found.order, start.rank, start.max_order), weight)
-        from_model = refined(half, found.fit, weight, n_steps=QUICK)
+        (own,) = _path_down(half, start, found.first, [found.order], weight)
+        from_model = refined(half, found.under_white, weight, n_steps=QUICK)
         again = min((own, from_model), key=lambda fit: fit.error)
         modes = extract_modes(realised(again, table))
         unseen = np.where(table.known, halves[1 - number].values - (half.values - again.left), 0.0)
@@ -510,16 +512,14 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
         gain = _gains(modes, unseen, weight, table)
         runs.append(Rerun(label=("first half", "second half")[number], change="data", modes=modes, gain=gain))
     shorter, other = _realisations(table, found.response.frequencies, found.grid, found.response, share=OTHER_LAGS)
-    whole = _weight(table, noise)
-    again = _fitted(table, other, min(found.order, other.rank, other.max_order), whole)
+    whole = weight_of(table, noise)
+    (again,) = _path_down(table, other, found.first, [found.order], whole)
     runs.append(Rerun(label=f"{shorter.n_lags} lags", change="observer", modes=extract_modes(realised(again, table))))
     largest = min(found.decomposition.rank, found.decomposition.max_order)
-    for n in (found.order - 2, found.order + 2, found.order + 4):
-        if 0 < n <= largest and largest > found.order:
-            other_order = _fitted(table, found.decomposition, n, whole, found.candidates.get(n))
-            modes = extract_modes(realised(other_order, table))
-            change: Literal["lower order", "higher order"] = "lower order" if n < found.order else "higher order"
-            runs.append(Rerun(label=f"order {n}", change=change, modes=modes))
+    others = [n for n in (found.order + 4, found.order + 2, found.order - 2) if 0 < n <= largest > found.order]
+    for fit in _path_down(table, found.decomposition, max(found.first, found.order) + 4, others, whole):
+        change: Literal["lower order", "higher order"] = "lower order" if fit.order < found.order else "higher order"
+        runs.append(Rerun(label=f"order {fit.order}", change=change, modes=extract_modes(realised(fit, table))))
     folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
     n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
@@ -542,7 +542,7 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
     if order != "auto":
         reason = "given as an argument"
     else:
-        best = found.evidence[found.order]
+        best = found.evidence.get(found.order, 0.0)
         near = sorted(found.evidence, key=lambda n: abs(n - found.order))[1:5]
         shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
         reason = f"least Schwarz criterion of {len(found.fits)} orders; others differ by {shown or 'nothing'}"

@@ -110,6 +110,14 @@ def test_a_force_that_dips_at_resonances_widens_the_intervals(seed):
         assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
 
 
+def test_a_force_that_dips_leaves_the_damping_of_every_mode():
+    """The weakest mode had lost all its damping, and another was noise because its order was realised low."""
+    test, result = identified_shaker(30003)
+    assert len(result.modes.system) == 5
+    for mode, d in zip(result.modes.system, test.true_damping, strict=True):
+        assert abs(mode.damping_ratio / d - 1) < 0.12
+
+
 def test_a_white_force_has_no_dips():
     f, damping, shapes = drawn_structure(np.random.default_rng(59), 100.0)
     rng = np.random.default_rng(60)

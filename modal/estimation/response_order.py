@@ -1,0 +1,73 @@
+"""How many poles a table of frequency responses holds: left out one by one, and weighed by evidence."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modal.estimation.response_fit import ResponseFit, ResponseLines, losses, refined, without
+from modal.estimation.response_noise import Noise, lines_joined, noise_of
+from okid.arrays import FloatArray
+
+WITHOUT_GAIN = 4
+"""Try no higher orders once so many in a row were worse than the best by evidence."""
+WEAKEST = 3
+"""Try to leave out one of so many of the weakest poles before a loss is taken."""
+QUICK = 5
+"""Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
+
+
+def weight_of(table: ResponseLines, noise: Noise) -> FloatArray:
+    """(n_lines, n_outputs, n_inputs) one over the deviation of each value, 0 where it was not measured."""
+    return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
+
+
+def evidence_of(table: ResponseLines, fit: ResponseFit) -> float:
+    """Schwarz's criterion: twice the squared error in standard deviations, and log N a parameter.
+
+    Both count independent values: a window joins neighbouring lines, and its correlations add up to that many.
+    """
+    return schwarz(table, fit.error, fit.n_parameters)
+
+
+def schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
+    """Schwarz's criterion of a squared error in standard deviations, with so many parameters."""
+    joined = lines_joined(table)
+    return 2 * error / joined + n_parameters * float(np.log(2 * int(table.known.sum()) / joined))
+
+
+def with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
+    """The fit without the pole that is missed least, then without the next one, and so on.
+
+    Where the evidence loses, the next ones by that estimate are tried as well, and the best is kept.
+    """
+    while fit.poles.size > 1:
+        states, least = np.where(fit.is_pair, 2, 1), evidence_of(table, fit)
+        trials: list[ResponseFit] = []
+        for pole in np.argsort(losses(fit) / states)[:WEAKEST]:
+            trials.append(without(table, fit, int(pole), weight, n_steps=QUICK))
+            if evidence_of(table, trials[-1]) < least:
+                break
+        fit = min(trials, key=lambda trial: evidence_of(table, trial))
+        yield fit
+
+
+def until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
+    """The fit and those with fewer and fewer poles, until several in a row are less likely than the best."""
+    best, worse = evidence_of(table, fit), 0
+    yield fit
+    for one in with_fewer(table, fit, weight):
+        yield one
+        evidence = evidence_of(table, one)
+        best, worse = min(best, evidence), 0 if evidence < best else worse + 1
+        if worse >= WITHOUT_GAIN:
+            return
+
+
+def settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
+    """The fit and its noise after each was made with the other a few times, and their log-likelihood."""
+    for _ in range(2):
+        fit = refined(table, fit, weight_of(table, noise))
+        noise = noise_of(table, fit)
+    fit = refined(table, fit, weight_of(table, noise))
+    variance = noise.variance[table.known]
+    return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
