@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modal.comparison.shifts import read_result
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
-    from modal.identification.by_hand import with_modes
+    from modal.identification.more_modes import with_modes
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
     from modal.identification.result import Identification, OrderEvidence, load
@@ -170,7 +170,7 @@ _PLACES = {
     "scaled_response": "modal.modes.modal_mass",
     "simulate": "modal.structure.given",
     "track": "modal.tracking",
-    "with_modes": "modal.identification.by_hand",
+    "with_modes": "modal.identification.more_modes",
     "write_model": "modal.structure.model_file",
     "write_report": "modal.report",
 }

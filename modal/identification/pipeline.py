@@ -6,7 +6,8 @@ realise -> modes -> judge by repeatability -> say in words what the data do not 
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
 from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
+from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
@@ -164,28 +166,69 @@ def identify(
         decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
     several = as_records(records)
     refuse_copies(several)
+    alone = partial(
+        _of_one_system,
+        observer_order=observer_order,
+        ridge=ridge,
+        order=order,
+        refinement=refinement,
+        missing=missing,
+        integrators=integrators,
+        drift=drift,
+        progress=progress,
+    )
     if has_absent_outputs(several):
 
         def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
-            return identify(
-                parts,
-                observer_order=observer_order,
-                ridge=ridge,
-                order=order,
-                decimation=1,
-                refinement=refinement,
-                missing=missing,
-                integrators=integrators,
-                input_delay="auto" if delays is None else delays,
-                drift=drift,
-                kind=kind,
-            )
+            asked = "auto" if delays is None else delays
+            return alone(parts, decimation=1, input_delay=asked, kind=kind, progress=None)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
         return identify_setups(
             several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
         )
-    several, kind_found, mend = _within_memory(several, given_kind(kind))
+    result = alone(several, decimation=decimation, input_delay=input_delay, kind=kind)
+    if order != "auto":
+        return result
+    itself = partial(alone, observer_order="auto", ridge="auto", decimation=1, input_delay=0, kind="ambient")
+    return with_undriven(result, partial(itself, progress=None))
+
+
+def _of_one_system(
+    records: Sequence[Record],
+    *,
+    decimation: int | Literal["auto"],
+    input_delay: int | Sequence[int] | Literal["auto"],
+    progress: Callable[[str, float], None] | None,
+    **given: Any,
+) -> Identification:
+    """From records that have all their channels; where nothing is given of it, with the delays that the modes show."""
+    once = partial(_with_delays, records, decimation=decimation, progress=progress, **given)
+    result = once(input_delay=input_delay)
+    if not isinstance(input_delay, str) or not records[0].n_inputs:
+        return result
+    factor = round(result.records[0].dt / records[0].dt)
+    return _with_real_modes(
+        result, lambda delays: once(input_delay=[factor * delay for delay in delays], progress=None)
+    )
+
+
+def _with_delays(
+    records: Sequence[Record],
+    *,
+    observer_order: int | Literal["auto"],
+    ridge: float | Literal["auto"],
+    order: int | Literal["auto"],
+    decimation: int | Literal["auto"],
+    refinement: Literal["auto", "none"],
+    missing: Literal["fill", "leave"],
+    integrators: int | Literal["auto"],
+    input_delay: int | Sequence[int] | Literal["auto"],
+    drift: int | Literal["auto", "none", "linear"],
+    kind: GivenKind,
+    progress: Callable[[str, float], None] | None,
+) -> Identification:
+    several, kind_found, mend = _within_memory(records, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
         several, mend = released(several, kind_found.starts), None
         integrators, input_delay = 0, 0
@@ -226,28 +269,9 @@ def identify(
         )
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
-        result = _identified(
+        return _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
         )
-        if isinstance(input_delay, str) and several[0].n_inputs:
-            factor = round(preparation.records[0].dt / several[0].dt)
-            result = _with_real_modes(
-                result,
-                lambda delays: identify(
-                    records,
-                    observer_order=observer_order,
-                    ridge=ridge,
-                    order=order,
-                    decimation=decimation,
-                    refinement=refinement,
-                    missing=missing,
-                    integrators=integrators,
-                    input_delay=[factor * delay for delay in delays],
-                    drift=drift,
-                    kind=kind,
-                ),
-            )
-        return result
 
 
 def _in_white(

@@ -75,7 +75,6 @@ def order_fits(evidence: OrderEvidence) -> Chart:
     floor = best - 0.5 if -np.inf < best <= 0 else -0.1
     shown, room = np.maximum(fits[there], floor), 0.03
     panel.line(orders[there], shown, "measured", dot=STYLE.dot, label="on rows not fitted to")
-    panel.across(0.5, "doubtful", dash="dashed", label="0.5: below it no mode is certain")
     panel.upright(evidence.order, "model", label=f"order {evidence.order} chosen")
     if not there.all():
         ends = [[[order, -np.inf], [order, floor + room]] for order in orders[~there]]

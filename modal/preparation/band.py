@@ -225,6 +225,39 @@ def chance_of_following(
     return chances
 
 
+def share_that_follows(
+    records: Sequence[Record], frequencies: Sequence[float], half_widths: Sequence[float]
+) -> FloatArray:
+    """How much of the outputs' power within each of some bands the inputs explain, by multiple coherence.
+
+    Outputs count alike. As `chance_of_following`, which asks whether any of it does.
+
+    Returns:
+        (n_bands,) shares, about 0 where nothing follows, 1 where that cannot be told: without inputs, or with too few
+        averages.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> noise, force = rng.standard_normal((2, 8000, 1))
+        >>> share_that_follows([Record(force, force + 2.0 * noise, 0.01)], [10.0], [1.0]).round(1)
+        array([0.2])
+    """
+    n_inputs, n_segment = records[0].n_inputs, _segment_length(records)
+    spectra, n_averages = _spectra(records, n_segment)
+    if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
+        return np.ones(len(frequencies))
+    lines = np.fft.rfftfreq(n_segment, records[0].dt)
+    power = np.einsum("foo->fo", spectra[:, n_inputs:, n_inputs:]).real
+    power = power / np.maximum(power.mean(axis=0), np.finfo(float).tiny)
+    followed = power * _multiple_coherence(spectra, n_inputs, n_averages, clip=False)
+    shares = np.ones(len(frequencies))
+    for i, (middle, half) in enumerate(zip(frequencies, half_widths, strict=True)):
+        near = np.abs(lines - middle) <= max(half, 2.0 * lines[1])
+        if near.any() and power[near].any():
+            shares[i] = followed[near].sum() / power[near].sum()
+    return shares
+
+
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:
     """Below it lies `COHERENT_POWER` of every output's coherent power; None when no output follows any input."""
     best = coherence.max(axis=1)

@@ -7,7 +7,7 @@ import pytest
 
 import modal
 from era.realisation import Realisation
-from modal.identification.by_hand import without_modes
+from modal.identification.more_modes import without_modes
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import numbered
 from modal.modes.response_synthesis import frf, modal_frf
