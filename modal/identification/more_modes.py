@@ -23,7 +23,8 @@ from modal.estimation.fits import fit_of, model_runs
 from modal.identification.result import Identification
 from modal.modes.modal_form import discrete_poles, modal_basis
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
-from modal.preparation.band import missed_share, share_that_follows
+from modal.preparation.band import follows_powers, missed_share, share_that_follows
+from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
 from okid.errors import IdentificationError, InvalidDataError
@@ -60,7 +61,8 @@ def with_undriven(result: Identification, again: Callable[[Sequence[Record]], Id
     ]
     if not own:
         return result
-    return _joined(result, ambient, own)
+    crooked = follows_powers(result.records, result.simulated, left)
+    return _joined(result, ambient, [_told(mode, result.channels.n_inputs, crooked=crooked) for mode in own])
 
 
 def _asks(result: Identification, left: Sequence[np.ndarray]) -> bool:
@@ -84,27 +86,42 @@ def _half_width(mode: Mode) -> float:
     return max(0.0, mode.damping_ratio) * mode.frequency
 
 
+def _told(mode: Mode, n_inputs: int, *, crooked: bool) -> Mode:
+    """The mode beside those that the inputs drive: doubtful where what is left follows powers of their answer."""
+    none = np.zeros(n_inputs, dtype=np.complex128)
+    where = "in what the inputs leave: most of what drives it was not measured"
+    where += ", and its damping holds if that is broad-band"
+    if not crooked:
+        return replace(mode, participation=none, reason=f"{mode.reason}; {where}")
+    doubt = "what the inputs leave follows powers of the motion: it may be made by what is not linear"
+    return replace(
+        mode,
+        participation=none,
+        verdict="doubtful",
+        probability=min(mode.probability, DOUBTED),
+        doubts=(*mode.doubts, ("data", doubt)),
+        reason=f"{doubt}; {mode.reason}; {where}",
+    )
+
+
 def _joined(result: Identification, ambient: Identification, added: Sequence[Mode]) -> Identification:
-    n_inputs = result.channels.n_inputs
-    told = {
-        id(mode): replace(
-            mode,
-            participation=np.zeros(n_inputs, dtype=np.complex128),
-            reason=f"{mode.reason}; in what the inputs leave: most of what drives it was not measured, and its damping "
-            "holds if that is broad-band",
-        )
-        for mode in added
-    }
-    kept = [_sure(mode) or not any(_same(mode, one) for one in added) for mode in result.modes]
+    """A doubtful mode takes nothing's place."""
+    place = {mode.pole: i for i, mode in enumerate(ambient.modes)}
+    certain = [mode for mode in added if mode.verdict == "system"]
+    kept = [_sure(mode) or not any(_same(mode, one) for one in certain) for mode in result.modes]
+    stay = [mode for mode, stays in zip(result.modes, kept, strict=True) if stays]
+    added = [mode for mode in added if mode in certain or not any(_same(mode, one) for one in stay)]
+    if not added:
+        return result
     known = result.uncertainty
     rows = [(mode, known, i) for i, (mode, stays) in enumerate(zip(result.modes, kept, strict=True)) if stays]
-    rows += [(told[id(mode)], ambient.uncertainty, i) for i, mode in enumerate(ambient.modes) if id(mode) in told]
+    rows += [(mode, ambient.uncertainty, place[mode.pole]) for mode in added]
     rows.sort(key=lambda row: row[0].frequency)
-    names = listed([hertz(mode.frequency) for mode in added])
     choice = Choice(
         what="what the inputs leave",
         value="one mode" if len(added) == 1 else f"{len(added)} modes",
-        reason=f"identified by itself as ambient motion, because it is most of the outputs: {names}",
+        reason="identified by itself as ambient motion, because it is most of the outputs: "
+        f"{listed([hertz(mode.frequency) for mode in added])} Hz",
     )
     return replace(
         result,

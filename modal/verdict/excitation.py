@@ -26,6 +26,7 @@ from modal.estimation.free_run import filled
 from modal.estimation.whitening import output_filters, stretches
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
+from modal.preparation.band import N_SHIFTS
 from modal.preparation.kind import acting_rows
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
 from modal.verdict.probability import HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, f_ratio
@@ -40,8 +41,6 @@ DEVIATIONS = 3.0
 """Standard deviations by which the logarithm of the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
-N_SHIFTS = 19
-"""Compare the inputs with so many shifts of them: one in twenty lines that they do not drive passes."""
 LINES_A_STATE = 3
 """Take lines for a broad band where there are so many a state of the model: three numbers an unknown, as rows have."""
 NEARLY_ALL = 0.99
