@@ -1,9 +1,11 @@
-"""Modes added and dropped by hand: taken out exactly, said, and with the fit of what is left."""
+"""Modes of what the inputs leave, and modes added and dropped by hand: taken out exactly, said, with what is left."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from noise_families import noise_record
+from nonlinear_chain import run_chain
 
 import modal
 from era.realisation import Realisation
@@ -12,6 +14,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import numbered
 from modal.modes.response_synthesis import frf, modal_frf
 from okid.errors import InvalidDataError
+from okid.record import Record
 
 
 @pytest.mark.parametrize("dropped", [[0], [1], [0, 2], [3], [0, 1, 2, 3]])
@@ -73,3 +76,56 @@ def test_what_the_user_decides_leaves_no_doubt_behind(identification):
 def test_numbers_that_are_none_are_refused(identification, numbers):
     with pytest.raises(InvalidDataError, match="numbered from 1"):
         modal.with_modes(identification, **numbers)
+
+
+@pytest.fixture(scope="module")
+def half_driven():
+    """Four modes, of which the three measured forces hardly drive the last; two hidden ones make most of the motion."""
+    case = noise_record("hidden", system=702, record=0)
+    return case, modal.identify(Record(case.inputs, case.outputs, case.system.dt))
+
+
+def test_a_mode_that_hidden_forces_drive_is_found_in_what_the_inputs_leave(half_driven):
+    case, found = half_driven
+    modes = found.modes.system
+    assert len(modes) == 4
+    for mode, frequency, damping in zip(modes, case.system.frequencies, case.system.damping_ratios, strict=True):
+        assert abs(mode.frequency - frequency) < 4.0 * mode.frequency_std
+        assert abs(mode.damping_ratio - damping) < 4.0 * mode.damping_ratio_std
+    assert not modes[3].participation.any()
+    assert "most of what drives it was not measured" in modes[3].reason
+    assert found.choices[-1].what == "what the inputs leave"
+    at = found.modes.modes.index(modes[3])
+    assert found.uncertainty.frequency_std[at] == modes[3].frequency_std
+    assert len(found.uncertainty.found) == len(found.modes)
+
+
+def test_dropping_such_a_mode_leaves_the_model_alone(half_driven, tmp_path):
+    _, found = half_driven
+    number = {id(mode): number for number, mode in numbered(found.modes)}[id(found.modes.system[3])]
+    dropped = modal.with_modes(found, drop=[number])
+    assert dropped.realisation.order == found.realisation.order
+    np.testing.assert_allclose(dropped.fit.whole, found.fit.whole, atol=1e-6)
+    assert modal.load(found.save(tmp_path / "found.npz")).modes.system[3].frequency == found.modes.system[3].frequency
+
+
+def test_what_is_not_linear_makes_no_modes_of_its_own():
+    """A stop that the first mass meets half the time leaves most of the motion, at sums of frequencies."""
+    rng = np.random.default_rng(3)
+    force = rng.standard_normal((1, 5000))
+    dampings, stiffnesses = [0.5, 0.5, 0.5], [1500.0, 1200.0, 1800.0]
+    alone = run_chain([1.0, 1.2, 0.9], stiffnesses, dampings, force, 1 / 60, force_dof=2, n_steps=6)[0]
+    gap = 0.5 * alone[:, 0].std()
+
+    def stop(d, v, t):
+        return 8e3 * np.maximum(0.0, d - gap)
+
+    moved = run_chain([1.0, 1.2, 0.9], stiffnesses, dampings, force, 1 / 60, force_dof=2, law=stop, n_steps=6)[0]
+    outputs = moved + 0.01 * moved.std(axis=0) * rng.standard_normal(moved.shape)
+    found = modal.identify(Record(force[0], outputs, 1 / 60))
+    assert found.fit.mean < 0.5
+    assert found.modes.system
+    assert all(mode.participation.any() for mode in found.modes.system)
+    made = [mode for mode in found.modes if not mode.participation.any()]
+    assert made
+    assert all("what is not linear" in mode.reason for mode in made)
