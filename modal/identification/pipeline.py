@@ -190,9 +190,7 @@ def identify(
     result = alone(several, decimation=decimation, input_delay=input_delay, kind=kind)
     if order != "auto":
         return result
-    itself = partial(
-        alone, observer_order=result.observer.order, ridge="auto", decimation=1, input_delay=0, kind="ambient"
-    )
+    itself = partial(alone, observer_order="auto", ridge="auto", decimation=1, input_delay=0, kind="ambient")
     return with_undriven(result, partial(itself, progress=None))
 
 
