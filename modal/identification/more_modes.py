@@ -139,15 +139,15 @@ def _uncertainty_of(
     unknown = np.full((n_outputs, n_inputs), np.nan)
     return replace(
         known,
-        frequency_std=[mode.frequency_std if own is None else own.frequency_std[i] for mode, own, i in rows],
-        damping_ratio_std=[
-            mode.damping_ratio_std if own is None else own.damping_ratio_std[i] for mode, own, i in rows
-        ],
-        shape_std=[np.full(n_outputs, np.nan) if own is None else own.shape_std[i] for _, own, i in rows],
-        found=[1.0 if own is None else own.found[i] for _, own, i in rows],
+        frequency_std=np.array([mode.frequency_std if own is None else own.frequency_std[i] for mode, own, i in rows]),
+        damping_ratio_std=np.array(
+            [mode.damping_ratio_std if own is None else own.damping_ratio_std[i] for mode, own, i in rows]
+        ),
+        shape_std=np.array([np.full(n_outputs, np.nan) if own is None else own.shape_std[i] for _, own, i in rows]),
+        found=np.array([1.0 if own is None else own.found[i] for _, own, i in rows]),
         mass_std=None
         if known.mass_std is None
-        else [known.mass_std[i] if own is known else unknown for _, own, i in rows],
+        else np.array([known.mass_std[i] if own is known else unknown for _, own, i in rows]),
     )
 
 
