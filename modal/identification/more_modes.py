@@ -128,7 +128,19 @@ def _joined(result: Identification, ambient: Identification, added: Sequence[Mod
         modes=replace(result.modes, modes=tuple(mode for mode, _, _ in rows)),
         uncertainty=None if known is None else _uncertainty_of(known, rows, result.modes),
         choices=(*result.choices, choice),
+        warnings=(*result.warnings, *_shown_by_none(certain)),
     )
+
+
+def _shown_by_none(certain: Sequence[Mode]) -> tuple[str, ...]:
+    """That no response of the model shows these modes, in words."""
+    if not certain:
+        return ()
+    names = listed([hertz(mode.frequency) for mode in certain])
+    modes = f"The mode at {names} Hz was" if len(certain) == 1 else f"The modes at {names} Hz were"
+    which = "it" if len(certain) == 1 else "them"
+    why = f"forces that were not measured drive {which} most, so the responses of the model do not show {which}"
+    return (f"{modes} found in what the inputs leave: {why}, and no modal mass can be told.",)
 
 
 def _uncertainty_of(

@@ -247,7 +247,7 @@ def warnings_in_words(
         else:
             words.append(
                 f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
-                "does not follow the inputs. That is no error: each mode is judged by itself."
+                "does not follow the inputs. The modes hold all the same: each is judged by itself."
             )
     else:
         poor = [
@@ -459,7 +459,7 @@ def fit_sentence(result: Identification) -> str:
     if result.response is not None:
         how, what = "In units of their standard deviations", "responses from the other half of the averages"
     sentence = f"{how}, the model reproduces {reproduced(fit)} of {what}"
-    least = f" (least of {shorten(names[worst])}: {reproduced(fits[worst])})"
+    least = f" (worst channel {shorten(names[worst])}: {reproduced(fits[worst])})"
     return sentence + (least if reproduced(fits[worst]) != reproduced(fit) else "") + "."
 
 

@@ -67,7 +67,7 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
     if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
         more = "A second record of this test, identified together with it," if result.records else "More averages"
         said.append(f"{more} may settle the doubtful poles.")
-    return tuple(said) or ("Nothing speaks against quoting these modes, with their intervals.",)
+    return tuple(said) or ("You can quote these modes, with their 95 % intervals (±).",)
 
 
 def remark_of(mode: Mode) -> str:

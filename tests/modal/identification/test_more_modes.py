@@ -95,6 +95,7 @@ def test_a_mode_that_hidden_forces_drive_is_found_in_what_the_inputs_leave(half_
     assert not modes[3].participation.any()
     assert "most of what drives it was not measured" in modes[3].reason
     assert found.choices[-1].what == "what the inputs leave"
+    assert f"The mode at {modes[3].frequency:.4g} Hz was found in what the inputs leave" in found.warnings[-1]
     at = found.modes.modes.index(modes[3])
     assert found.uncertainty.frequency_std[at] == modes[3].frequency_std
     assert len(found.uncertainty.found) == len(found.modes)

@@ -44,7 +44,7 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
     made, result = identified("low_fit", seed, n_samples=4000)
     assert result.fit.mean < 0.5
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
-    assert "That is no error: each mode is judged by itself" in " ".join(result.warnings)
+    assert "The modes hold all the same: each is judged by itself" in " ".join(result.warnings)
     assert "no mode is certain" not in " ".join(result.warnings)
 
 
