@@ -385,7 +385,10 @@ def _identified(
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
-    residuals, innovations = check_residuals(observer, prepared), _innovations(model, runs.records)
+    fitted_to = runs.records
+    if final.refined is not None and final.noise is None and white is None:
+        fitted_to = final.refined.as_fitted(prepared)
+    residuals, innovations = check_residuals(observer, prepared), _innovations(model, fitted_to)
     result = Identification(
         records=tuple(
             replace(run, inputs=came.inputs).samples(n)

@@ -392,6 +392,18 @@ class RefinedModel:
         """Whether what the free run leaves is white."""
         return self.whiteness_ratio <= WHITE
 
+    def as_fitted(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """The records of the model without what their inputs, moving between samples, do beside it."""
+        return tuple(
+            replace(
+                record,
+                outputs=own.outputs * size * self.scaling.output_scale
+                + self.scaling.output_mean
+                + np.where(np.isnan(record.outputs), np.nan, 0.0),
+            )
+            for record, own, size in zip(records, self.data.records, self.record_scale, strict=True)
+        )
+
 
 def refined_model(
     records: Sequence[Record],
