@@ -318,6 +318,13 @@ def test_a_stub_of_a_record_that_its_own_state_fits_does_not_outweigh_the_others
     assert errors[1] < 1.5 * errors[0]
 
 
+def test_a_stub_of_a_record_within_a_fold_hides_no_weak_mode_from_the_others():
+    rng = np.random.default_rng(3)
+    truth = modal_system(rng, frequencies=(3.0, 9.0), damping_ratios=(0.02, 0.01), n_inputs=1, n_outputs=1, dt=0.01)
+    records = records_of(rng, truth, (60, 5, 2), noise=0.05)
+    assert len(identify(records).records) == 3
+
+
 def test_records_count_by_their_noise():
     """Two noisier records beside a quiet one do no harm: counted alike they make the error five times as large."""
     rng, truth = a_system(11)
