@@ -180,7 +180,7 @@ def identify(
     if has_absent_outputs(several):
 
         def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
-            asked = "auto" if delays is None else delays
+            asked: Sequence[int] | Literal["auto"] = "auto" if delays is None else delays
             return alone(parts, decimation=1, input_delay=asked, kind=kind, progress=None)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
