@@ -202,7 +202,11 @@ def with_weak_mode(
         data, records=tuple(replace(one, outputs=error) for one, error in zip(data.records, errors, strict=True))
     )
     if by == "observer":
-        several = tuple(replace(one, outputs=error) for one, error in zip(data.records, measured, strict=True))
+        several = tuple(
+            replace(one, outputs=error)
+            for one, error in zip(data.records, measured, strict=True)
+            if not np.isnan(error).all()  # a stub may lie within what is held out
+        )
         proposed = _strongest_of_observer(several, left, held_out)
         joined = None if proposed is None else _joined(step.parameters, proposed.parameters)
         return None if joined is None else step_at(joined, data, held_out=held_out)

@@ -20,7 +20,7 @@ from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
-from modal.identification.refined_search import refined_search
+from modal.identification.refined_search import MOST_STEPS, refined_search
 from modal.identification.response_road import identify_response
 from modal.identification.result import Identification
 from modal.identification.set_ups import has_absent_outputs, identify_setups
@@ -328,13 +328,14 @@ def _identified(
     tell("identifying again with other halves, orders and ridges", WHITENED)
     excitation = check_excitation(preparation.as_measured, order=observer.order)
     by_inputs = kind.kind in ("driven", "transient")  # a release is none that was measured
+    steps = 0 if final.refined is None else searched.chosen.refinement_steps
     reruns = repeat(
         asked,
         observer_order=observer.order,
         ridge=observer.ridge,
         model_order=model.order,
         decomposition=decomposition,
-        refinement_steps=0 if final.refined is None else searched.chosen.refinement_steps,
+        refinement_steps=steps if white is None else MOST_STEPS,  # there output errors are innovations
         folds=_folds(kind),
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
@@ -384,7 +385,10 @@ def _identified(
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
-    residuals, innovations = check_residuals(observer, prepared), _innovations(model, runs.records)
+    fitted_to = runs.records
+    if final.refined is not None and final.noise is None and white is None:
+        fitted_to = final.refined.as_fitted(prepared)
+    residuals, innovations = check_residuals(observer, prepared), _innovations(model, fitted_to)
     result = Identification(
         records=tuple(
             replace(run, inputs=came.inputs).samples(n)

@@ -392,6 +392,18 @@ class RefinedModel:
         """Whether what the free run leaves is white."""
         return self.whiteness_ratio <= WHITE
 
+    def as_fitted(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """The records of the model without what their inputs, moving between samples, do beside it."""
+        return tuple(
+            replace(
+                record,
+                outputs=own.outputs * size * self.scaling.output_scale
+                + self.scaling.output_mean
+                + np.where(np.isnan(record.outputs), np.nan, 0.0),
+            )
+            for record, own, size in zip(records, self.data.records, self.record_scale, strict=True)
+        )
+
 
 def refined_model(
     records: Sequence[Record],
@@ -530,8 +542,17 @@ def _weighted(
 
 
 def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, OutputError, FloatArray]:
-    """Records divided by their own noise, as far as all outputs have more or less of it together."""
-    left = np.array([np.nanmean(error**2, axis=0) for error in errors_of(step, data)])
+    """Records divided by their own noise, as far as all outputs have more or less of it together.
+
+    The level and the state that a record starts from take away as many numbers of what is left of it: in their place
+    stands the noise of all, which after some rounds is as good as its own; few rows are no measure of their noise.
+    """
+    squares = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, data)])
+    rows = np.maximum(1, [there.sum() for there in data.rows])
+    parameters = step.parameters
+    moves = parameters.states.any(axis=1) * (1 + parameters.is_pair).sum() / squares.shape[1]
+    taken = np.minimum(rows, 1.0 + moves)[:, np.newaxis]
+    left = (squares + taken * squares.sum(axis=0) / max(1.0, (rows - taken[:, 0]).sum())) / rows[:, np.newaxis]
     of_each = np.maximum(left, SMALLEST_NOISE**2 * left.max())
     noise = np.exp(0.5 * np.median(np.log(of_each), axis=1))
     size = noise / np.exp(np.log(noise).mean())

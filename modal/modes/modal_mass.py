@@ -108,6 +108,7 @@ def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> Sc
     for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
         if name not in names:
             raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
+    _check_input(model, input_name, "N", "modal mass needs a force")
     if not model.system:
         raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
     output, force = model.output_names.index(output_name), model.input_names.index(input_name)
@@ -220,6 +221,7 @@ def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, flo
         raise InvalidDataError(
             f"masses are given for {', '.join(unknown)}, but the outputs are {', '.join(model.output_names)}."
         )
+    _check_input(model, base, "m/s^2", "participation needs the base's acceleration")
     if not model.system:
         raise InvalidDataError("the model has no system mode, so none takes part.")
     powers = np.array([_derivative(*both) for both in zip(model.output_names, model.output_units, strict=True)])
@@ -260,6 +262,13 @@ def _unit_mass(
             f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
         )
     return shape * np.sqrt(square) / shape[output], spread
+
+
+def _check_input(model: ModalModel, name: str, unit: str, needs: str) -> None:
+    """That the input, where its unit is stated, has this one."""
+    stated = dict(zip(model.input_names, model.input_units, strict=False)).get(name, "")
+    if stated not in ("", unit):
+        raise InvalidDataError(f"{needs} in {unit}, but {name} is in {stated}; convert it, or name another input.")
 
 
 def _derivative(name: str, unit: str) -> int:

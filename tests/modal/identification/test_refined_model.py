@@ -7,6 +7,7 @@ import pytest
 from systems import initial_state, markov, modal_system, simulate
 
 from era.balanced import realise
+from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.free_run import filled
@@ -280,6 +281,15 @@ def test_what_a_measured_force_does_between_samples_is_no_part_of_the_residues()
     assert errors["zero_order"].max() > 2.0 * errors["band_limited"].max()
 
 
+def test_what_a_measured_force_does_between_samples_is_no_answer_that_the_model_leaves_over():
+    """The test of what follows the inputs asks the data that the model was fitted to."""
+    records, start, _ = band_limited(np.random.default_rng(5), hold="band_limited")
+    model = refined_model(records, start, MOST_STEPS)
+    without_gain = replace(model.realisation, K=np.zeros((model.realisation.order, 2)))
+    came, asked = (check_innovations(without_gain, one) for one in (records, model.as_fitted(records)))
+    assert asked.input_correlation_ratio < 1.5 < 0.1 * came.input_correlation_ratio
+
+
 def unlike(rng, truth, sizes, *, roving=False):
     """A record a row of (n_records, n_outputs) noise sizes; roving, each driven by an input of its own."""
     records = []
@@ -290,6 +300,29 @@ def unlike(rng, truth, sizes, *, roving=False):
         y = simulate(truth, u)
         records.append(Record(u, y + 0.02 * np.array(size) * rng.standard_normal(y.shape), truth.dt))
     return records
+
+
+@pytest.mark.parametrize("n_samples", [3, 4])
+def test_a_stub_of_a_record_that_its_own_state_fits_does_not_outweigh_the_others(n_samples):
+    """What is left of few rows, by a level and a state of their own, is no measure of their noise."""
+    rng, truth = a_system(11)
+    whole = unlike(rng, truth, ((1, 1, 1),))
+    stub = [replace(whole[0], inputs=whole[0].inputs[:n_samples], outputs=whole[0].outputs[:n_samples])]
+    alone, together = (refined_model(those, exact(truth), MOST_STEPS) for those in (whole, whole + stub))
+    assert together.record_scale[1] > 0.2 * together.record_scale[0]
+    true = np.sort([mode.frequency for mode in extract_modes(exact(truth))])
+    errors = [
+        np.linalg.norm(np.array([mode.frequency for mode in extract_modes(model.realisation)]) / true - 1.0)
+        for model in (alone, together)
+    ]
+    assert errors[1] < 1.5 * errors[0]
+
+
+def test_a_stub_of_a_record_within_a_fold_hides_no_weak_mode_from_the_others():
+    rng = np.random.default_rng(3)
+    truth = modal_system(rng, frequencies=(3.0, 9.0), damping_ratios=(0.02, 0.01), n_inputs=1, n_outputs=1, dt=0.01)
+    records = records_of(rng, truth, (60, 5, 2), noise=0.05)
+    assert len(identify(records).records) == 3
 
 
 def test_records_count_by_their_noise():

@@ -9,6 +9,8 @@ import scipy
 import modal
 from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
+from modal.modes.modal_mass import base_participation, normalise_shapes
+from modal.modes.mode import ModalModel, Mode
 from okid.errors import InvalidDataError
 
 MASS = np.diag([2.0, 1.0, 3.0])
@@ -141,3 +143,21 @@ def test_a_mode_that_one_test_does_not_show_is_averaged_over_the_others():
     assert found.mean_frequency[0] == pytest.approx(np.mean([test.modes[0].frequency for test in tests[:2]]))
     with pytest.raises(InvalidDataError, match="at least two tests, but there is 1"):
         modal.mean_modes(tests[:1])
+
+
+def test_an_input_in_another_unit_makes_no_wrong_mass_in_silence():
+    mode = Mode(
+        pole=-1 + 9j,
+        kind="oscillatory",
+        frequency=1.44,
+        damping_ratio=0.11,
+        shape=np.ones(1),
+        participation=np.ones(1),
+        verdict="system",
+    )
+    named = {"output_names": ("a",), "output_units": ("m/s^2",), "input_names": ("f",), "input_units": ("kN",)}
+    model = ModalModel(modes=(mode,), dt=0.01, indicator_caution=0.1, **named)
+    with pytest.raises(InvalidDataError, match="in N, but f is in kN"):
+        normalise_shapes(model, driving_point=("a", "f"))
+    with pytest.raises(InvalidDataError, match="in m/s\\^2, but f is in kN"):
+        base_participation(model, base="f")
