@@ -67,6 +67,7 @@ WORDS = {
     "another observer order and ridge give": "other lags give",
     "other observer order and ridge": "other lags",
     "the observer order and ridge": "the lags that the start is made of",
+    "filters of sensors and amplifiers answer so": "filters and modes beyond the lines answer so",
 }
 """Say what was changed for a rerun of responses."""
 FORCE_DIPS = (
@@ -367,6 +368,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         gain=_gains(unjudged, white.left, weight, table),
         n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
+        is_table=True,
     )
     modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
     tried_orders = sorted(found.fits)

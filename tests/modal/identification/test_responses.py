@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 from response_tables import averaged, drawn_structure, held_response, table_of
 from typer.testing import CliRunner
 
@@ -132,6 +133,19 @@ def test_a_white_force_has_no_dips():
     assert not result.warnings
     assert all(mode.frequency_std < 1e-3 * mode.frequency for mode in result.modes.system)
     assert len(result.modes.system) >= 4
+
+
+def test_the_low_pass_of_an_analyser_is_no_mode():
+    """Its two poles of 71 % damping, one for each reference, were called modes of the system."""
+    test = table_of(40000, window="hann", n_samples=512)
+    _, filtered = scipy.signal.freqs(*scipy.signal.butter(2, 2 * np.pi * 25, analog=True), 2 * np.pi * test.frequencies)
+    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
+    modes = modal.identify(FrequencyResponse(test.response * filtered[:, None, None], test.frequencies, **known)).modes
+    broad = [mode for mode in modes if mode.damping_ratio > 0.5 and mode.verdict != "noise"]
+    assert broad
+    assert all(mode.verdict == "doubtful" and "modes beyond the lines answer so" in mode.reason for mode in broad)
+    assert all(mode.probability <= 0.55 for mode in broad)
+    np.testing.assert_allclose([mode.frequency for mode in modes.system], test.true_frequencies, rtol=2e-3)
 
 
 def test_no_deviation_is_zero():
