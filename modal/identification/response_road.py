@@ -15,19 +15,24 @@ import scipy
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.force_dips import with_dips
-from modal.estimation.response_fit import (
-    ResponseFit,
-    ResponseLines,
-    Start,
-    realised,
-    refined,
-    start_of,
-)
+from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, realised, refined, start_of
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
-from modal.estimation.response_order import QUICK, evidence_of, schwarz, settled, until_worse, weight_of, with_fewer
+from modal.estimation.response_order import (
+    QUICK,
+    evidence_of,
+    first_weight,
+    fit_of,
+    most_states,
+    schwarz,
+    settled,
+    until_worse,
+    weight_of,
+    with_fewer,
+)
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
+from modal.preparation.faults import living_response
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
@@ -121,6 +126,7 @@ def identify_response(
     if order != "auto":
         order = whole_number(order, name="order", least=1, otherwise='or "auto"')
     tell = listener(progress)
+    response, dead = living_response(response)
     with one_blas_thread():
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED
@@ -136,6 +142,7 @@ def identify_response(
         found = _under_dips(found)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
+        result = replace(result, warnings=(*dead, *result.warnings))
         tell("done", 1.0)
     return result
 
@@ -150,7 +157,9 @@ def _search(
     if largest < 1:
         raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
     first = min(max(LEAST_TRIED, order_choice(found).order) if order == "auto" else order, largest)
-    fit = _fitted(table, found, first, _first_weight(table))
+    fit = _fitted(table, found, first, first_weight(table))
+    if not fit.poles.size:
+        raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
     weight = weight_of(table, noise_of(table, fit))
     fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more
@@ -170,7 +179,7 @@ def _search(
         for one in until_worse(table, fit, weight):
             starts.append(one.start)
             evidence[one.order] = evidence_of(table, one)
-            fits[one.order] = float(np.mean(_fit_of(one.left, table, weight)))
+            fits[one.order] = float(np.mean(fit_of(one.left, table, weight)))
             if evidence[one.order] <= min(evidence.values()):
                 at, fit = len(starts) - 1, one
         if fit.order == chosen:
@@ -180,7 +189,7 @@ def _search(
     if not fits:
         evidence, fits = (
             {fit.order: 0.0},
-            {fit.order: float(np.mean(_fit_of(fit.left, table, weight_of(table, noise))))},
+            {fit.order: float(np.mean(fit_of(fit.left, table, weight_of(table, noise))))},
         )
     return _Found(
         response=response,
@@ -225,6 +234,8 @@ def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> fl
     table, _ = _table(found.response, window, finer)
     poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
+    if not there.any():
+        return -np.inf
     weight = weight_of(table, found.noise)
     fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
     return settled(table, fit, noise_of(table, fit))[2]
@@ -275,11 +286,15 @@ def _realisations(
         window=table.window,
         window_time_constant=response.window_time_constant,
     )
-    dt = 0.5 / float(f[-1])
+    dt, most = 0.5 / float(f[-1]), most_states(table)
+    if most < 1:
+        raise InsufficientDataError(
+            f"the table holds {int(table.known.sum())} values, too few for any model; give more lines."
+        )
     markov = pulse_response(on_grid, dt=None if grid[0] == 0 else dt)
     n_lags = min(LONGEST, round(share * markov.n_lags))
     markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=dt)
-    return markov, decompose(markov, max_order=min(LARGEST_ORDER, *hankel_limits(markov)))
+    return markov, decompose(markov, max_order=min(LARGEST_ORDER, most, *hankel_limits(markov)))
 
 
 def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
@@ -313,15 +328,6 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
-def _first_weight(table: ResponseLines) -> FloatArray:
-    """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
-    if table.noise is None:
-        return np.where(table.known, 1.0, 0.0)
-    variance = table.noise * np.abs(table.values) ** 2
-    variance = variance + np.median(variance[table.known]) + np.finfo(float).eps
-    return np.where(table.known, 1 / np.sqrt(variance), 0.0)
-
-
 def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray) -> ResponseFit:
     """The model of an order, from its realisation, after a few steps."""
     order = min(order, found.rank, found.max_order)
@@ -341,13 +347,6 @@ def _path_down(
     return models
 
 
-def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
-    """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
-    size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
-    error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
-    return np.asarray(1 - error / np.maximum(size, TINY), dtype=np.float64)
-
-
 # --- what the result rests on ----------------------------------------------------------------------------------------
 
 
@@ -360,7 +359,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
     weight = weight_of(table, noise)
-    whole = _fit_of(fit.left, table, weight)
+    whole = fit_of(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
     modes = judge(
         unjudged,
@@ -522,11 +521,11 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     for fit in _path_down(table, found.decomposition, max(found.first, found.order) + 4, others, whole):
         change: Literal["lower order", "higher order"] = "lower order" if fit.order < found.order else "higher order"
         runs.append(Rerun(label=f"order {fit.order}", change=change, modes=extract_modes(realised(fit, table))))
-    folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
+    folds = np.array([np.mean(fit_of(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
     n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
     scales = {"output_scale": table.output_scale, "input_scale": table.input_scale}
-    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, _fit_of(both, table, whole)
+    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, fit_of(both, table, whole)
 
 
 def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> tuple[Choice, ...]:
