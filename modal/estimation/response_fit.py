@@ -107,7 +107,9 @@ class ResponseLines:
         log = (np.log(size) + 1j * np.angle(poles))[:, np.newaxis]
         stride = int(np.ceil(np.sqrt(n)))  # powers below it, times powers of it, are all powers
         few = np.arange(stride)
-        powers = (np.exp(log * stride * few)[..., np.newaxis] * np.exp(log * few)[:, np.newaxis]).reshape(log.size, -1)
+        powers = (np.exp(log * stride * few)[..., np.newaxis] * np.exp(log * few)[:, np.newaxis]).reshape(
+            log.size, stride**2
+        )
         series = np.zeros((*lags.shape[:-1], log.size, n), dtype=np.complex128)
         np.multiply(powers[:, : n - 1], lags[..., np.newaxis, 1:], out=series[..., 1:])
         return np.asarray(np.fft.fft(series), dtype=np.complex128)
@@ -304,7 +306,7 @@ def _parts(plus: ComplexArray, minus: ComplexArray) -> tuple[FloatArray, FloatAr
 
 def _stacked(values: ComplexArray) -> FloatArray:
     """(2 n_lines n_inputs, n_columns) real parts above imaginary parts."""
-    flat = values.reshape(-1, values.shape[-1])
+    flat = values.reshape(values.shape[0] * values.shape[1], values.shape[2])
     return np.concatenate([flat.real, flat.imag])
 
 
@@ -360,7 +362,7 @@ def refined(
     """
     first = start.start if isinstance(start, ResponseFit) else start
     best, damping, growth = fit_at(table, *first, weight), 1e-3, 2.0
-    for _ in range(n_steps):
+    for _ in range(n_steps if best.poles.size else 0):
         flat = best.slopes.reshape(-1, best.slopes.shape[-1])
         wanted = (weight * best.left).transpose(1, 0, 2)
         curvature, slope = flat.T @ flat, flat.T @ np.stack([wanted.real, wanted.imag], axis=1).ravel()

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modal.estimation.response_fit import ResponseFit, ResponseLines, losses, refined, without
+from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, losses, refined, without
 from modal.estimation.response_noise import Noise, lines_joined, noise_of
-from okid.arrays import FloatArray
+from okid.arrays import TINY, ComplexArray, FloatArray
 
 WITHOUT_GAIN = 4
 """Try no higher orders once so many in a row were worse than the best by evidence."""
@@ -19,6 +19,16 @@ QUICK = 5
 def weight_of(table: ResponseLines, noise: Noise) -> FloatArray:
     """(n_lines, n_outputs, n_inputs) one over the deviation of each value, 0 where it was not measured."""
     return np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
+
+
+def most_states(table: ResponseLines) -> int:
+    """States whose numbers are at most half of the independent values: what is left has to tell the noise.
+
+    A model with as many numbers as there are values leaves nothing, and would pass for certain whatever it says.
+    """
+    _, n_outputs, n_inputs = table.values.shape
+    half = int(table.known.sum()) / lines_joined(table)
+    return int((half - n_outputs * n_inputs) / (n_outputs + n_inputs))
 
 
 def evidence_of(table: ResponseLines, fit: ResponseFit) -> float:
@@ -71,3 +81,26 @@ def settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[Respo
     fit = refined(table, fit, weight_of(table, noise))
     variance = noise.variance[table.known]
     return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+
+
+def first_weight(table: ResponseLines) -> FloatArray:
+    """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
+    if table.noise is None:
+        return np.where(table.known, 1.0, 0.0)
+    variance = table.noise * np.abs(table.values) ** 2
+    variance = variance + np.median(variance[table.known]) + np.finfo(float).eps
+    return np.where(table.known, 1 / np.sqrt(variance), 0.0)
+
+
+def fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
+    """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
+    size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
+    error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
+    return np.asarray(1 - error / np.maximum(size, TINY), dtype=np.float64)
+
+
+def carried(fit: ResponseFit, of: ResponseLines, table: ResponseLines) -> Start:
+    """The poles of a fit as far as another table, with its own time step, can have them."""
+    poles = np.log(fit.poles) * (table.dt / of.dt)
+    there = np.abs(poles.imag) < np.pi
+    return np.exp(poles[there]), fit.is_pair[there], fit.inputs[there]

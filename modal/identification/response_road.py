@@ -15,19 +15,25 @@ import scipy
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.force_dips import with_dips
-from modal.estimation.response_fit import (
-    ResponseFit,
-    ResponseLines,
-    Start,
-    realised,
-    refined,
-    start_of,
-)
+from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, realised, refined, start_of
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
-from modal.estimation.response_order import QUICK, evidence_of, schwarz, settled, until_worse, weight_of, with_fewer
+from modal.estimation.response_order import (
+    QUICK,
+    carried,
+    evidence_of,
+    first_weight,
+    fit_of,
+    most_states,
+    schwarz,
+    settled,
+    until_worse,
+    weight_of,
+    with_fewer,
+)
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
+from modal.preparation.faults import living_response
 from modal.verdict.judgement import Rerun, Reruns, judge
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
@@ -67,6 +73,7 @@ WORDS = {
     "another observer order and ridge give": "other lags give",
     "other observer order and ridge": "other lags",
     "the observer order and ridge": "the lags that the start is made of",
+    "filters of sensors and amplifiers answer so": "filters and modes beyond the lines answer so",
 }
 """Say what was changed for a rerun of responses."""
 FORCE_DIPS = (
@@ -120,45 +127,55 @@ def identify_response(
     if order != "auto":
         order = whole_number(order, name="order", least=1, otherwise='or "auto"')
     tell = listener(progress)
+    response, dead = living_response(response)
     with one_blas_thread():
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED
         found = _search(response, windows[0], order, BETWEEN)
         if _likelihood_through(windows[0], found, 1) > found.likelihood:
-            found = _search(response, windows[0], order, 1)
+            found = _search(response, windows[0], order, 1, (found,))
         # with as many poles, so that only the window differs
         tried = {window: _likelihood_through(window, found, found.finer) for window in windows[1:]}
         tried = {windows[0]: found.likelihood, **tried}
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
-            found = _search(response, best, order, found.finer)
+            found = _search(response, best, order, found.finer, (found,))
         found = _under_dips(found)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
+        result = replace(result, warnings=(*dead, *result.warnings))
         tell("done", 1.0)
     return result
 
 
 def _search(
-    response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"], finer: int = 1
+    response: FrequencyResponse,
+    window: ResponseWindow,
+    order: int | Literal["auto"],
+    finer: int,
+    others: tuple[_Found, ...] = (),
 ) -> _Found:
-    """Model of the order that the evidence favours, refined, with the noise of the table about it."""
+    """Model of the order that the evidence favours, refined, with its noise; from the poles of others where better."""
     table, grid = _table(response, window, finer)
     markov, found = _realisations(table, response.frequencies, grid, response)
     largest = min(found.rank, found.max_order)
     if largest < 1:
         raise InsufficientDataError("the responses hold no motion that a model could describe: they do not change.")
     first = min(max(LEAST_TRIED, order_choice(found).order) if order == "auto" else order, largest)
-    fit = _fitted(table, found, first, _first_weight(table))
+    fit = _fitted(table, found, first, first_weight(table))
+    if not fit.poles.size:
+        raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
     weight = weight_of(table, noise_of(table, fit))
-    fit = refined(table, fit, weight, n_steps=QUICK)
+    starts: list[Start] = [fit.start, *(carried(one.fit, one.table, table) for one in others)]
+    trials = [refined(table, start, weight, n_steps=QUICK) for start in starts]
+    fit = min(trials, key=lambda one: evidence_of(table, one))
     while order == "auto" and first < largest:  # more poles, as long as they tell more
         more = min(largest, first + first // 2)
         trial = _fitted(table, found, more, weight)
         if evidence_of(table, trial) >= evidence_of(table, fit):
             break
         first, fit = more, trial
-    starts: list[Start] = [fit.start]
+    starts = [fit.start]
     at, chosen = 0, 0
     evidence: dict[int, float] = {}
     fits: dict[int, float] = {}
@@ -169,7 +186,7 @@ def _search(
         for one in until_worse(table, fit, weight):
             starts.append(one.start)
             evidence[one.order] = evidence_of(table, one)
-            fits[one.order] = float(np.mean(_fit_of(one.left, table, weight)))
+            fits[one.order] = float(np.mean(fit_of(one.left, table, weight)))
             if evidence[one.order] <= min(evidence.values()):
                 at, fit = len(starts) - 1, one
         if fit.order == chosen:
@@ -179,7 +196,7 @@ def _search(
     if not fits:
         evidence, fits = (
             {fit.order: 0.0},
-            {fit.order: float(np.mean(_fit_of(fit.left, table, weight_of(table, noise))))},
+            {fit.order: float(np.mean(fit_of(fit.left, table, weight_of(table, noise))))},
         )
     return _Found(
         response=response,
@@ -222,10 +239,11 @@ def _under_dips(found: _Found) -> _Found:
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
     """Of the table through another window, or described by other steps, from the poles that were found."""
     table, _ = _table(found.response, window, finer)
-    poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
-    there = np.abs(poles.imag) < np.pi
+    start = carried(found.fit, found.table, table)
+    if not start[0].size:
+        return -np.inf
     weight = weight_of(table, found.noise)
-    fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
+    fit = refined(table, start, weight)
     return settled(table, fit, noise_of(table, fit))[2]
 
 
@@ -274,11 +292,15 @@ def _realisations(
         window=table.window,
         window_time_constant=response.window_time_constant,
     )
-    dt = 0.5 / float(f[-1])
+    dt, most = 0.5 / float(f[-1]), most_states(table)
+    if most < 1:
+        raise InsufficientDataError(
+            f"the table holds {int(table.known.sum())} values, too few for any model; give more lines."
+        )
     markov = pulse_response(on_grid, dt=None if grid[0] == 0 else dt)
     n_lags = min(LONGEST, round(share * markov.n_lags))
     markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=dt)
-    return markov, decompose(markov, max_order=min(LARGEST_ORDER, *hankel_limits(markov)))
+    return markov, decompose(markov, max_order=min(LARGEST_ORDER, most, *hankel_limits(markov)))
 
 
 def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
@@ -312,15 +334,6 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
-def _first_weight(table: ResponseLines) -> FloatArray:
-    """Before there is a model: by coherence where it is known, no value better than the median one, else all alike."""
-    if table.noise is None:
-        return np.where(table.known, 1.0, 0.0)
-    variance = table.noise * np.abs(table.values) ** 2
-    variance = variance + np.median(variance[table.known]) + np.finfo(float).eps
-    return np.where(table.known, 1 / np.sqrt(variance), 0.0)
-
-
 def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray) -> ResponseFit:
     """The model of an order, from its realisation, after a few steps."""
     order = min(order, found.rank, found.max_order)
@@ -340,13 +353,6 @@ def _path_down(
     return models
 
 
-def _fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
-    """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
-    size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
-    error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
-    return np.asarray(1 - error / np.maximum(size, TINY), dtype=np.float64)
-
-
 # --- what the result rests on ----------------------------------------------------------------------------------------
 
 
@@ -359,7 +365,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
     weight = weight_of(table, noise)
-    whole = _fit_of(fit.left, table, weight)
+    whole = fit_of(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
     modes = judge(
         unjudged,
@@ -367,6 +373,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         gain=_gains(unjudged, white.left, weight, table),
         n_values=int(2 * table.known.sum() / lines_joined(table)),
         fit=measured.mean,
+        is_table=True,
     )
     modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
     tried_orders = sorted(found.fits)
@@ -520,11 +527,11 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     for fit in _path_down(table, found.decomposition, max(found.first, found.order) + 4, others, whole):
         change: Literal["lower order", "higher order"] = "lower order" if fit.order < found.order else "higher order"
         runs.append(Rerun(label=f"order {fit.order}", change=change, modes=extract_modes(realised(fit, table))))
-    folds = np.array([np.mean(_fit_of(each, table, whole)) for each in errors])
+    folds = np.array([np.mean(fit_of(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
     n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
     scales = {"output_scale": table.output_scale, "input_scale": table.input_scale}
-    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, _fit_of(both, table, whole)
+    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, fit_of(both, table, whole)
 
 
 def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> tuple[Choice, ...]:

@@ -25,6 +25,7 @@ from modal.preparation.samples import sharp_samples, spike_findings, spikes_of, 
 from modal.wording.text import counted, percent
 from okid.arrays import BoolArray
 from okid.errors import InsufficientDataError
+from okid.frequency_response import FrequencyResponse
 from okid.gram import lag_gram
 from okid.record import Record
 from okid.rows import as_records
@@ -262,3 +263,38 @@ def _living(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
         for i in np.flatnonzero(~moves)
     ]
     return tuple(record.select(outputs=np.flatnonzero(moves).tolist()) for record in records), words
+
+
+def living_response(table: FrequencyResponse) -> tuple[FrequencyResponse, list[str]]:
+    """The table without outputs and inputs whose responses are 0 at every line, as long as one is not; and why.
+
+    Example:
+        >>> table, words = living_response(FrequencyResponse([[1.0, 0.0], [1j, 0.0], [-1.0, 0.0]], [0.0, 1.0, 2.0]))
+        >>> table.output_names, words
+        (('output_0',), ["Responses of output 'output_1' are 0 at every line: dead or not recorded; left out."])
+    """
+    moves = np.nan_to_num(table.response) != 0
+    outputs, inputs = moves.any(axis=(0, 2)), moves.any(axis=(0, 1))
+    if not moves.any() or (outputs.all() and inputs.all()):
+        return table, []
+    words = [
+        f"Responses {to} {role} {named(names[i])} are 0 at every line: dead or not recorded; left out."
+        for to, role, names, alive in (
+            ("of", "output", table.output_names, outputs),
+            ("to", "input", table.input_names, inputs),
+        )
+        for i in np.flatnonzero(~alive)
+    ]
+    kept, driven = np.flatnonzero(outputs), np.flatnonzero(inputs)
+    coherence = table.coherence
+    if coherence is not None:
+        coherence = coherence[:, kept] if coherence.ndim == 2 else coherence[:, kept][:, :, driven]
+    return replace(
+        table,
+        response=table.response[:, kept][:, :, driven],
+        coherence=coherence,
+        output_names=tuple(table.output_names[i] for i in kept),
+        output_units=tuple(table.output_units[i] for i in kept),
+        input_names=tuple(table.input_names[i] for i in driven),
+        input_units=tuple(table.input_units[i] for i in driven),
+    ), words

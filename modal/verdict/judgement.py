@@ -47,6 +47,7 @@ from modal.verdict.probability import (
     excitation_doubt,
     f_ratio,
     free_doubt,
+    heavy_doubt,
     peak_doubt,
     pole_doubts,
     poor_fit_doubt,
@@ -202,6 +203,7 @@ def judge(
     ringing: FloatArray | None = None,
     chance_line: BoolArray | None = None,
     rings_down: bool = False,
+    is_table: bool = False,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -239,6 +241,7 @@ def judge(
         ringing: (n_modes,) F ratio of what each mode does when the inputs are over (`modal.verdict.excitation`); None
             where the records are no answers to blows or releases.
         rings_down: whether the records are decays, in which nothing that was measured drives.
+        is_table: whether frequency responses were measured, whose lines say nothing of what lies beyond them.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -283,6 +286,7 @@ def judge(
             *edge_doubt(mode, edge),
             *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
             *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
+            *(heavy_doubt(mode) if is_table or ringing is not None else ()),
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
             *beyond_doubt(mode, own_band),

@@ -206,7 +206,21 @@ def unanswered_doubt(mode: Mode, chance: float, driven: float = np.nan) -> tuple
 
 
 COMES_BACK = 0.5
-"""Doubt a mode of what rings down from this damping ratio on: within one period it falls to less than 3 %."""
+"""Doubt a mode of what rings down, or of a table, from this damping ratio on: in one period it falls below 3 %."""
+
+
+def heavy_doubt(mode: Mode) -> tuple[str, ...]:
+    """A pole of more than half critical damping, where filters or motion beyond the lines add terms as broad.
+
+    Example:
+        >>> heavy_doubt(Mode(pole=-6 + 5j, kind="oscillatory", frequency=1.24, damping_ratio=0.77,
+        ...                  shape=np.ones(1), participation=np.ones(1)))
+        ('damping 77 %: does not come back once; filters of sensors and amplifiers answer so, too',)
+    """
+    if not mode.damping_ratio > COMES_BACK or mode.kind not in ("oscillatory", "real"):
+        return ()
+    share = f"damping {100 * mode.damping_ratio:.0f} %"
+    return (f"{share}: does not come back once; filters of sensors and amplifiers answer so, too",)
 
 
 def free_doubt(mode: Mode, ringing: float, made_of: str) -> tuple[str, ...]:
@@ -227,9 +241,6 @@ def free_doubt(mode: Mode, ringing: float, made_of: str) -> tuple[str, ...]:
     if ringing < HARDLY_DRIVEN:
         where = f"nothing rings at {mode.frequency:.4g} Hz beyond chance"
         doubts.append(f"{where}: what seems to answer is over with the blow")
-    if mode.damping_ratio > COMES_BACK and mode.kind in ("oscillatory", "real"):
-        share = f"damping {100 * mode.damping_ratio:.0f} %"
-        doubts.append(f"{share}: does not come back once; filters of sensors and amplifiers answer so, too")
     if made_of:
         doubts.append(f"its pole is a sum of stronger ones ({made_of} Hz): what is not quite linear makes it")
     return tuple(doubts)

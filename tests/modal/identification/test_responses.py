@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 from response_tables import averaged, drawn_structure, held_response, table_of
 from typer.testing import CliRunner
 
 import modal
+import okid
 from modal.command.main import app
 from modal.examples.demo import compare_with_truth, demo_record, demo_truth
 from okid.errors import InvalidDataError
@@ -134,6 +136,26 @@ def test_a_white_force_has_no_dips():
     assert len(result.modes.system) >= 4
 
 
+def test_poles_are_kept_where_another_window_is_likelier():
+    """The search began anew, from a realisation that fitted the table far worse, and ended at none of the modes."""
+    test = table_of(41016, window="hann", n_samples=1024, kind="shaker")
+    modes = modal.identify(FrequencyResponse(test.response, test.frequencies)).modes
+    assert all(min(abs(mode.frequency / f - 1) for mode in modes) < 0.005 for f in test.true_frequencies)
+
+
+def test_the_low_pass_of_an_analyser_is_no_mode():
+    """Its two poles of 71 % damping, one for each reference, were called modes of the system."""
+    test = table_of(40000, window="hann", n_samples=512)
+    _, filtered = scipy.signal.freqs(*scipy.signal.butter(2, 2 * np.pi * 25, analog=True), 2 * np.pi * test.frequencies)
+    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
+    modes = modal.identify(FrequencyResponse(test.response * filtered[:, None, None], test.frequencies, **known)).modes
+    broad = [mode for mode in modes if mode.damping_ratio > 0.5 and mode.verdict != "noise"]
+    assert broad
+    assert all(mode.verdict == "doubtful" and "modes beyond the lines answer so" in mode.reason for mode in broad)
+    assert all(mode.probability <= 0.55 for mode in broad)
+    np.testing.assert_allclose([mode.frequency for mode in modes.system], test.true_frequencies, rtol=2e-3)
+
+
 def test_no_deviation_is_zero():
     """The covariance of joined lines comes from a model of the leakage, and may have negative parts."""
     _, result = identified_shaker(310)
@@ -155,6 +177,43 @@ def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):
     assert "as they were given" in page
     assert "frequency responses" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     assert modal.read_result(tmp_path / "report").n_samples == (513,)
+
+
+def about_one_mode(n_lines, *, relative=0.0):
+    """So many lines about 20 Hz, the one mode of 1 % damping of three outputs, and noise."""
+    rng = np.random.default_rng(n_lines)
+    lines = (np.arange(n_lines) - n_lines // 2 + 102) / 5.12
+    pole, z = np.exp(DT * 40 * np.pi * (-0.01 + 1j * np.sqrt(1 - 1e-4))), np.exp(2j * np.pi * lines * DT)
+    response = (1j / (z - pole) - 1j / (z - pole.conj()))[:, None] * [1.0, -0.6, 0.3]
+    noise = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    return FrequencyResponse(response + relative * np.abs(response).mean() * noise, lines, window="periodic")
+
+
+@pytest.mark.parametrize("n_lines", [4, 5, 6, 12])
+def test_a_few_lines_are_not_given_as_many_numbers_as_they_hold(n_lines):
+    """A model of as many numbers left nothing: a wrong mode was certain, with a deviation of a rounding error."""
+    (exact,) = modal.identify(about_one_mode(n_lines)).modes.system
+    assert abs(exact.frequency - 20) < 1e-3
+    (noisy,) = modal.identify(about_one_mode(n_lines, relative=0.01)).modes.system
+    assert 1e-4 < noisy.frequency_std < 0.1
+    assert abs(noisy.frequency - 20) < 4 * noisy.frequency_std
+
+
+@pytest.mark.parametrize("n_lines", [2, 3])
+def test_too_few_lines_for_a_model_are_refused_in_a_sentence(n_lines):
+    table = FrequencyResponse(exact_table().response[:n_lines, :1, :1], np.arange(n_lines) / 5.12)
+    with pytest.raises(okid.InsufficientDataError, match="give more lines"):
+        modal.identify(table)
+
+
+def test_an_output_that_is_dead_says_nothing_against_the_modes():
+    """Its fit of 0 made every mode doubtful, the model explaining nothing."""
+    table = exact_table()
+    response = np.concatenate([table.response, np.zeros((table.n_lines, 1, 2))], axis=1)
+    result = modal.identify(FrequencyResponse(response, table.frequencies, window="periodic"))
+    np.testing.assert_allclose([mode.frequency for mode in result.modes.system], FREQUENCIES, rtol=1e-10)
+    assert any("'output_3' are 0 at every line" in text for text in result.warnings)
+    assert result.modes.output_names == ("output_0", "output_1", "output_2")
 
 
 def test_what_is_for_records_alone_is_refused():
