@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, losses, refined, without
+from modal.estimation.response_fit import ResponseFit, ResponseLines, losses, refined, without
 from modal.estimation.response_noise import Noise, lines_joined, noise_of
 from okid.arrays import TINY, ComplexArray, FloatArray
 
@@ -97,10 +97,3 @@ def fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> Floa
     size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
     error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))
     return np.asarray(1 - error / np.maximum(size, TINY), dtype=np.float64)
-
-
-def carried(fit: ResponseFit, of: ResponseLines, table: ResponseLines) -> Start:
-    """The poles of a fit as far as another table, with its own time step, can have them."""
-    poles = np.log(fit.poles) * (table.dt / of.dt)
-    there = np.abs(poles.imag) < np.pi
-    return np.exp(poles[there]), fit.is_pair[there], fit.inputs[there]

@@ -19,7 +19,6 @@ from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, rea
 from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
 from modal.estimation.response_order import (
     QUICK,
-    carried,
     evidence_of,
     first_weight,
     fit_of,
@@ -133,13 +132,13 @@ def identify_response(
         windows = (response.window,) if response.window != "unknown" else TRIED
         found = _search(response, windows[0], order, BETWEEN)
         if _likelihood_through(windows[0], found, 1) > found.likelihood:
-            found = _search(response, windows[0], order, 1, (found,))
+            found = _search(response, windows[0], order, 1)
         # with as many poles, so that only the window differs
         tried = {window: _likelihood_through(window, found, found.finer) for window in windows[1:]}
         tried = {windows[0]: found.likelihood, **tried}
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
-            found = _search(response, best, order, found.finer, (found,))
+            found = _search(response, best, order, found.finer)
         found = _under_dips(found)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
@@ -149,13 +148,9 @@ def identify_response(
 
 
 def _search(
-    response: FrequencyResponse,
-    window: ResponseWindow,
-    order: int | Literal["auto"],
-    finer: int,
-    others: tuple[_Found, ...] = (),
+    response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"], finer: int = 1
 ) -> _Found:
-    """Model of the order that the evidence favours, refined, with its noise; from the poles of others where better."""
+    """Model of the order that the evidence favours, refined, with the noise of the table about it."""
     table, grid = _table(response, window, finer)
     markov, found = _realisations(table, response.frequencies, grid, response)
     largest = min(found.rank, found.max_order)
@@ -166,16 +161,14 @@ def _search(
     if not fit.poles.size:
         raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
     weight = weight_of(table, noise_of(table, fit))
-    starts: list[Start] = [fit.start, *(carried(one.fit, one.table, table) for one in others)]
-    trials = [refined(table, start, weight, n_steps=QUICK) for start in starts]
-    fit = min(trials, key=lambda one: evidence_of(table, one))
+    fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more
         more = min(largest, first + first // 2)
         trial = _fitted(table, found, more, weight)
         if evidence_of(table, trial) >= evidence_of(table, fit):
             break
         first, fit = more, trial
-    starts = [fit.start]
+    starts: list[Start] = [fit.start]
     at, chosen = 0, 0
     evidence: dict[int, float] = {}
     fits: dict[int, float] = {}
@@ -239,11 +232,12 @@ def _under_dips(found: _Found) -> _Found:
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
     """Of the table through another window, or described by other steps, from the poles that were found."""
     table, _ = _table(found.response, window, finer)
-    start = carried(found.fit, found.table, table)
-    if not start[0].size:
+    poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
+    there = np.abs(poles.imag) < np.pi
+    if not there.any():
         return -np.inf
     weight = weight_of(table, found.noise)
-    fit = refined(table, start, weight)
+    fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
     return settled(table, fit, noise_of(table, fit))[2]
 
 

@@ -136,13 +136,6 @@ def test_a_white_force_has_no_dips():
     assert len(result.modes.system) >= 4
 
 
-def test_poles_are_kept_where_another_window_is_likelier():
-    """The search began anew, from a realisation that fitted the table far worse, and ended at none of the modes."""
-    test = table_of(41016, window="hann", n_samples=1024, kind="shaker")
-    modes = modal.identify(FrequencyResponse(test.response, test.frequencies)).modes
-    assert all(min(abs(mode.frequency / f - 1) for mode in modes) < 0.005 for f in test.true_frequencies)
-
-
 def test_the_low_pass_of_an_analyser_is_no_mode():
     """Its two poles of 71 % damping, one for each reference, were called modes of the system."""
     test = table_of(40000, window="hann", n_samples=512)
