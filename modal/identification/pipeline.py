@@ -7,7 +7,7 @@ realise -> modes -> judge by repeatability -> say in words what the data do not 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -166,8 +166,8 @@ def identify(
         decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
     several = as_records(records)
     refuse_copies(several)
-    alone = partial(
-        _of_one_system,
+    once = partial(
+        _with_delays,
         observer_order=observer_order,
         ridge=ridge,
         order=order,
@@ -175,37 +175,29 @@ def identify(
         missing=missing,
         integrators=integrators,
         drift=drift,
-        progress=progress,
     )
     if has_absent_outputs(several):
 
         def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
-            asked: Sequence[int] | Literal["auto"] = "auto" if delays is None else delays
-            return alone(parts, decimation=1, input_delay=asked, kind=kind, progress=None)
+            own = partial(once, parts, decimation=1, kind=kind, progress=None)
+            return _of_one_system(parts, own) if delays is None else own(input_delay=delays)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
         return identify_setups(
             several, again, decimation=None if decimation == "auto" else decimation, input_delay=given
         )
-    result = alone(several, decimation=decimation, input_delay=input_delay, kind=kind)
+    own = partial(once, several, decimation=decimation, kind=kind, progress=progress)
+    result = _of_one_system(several, own) if isinstance(input_delay, str) else own(input_delay=input_delay)
     if order != "auto":
         return result
-    itself = partial(alone, observer_order="auto", ridge="auto", decimation=1, input_delay=0, kind="ambient")
-    return with_undriven(result, partial(itself, progress=None))
+    itself = partial(once, observer_order="auto", ridge="auto", integrators=0, decimation=1, input_delay=0)
+    return with_undriven(result, partial(itself, kind="ambient", progress=None))
 
 
-def _of_one_system(
-    records: Sequence[Record],
-    *,
-    decimation: int | Literal["auto"],
-    input_delay: int | Sequence[int] | Literal["auto"],
-    progress: Callable[[str, float], None] | None,
-    **given: Any,
-) -> Identification:
-    """From records that have all their channels; where nothing is given of it, with the delays that the modes show."""
-    once = partial(_with_delays, records, decimation=decimation, progress=progress, **given)
-    result = once(input_delay=input_delay)
-    if not isinstance(input_delay, str) or not records[0].n_inputs:
+def _of_one_system(records: Sequence[Record], once: Callable[..., Identification]) -> Identification:
+    """From records that have all their channels, with the input delays that the modes show."""
+    result = once(input_delay="auto")
+    if not records[0].n_inputs:
         return result
     factor = round(result.records[0].dt / records[0].dt)
     return _with_real_modes(
