@@ -177,6 +177,8 @@ def refine(
     while len(done) <= n_steps and damping < LARGEST_DAMPING:
         normal = step_equations(current, weights=weights, coordinates=coordinates)
         diagonal = np.maximum(np.diag(normal.matrix), 0.0)
+        if not diagonal.any():  # what steps change is rounding
+            break
         while damping < LARGEST_DAMPING:
             progress((len(done) - 1) / n_steps)
             size = diagonal + ROUND_OFF * diagonal.max(initial=0.0) + np.finfo(np.float64).tiny

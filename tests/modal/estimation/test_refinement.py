@@ -343,3 +343,15 @@ def test_units_do_not_matter(size):
     scaled = refined(replace(start, b=start.b / inputs), replace(data, records=records), 1 / outputs**2)
     np.testing.assert_allclose(scaled.error, first.error, rtol=1e-7)
     np.testing.assert_allclose(scaled.parameters.poles, first.parameters.poles, rtol=1e-5)
+
+
+def test_steps_that_move_nothing_beyond_rounding_end_the_refinement(monkeypatch):
+    """A filtered record of one slow pole left negative curvature only, and a least-squares solver that gave up."""
+    rng = np.random.default_rng(2)
+    model = random_loop_model(rng, n_pairs=1, n_real=0, n_inputs=1, n_outputs=1, n_records=1)
+    data = problem(rng, model, [60], noise=0.1)
+    start = step_at(parameters_of(model), data)
+    normal = step_equations(start, weights=np.eye(1), coordinates=PolesAndParticipations())
+    rounding = replace(normal, matrix=-np.abs(normal.matrix) * 1e-3)
+    monkeypatch.setattr("modal.estimation.output_error.step_equations", lambda *_args, **_kwargs: rounding)
+    assert len(refine(start, data, n_steps=5)) == 1
