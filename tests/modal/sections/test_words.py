@@ -112,7 +112,7 @@ def test_what_is_a_warning_is_not_said_again(make_result, identification):
 
 def test_fit_sentence_names_the_worst_output(identification):
     result = replace(identification, fit=replace(identification.fit, cross_validated=np.array([0.9, 0.6, 0.8])))
-    assert "least of floor_2: 60 %" in fit_sentence(result)
+    assert "worst channel floor_2: 60 %" in fit_sentence(result)
     even = replace(identification, fit=replace(identification.fit, cross_validated=np.full(3, 0.9)))
     assert "least of" not in fit_sentence(even)
 
