@@ -446,7 +446,7 @@ def losses(fit: ResponseFit) -> FloatArray:
     return np.maximum(found, 0.0)
 
 
-def without(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
+def without_pole(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
     """The fit without a pole, the others refined."""
     kept = np.arange(fit.poles.size) != pole
     return refined(

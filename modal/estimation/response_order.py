@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modal.estimation.response_fit import ResponseFit, ResponseLines, losses, refined, without
+from modal.estimation.response_fit import ResponseFit, ResponseLines, losses, refined, without_pole
 from modal.estimation.response_noise import Noise, lines_joined, noise_of
 from okid.arrays import TINY, ComplexArray, FloatArray
 
@@ -54,7 +54,7 @@ def with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> It
         states, least = np.where(fit.is_pair, 2, 1), evidence_of(table, fit)
         trials: list[ResponseFit] = []
         for pole in np.argsort(losses(fit) / states)[:WEAKEST]:
-            trials.append(without(table, fit, int(pole), weight, n_steps=QUICK))
+            trials.append(without_pole(table, fit, int(pole), weight, n_steps=QUICK))
             if evidence_of(table, trials[-1]) < least:
                 break
         fit = min(trials, key=lambda trial: evidence_of(table, trial))
@@ -73,7 +73,7 @@ def until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> I
             return
 
 
-def settled(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
+def settled_noise(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple[ResponseFit, Noise, float]:
     """The fit and its noise after each was made with the other a few times, and their log-likelihood."""
     for _ in range(2):
         fit = refined(table, fit, weight_of(table, noise))
@@ -92,7 +92,7 @@ def first_weight(table: ResponseLines) -> FloatArray:
     return np.where(table.known, 1 / np.sqrt(variance), 0.0)
 
 
-def fit_of(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
+def lines_fit(left: ComplexArray, table: ResponseLines, weight: FloatArray) -> FloatArray:
     """(n_outputs,) 1 - |error| / |response| over lines and inputs, each in its standard deviations."""
     size = np.sqrt((np.abs(weight * table.values) ** 2).sum(axis=(0, 2)))
     error = np.sqrt((np.abs(weight * left) ** 2).sum(axis=(0, 2)))

@@ -42,8 +42,7 @@ def with_undriven(result: Identification, again: Callable[[Sequence[Record]], Id
         result: of records with inputs.
         again: identifies records without inputs as ambient motion.
     """
-    left = [run.outputs for run in result.simulated]
-    left = [record.outputs - run for record, run in zip(result.records, left, strict=True)]
+    left = [record.outputs - run.outputs for record, run in zip(result.records, result.simulated, strict=True)]
     if not _asks(result, left):
         return result
     remains = [replace(record, outputs=rest) for record, rest in zip(result.records, left, strict=True)]

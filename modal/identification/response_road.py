@@ -21,10 +21,10 @@ from modal.estimation.response_order import (
     QUICK,
     evidence_of,
     first_weight,
-    fit_of,
+    lines_fit,
     most_states,
     schwarz,
-    settled,
+    settled_noise,
     until_worse,
     weight_of,
     with_fewer,
@@ -179,17 +179,17 @@ def _search(
         for one in until_worse(table, fit, weight):
             starts.append(one.start)
             evidence[one.order] = evidence_of(table, one)
-            fits[one.order] = float(np.mean(fit_of(one.left, table, weight)))
+            fits[one.order] = float(np.mean(lines_fit(one.left, table, weight)))
             if evidence[one.order] <= min(evidence.values()):
                 at, fit = len(starts) - 1, one
         if fit.order == chosen:
             break
         chosen = fit.order
-    fit, noise, likelihood = settled(table, fit, noise_of(table, fit))
+    fit, noise, likelihood = settled_noise(table, fit, noise_of(table, fit))
     if not fits:
         evidence, fits = (
             {fit.order: 0.0},
-            {fit.order: float(np.mean(fit_of(fit.left, table, weight_of(table, noise))))},
+            {fit.order: float(np.mean(lines_fit(fit.left, table, weight_of(table, noise))))},
         )
     return _Found(
         response=response,
@@ -238,7 +238,7 @@ def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> fl
         return -np.inf
     weight = weight_of(table, found.noise)
     fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
-    return settled(table, fit, noise_of(table, fit))[2]
+    return settled_noise(table, fit, noise_of(table, fit))[2]
 
 
 def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -359,7 +359,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
     weight = weight_of(table, noise)
-    whole = fit_of(fit.left, table, weight)
+    whole = lines_fit(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
     modes = judge(
         unjudged,
@@ -521,11 +521,11 @@ def _again(found: _Found) -> tuple[Reruns, FloatArray, FloatArray]:
     for fit in _path_down(table, found.decomposition, max(found.first, found.order) + 4, others, whole):
         change: Literal["lower order", "higher order"] = "lower order" if fit.order < found.order else "higher order"
         runs.append(Rerun(label=f"order {fit.order}", change=change, modes=extract_modes(realised(fit, table))))
-    folds = np.array([np.mean(fit_of(each, table, whole)) for each in errors])
+    folds = np.array([np.mean(lines_fit(each, table, whole)) for each in errors])
     both = np.sqrt((np.abs(errors[0]) ** 2 + np.abs(errors[1]) ** 2) / 2)
     n_steps = found.finer * (found.decomposition.n_block_rows + found.decomposition.n_block_columns)
     scales = {"output_scale": table.output_scale, "input_scale": table.input_scale}
-    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, fit_of(both, table, whole)
+    return Reruns(runs=tuple(runs), n_steps=n_steps, **scales), folds, lines_fit(both, table, whole)
 
 
 def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> tuple[Choice, ...]:
