@@ -26,10 +26,12 @@ if TYPE_CHECKING:
     from modal.modes.extraction import extract_modes
     from modal.modes.modal_mass import (
         BaseParticipation,
+        ReciprocityError,
         ScaledResponse,
         ScaledShapes,
         base_participation,
         normalise_shapes,
+        reciprocity_error,
         scaled_response,
     )
     from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
@@ -71,6 +73,7 @@ __all__ = [
     "OrderChoice",
     "OrderEvidence",
     "PlantModel",
+    "ReciprocityError",
     "RepeatedModes",
     "ScaledResponse",
     "ScaledShapes",
@@ -106,6 +109,7 @@ __all__ = [
     "read_result",
     "read_shapes",
     "read_specification",
+    "reciprocity_error",
     "save_recording",
     "scaled_response",
     "simulate",
@@ -131,6 +135,7 @@ _PLACES = {
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
     "PlantModel": "modal.structure.plant_model",
+    "ReciprocityError": "modal.modes.modal_mass",
     "RepeatedModes": "modal.modes.shape_comparison",
     "ScaledResponse": "modal.modes.modal_mass",
     "ScaledShapes": "modal.modes.modal_mass",
@@ -166,6 +171,7 @@ _PLACES = {
     "read_result": "modal.comparison.shifts",
     "read_shapes": "modal.modes.shape_comparison",
     "read_specification": "modal.acceptance.test_file",
+    "reciprocity_error": "modal.modes.modal_mass",
     "save_recording": "modal.recording",
     "scaled_response": "modal.modes.modal_mass",
     "simulate": "modal.structure.given",

@@ -85,6 +85,59 @@ class BaseParticipation(Displayed):
     base: str
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class ReciprocityError(Displayed):
+    """How far two driving points contradict each other, mode by mode.
+
+    Attributes:
+        difference: (n_modes,) |R_ab - R_ba| over the mean of both sizes [-]: 0 for a structure and sensors in order.
+        difference_std: (n_modes,) root of the mean square that noise alone gives it; nan where not known.
+        frequencies: (n_modes,) of the system modes [Hz].
+        driving_points: a and b, each the names of its output and its input.
+    """
+
+    difference: FloatArray
+    difference_std: FloatArray
+    frequencies: FloatArray
+    driving_points: tuple[tuple[str, str], tuple[str, str]]
+
+
+def reciprocity_error(model: ModalModel, first: tuple[str, str], second: tuple[str, str]) -> ReciprocityError:
+    """Whether a force at one driving point moves another as much as the same force there moves this one.
+
+    A difference far above its deviation tells of a wrong sign, unit, gain or direction of one of the four channels, of
+    a sensor that loads the structure, or of one that is not where the force is.
+
+    Args:
+        model: identified with both forces, in one record or in several.
+        first: name of an output and of an input at one place and in one direction.
+        second: those of another place.
+
+    Raises:
+        InvalidDataError: no such channel, outputs that are no motion, or no system mode.
+
+    References:
+        Ewins, Modal Testing, 2nd edition, 2000, section 2.4 (Maxwell's reciprocity).
+    """
+    (a, at_a), (b, at_b) = (_driving_point(model, point) for point in (first, second))
+    powers = _derivatives(model)
+    modes = model.system
+    difference, spread = np.empty((2, len(modes)))
+    for k, mode in enumerate(modes):
+        residues = continuous_residue(mode, model.dt, hold=model.input_hold) / mode.pole ** powers[:, np.newaxis]
+        one, other = residues[a, at_b], residues[b, at_a]
+        mean = 0.5 * (abs(one) + abs(other))
+        difference[k] = abs(one - other) / mean
+        known = (np.nan, np.nan) if mode.mass_std is None else (mode.mass_std[a, at_b], mode.mass_std[b, at_a])
+        spread[k] = np.sqrt(2.0) * np.hypot(abs(one) * known[0], abs(other) * known[1]) / mean  # size and phase
+    return ReciprocityError(
+        difference=difference,
+        difference_std=spread,
+        frequencies=np.array([mode.frequency for mode in modes]),
+        driving_points=(first, second),
+    )
+
+
 def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> ScaledShapes:
     """Shapes for unit modal mass, from the residue at a driving point.
 
@@ -99,33 +152,20 @@ def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> Sc
     References:
         Ewins, Modal Testing, 2nd edition, 2000, section 2.4; Brandt, Noise and Vibration Analysis, 2011, section 6.4.
     """
-    output_name, input_name = driving_point
-    if not model.input_names:
-        raise InvalidDataError(
-            "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
-            "this model has no inputs; identify it with the force among them."
-        )
-    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
-        if name not in names:
-            raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
-    _check_input(model, input_name, "N", "modal mass needs a force")
-    if not model.system:
-        raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
-    output, force = model.output_names.index(output_name), model.input_names.index(input_name)
-    powers = np.array(
-        [_derivative(name, unit) for name, unit in zip(model.output_names, model.output_units, strict=True)]
-    )
-    scaled, spread = zip(*(_unit_mass(model, mode, output, force, powers) for mode in model.system), strict=True)
-    shapes = np.array(scaled).T
+    output, force = _driving_point(model, driving_point)
+    powers = _derivatives(model)
+    shapes = np.array([_unit_mass(model, mode, output, force, powers) for mode in model.system]).T
     largest = largest_component(shapes)
     mass = 1.0 / np.abs(largest) ** 2
-    relative = np.array(spread)
+    products = [np.diagonal(_residue_errors(mode, output, force).products) for mode in model.system]
+    relative = np.sqrt(np.array(products)).T  # of the squares of the components
+    of_largest = relative[np.abs(shapes).argmax(axis=0), np.arange(mass.size)]
     return ScaledShapes(
         shapes=shapes,
         shapes_std=0.5 * relative * np.abs(shapes),
         modal_mass=mass,
-        modal_mass_std=relative * mass,
-        driving_point=(output_name, input_name),
+        modal_mass_std=of_largest * mass,
+        driving_point=driving_point,
     )
 
 
@@ -159,6 +199,10 @@ def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.Ar
     lines = frozen(frequencies, name="frequencies", shape=(None,))
     s = 2j * np.pi * lines[:, np.newaxis, np.newaxis]
     n_outputs = len(model.output_names)
+    driven, force = (
+        names.index(name)
+        for names, name in zip((model.output_names, model.input_names), scaled.driving_point, strict=True)
+    )
     response = np.zeros((lines.size, n_outputs, n_outputs), dtype=np.complex128)
     variance = np.zeros(response.shape)
     for k, mode in enumerate(modes):
@@ -173,25 +217,63 @@ def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.Ar
         w, zeta = abs(pole), mode.damping_ratio
         by_w = pole / w
         by_zeta = -w - 1j * w * zeta / np.sqrt(max(1.0 - zeta**2, np.finfo(float).tiny))
-        size = np.abs(own + mirrored)
         for change, std in ((by_w, 2 * np.pi * mode.frequency_std), (by_zeta, mode.damping_ratio_std)):
             moved = own / (s - pole) * change + mirrored / (s - np.conj(pole)) * np.conj(change)
             variance += (np.abs(moved) * std) ** 2
-        relative = _relative_sizes(mode, scaled.modal_mass_std[k] / scaled.modal_mass[k])
-        variance += (size * np.sqrt(relative[0] + relative[1][:, np.newaxis] + relative[1])) ** 2
+        # the phase of a residue errs as much as its size does, and turns what is mirrored the other way
+        both = np.square(np.abs(own + mirrored)) + np.square(np.abs(own - mirrored))
+        variance += both * _residue_errors(mode, driven, force).products
     return ScaledResponse(
         response=response, response_std=np.sqrt(variance), frequencies=lines, names=model.output_names
     )
 
 
-def _relative_sizes(mode: Mode, mass: float) -> tuple[float, FloatArray]:
-    """Relative variance of the modal mass, and (n_outputs,) of the components beside the largest one."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _ResidueErrors:
+    """Where the relative errors of a mode's residues come from: R_of = L_f s_o errs as its input's part and as o does.
+
+    Attributes:
+        of_input: variance of the size of L_f, as if the shape were known.
+        of_outputs: (n_outputs,) variances of the sizes that the sensors show, each for itself.
+        driven: index of the driving point's output d.
+    """
+
+    of_input: float
+    of_outputs: FloatArray
+    driven: int
+
+    @property
+    def products(self) -> FloatArray:
+        """(n_outputs, n_outputs) variances of the sizes psi_a psi_b = L s_a s_b / s_d, which err as L + a + b - d."""
+        parts = np.eye(self.of_outputs.size)
+        weights = parts[:, np.newaxis] + parts - parts[self.driven]
+        with np.errstate(invalid="ignore"):
+            return self.of_input + np.where(weights == 0.0, 0.0, weights**2 * self.of_outputs).sum(axis=-1)
+
+
+def _residue_errors(mode: Mode, driven: int, force: int) -> _ResidueErrors:
+    """The parts, from deviations of residues (all outputs, one force) and of the shape s whose component c is 1.
+
+    With X of the outputs and Y of the input, residues have X_o + Y and components of the shape X_o + X_c: one
+    component beside c tells X_c, that with the least variance best. Half of a complex variance is that of the size.
+    """
+    n_outputs = mode.shape.size
+    if mode.mass_std is None or mode.shape_std is None:
+        return _ResidueErrors(of_input=np.nan, of_outputs=np.full(n_outputs, np.nan), driven=driven)
     size = np.abs(mode.shape)
-    if mode.shape_std is None:
-        return float(mass**2), np.full(size.size, np.nan)
+    largest = int(size.argmax())
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.where(size > 0, mode.shape_std / size, np.inf)
-    return float(mass**2), np.square(own)
+        of_shape = 0.5 * np.where(size > 0, mode.shape_std / size, np.inf) ** 2
+    residues = mode.mass_std[:, force] ** 2
+    beside = np.delete(np.arange(n_outputs), largest)
+    own = 0.5 * residues[largest]
+    if beside.size:
+        best = beside[np.nan_to_num(of_shape[beside], nan=np.inf).argmin()]
+        told = 0.5 * (of_shape[best] + residues[largest] - residues[best])
+        own = float(np.clip(told, 0.0, min(residues[largest], of_shape[best])))
+    of_outputs = np.maximum(of_shape - own, 0.0)
+    of_outputs[largest] = own
+    return _ResidueErrors(of_input=float(residues[largest] - own), of_outputs=of_outputs, driven=driven)
 
 
 def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, float] | None = None) -> BaseParticipation:
@@ -224,16 +306,13 @@ def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, flo
     _check_input(model, base, "m/s^2", "participation needs the base's acceleration")
     if not model.system:
         raise InvalidDataError("the model has no system mode, so none takes part.")
-    powers = np.array([_derivative(*both) for both in zip(model.output_names, model.output_units, strict=True)])
+    powers = _derivatives(model)
     acting = model.input_names.index(base)
     factors, spread = np.empty((2, len(model.output_names), len(model.system)))
     for k, mode in enumerate(model.system):
         residue = continuous_residue(mode, model.dt, hold=model.input_hold)[:, acting] / mode.pole**powers
         factors[:, k] = -(2j * mode.pole.imag * residue).real
-        largest = int(np.abs(mode.shape).argmax())
-        known = np.nan if mode.mass_std is None else float(mode.mass_std[largest, acting])
-        of_all, of_each = _relative_sizes(mode, known)
-        spread[:, k] = np.abs(factors[:, k]) * np.sqrt(of_all + of_each)
+        spread[:, k] = np.nan if mode.mass_std is None else np.abs(factors[:, k]) * mode.mass_std[:, acting]
     weights = np.array([np.nan if masses is None else float(masses.get(name, 0.0)) for name in model.output_names])
     return BaseParticipation(
         factors=factors,
@@ -246,22 +325,42 @@ def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, flo
     )
 
 
-def _unit_mass(
-    model: ModalModel, mode: Mode, output: int, force: int, powers: npt.NDArray[np.intp]
-) -> tuple[ComplexArray, float]:
-    """The shape as displacements for unit modal mass, and the relative standard deviation of the modal mass."""
+def _unit_mass(model: ModalModel, mode: Mode, output: int, force: int, powers: npt.NDArray[np.intp]) -> ComplexArray:
+    """(n_outputs,) the shape as displacements for unit modal mass."""
     shape = mode.shape / mode.pole**powers
     residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
     square = 2j * mode.pole.imag * residue
     spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
     if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
-        return np.full_like(shape, np.nan), np.nan
+        return np.full_like(shape, np.nan)
     if not square.real > 0:
         raise InvalidDataError(
             f"the mode at {mode.frequency:.4g} Hz has a negative modal mass at {model.output_names[output]} and "
             f"{model.input_names[force]}: turn the sign of one of the two channels, or name another driving point."
         )
-    return shape * np.sqrt(square) / shape[output], spread
+    scaled: ComplexArray = shape * np.sqrt(square) / shape[output]
+    return scaled
+
+
+def _driving_point(model: ModalModel, point: tuple[str, str]) -> tuple[int, int]:
+    """Indices of the output and the input [N]."""
+    output_name, input_name = point
+    if not model.input_names:
+        raise InvalidDataError(
+            "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
+            "this model has no inputs; identify it with the force among them."
+        )
+    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
+        if name not in names:
+            raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
+    _check_input(model, input_name, "N", "modal mass needs a force")
+    if not model.system:
+        raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
+    return model.output_names.index(output_name), model.input_names.index(input_name)
+
+
+def _derivatives(model: ModalModel) -> npt.NDArray[np.intp]:
+    return np.array([_derivative(*both) for both in zip(model.output_names, model.output_units, strict=True)])
 
 
 def _check_input(model: ModalModel, name: str, unit: str, needs: str) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.verdict.judgement import FOUND_AGAIN
-from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, shorten
+from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, listed, shorten
 from okid.errors import visible
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from modal.verdict.judgement import DOUBTED, LEAST_PART, SYSTEM_FROM
+from modal.verdict.probability import SPREAD
 
 
 def modes_headline(result: Identification) -> str:
@@ -67,7 +68,35 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
     if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
         more = "A second record of this test, identified together with it," if result.records else "More averages"
         said.append(f"{more} may settle the doubtful poles.")
-    return tuple(said) or ("You can quote these modes, with their 95 % intervals (±).",)
+    said += _for_the_damping(result)
+    if not said:
+        said.append("You can quote these modes, with their 95 % intervals (±).")
+    return (*said, *_for_the_forces(result))
+
+
+def _for_the_damping(result: Identification) -> tuple[str, ...]:
+    """How much more data the damping that must not be quoted takes: deviations fall with the root of the amount."""
+    unresolved = [mode for mode in result.modes.system if not mode.damping_resolved and mode.kind == "oscillatory"]
+    spreads = [mode.damping_ratio_std / mode.damping_ratio for mode in unresolved]
+    if not spreads or not all(spread > SPREAD for spread in spreads):  # not known, or another reason than its spread
+        return ()
+    times = math.ceil((max(spreads) / SPREAD) ** 2)
+    which = listed([hertz(mode.frequency) for mode in unresolved[:MOST_NAMED]])
+    more = " and others" if len(unresolved) > MOST_NAMED else ""
+    if times > MOST_TIMES:
+        return (f"For the damping at {which} Hz{more} drive harder there or measure it better, not only longer.",)
+    amount = {"response": "as many averages", "decay": "as many decays", "transient": "as many blows"}
+    measure = amount.get(result.record_kind, "as long a record")
+    return (f"For the damping at {which} Hz{more} measure about {counted(times)} times {measure}.",)
+
+
+def _for_the_forces(result: Identification) -> tuple[str, ...]:
+    """What a measured force would add where none was measured, or where those measured explain little."""
+    if not result.channels.n_inputs:
+        return ("For modal masses and frequency responses measure a force as well.",)
+    if result.response is None and result.fit.mean < LEAST_FIT:
+        return ("Measure what else drives it, where you can.",)
+    return ()
 
 
 def remark_of(mode: Mode) -> str:
@@ -83,6 +112,9 @@ def data_sentences(result: Identification) -> tuple[str, ...]:
     messages = () if result.excitation is None else result.excitation.messages
     return (*kind, *(message for message in messages if message not in result.warnings))
 
+
+MOST_TIMES = 12
+"""Advise so many times as much data at most: beyond a dozen nobody measures on, and something else must change."""
 
 LONGEST_LIMIT = 60
 """Letters of the name of a limit in a sentence; the table has the whole of it."""

@@ -56,7 +56,7 @@ def parameters_written(text):
 
 
 def test_the_list_is_whole(repository):
-    assert len(listed(repository)) == 156
+    assert len(listed(repository)) == 157
     assert sum("(" in line for line in listed(repository)) == 104
 
 

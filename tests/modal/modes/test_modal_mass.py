@@ -76,15 +76,60 @@ def test_the_interval_of_a_rebuilt_response_is_what_the_deviations_of_its_modes_
         for k, mode in enumerate(model.modes):
             w = 2 * np.pi * (mode.frequency + std[0] * rng.standard_normal())
             zeta = mode.damping_ratio + std[1] * rng.standard_normal()
-            # unit modal mass is known to std, and a residue goes with 1 / Im s
+            # unit modal mass is known to std, its phase as well, and a residue goes with 1 / Im s
             shape = scaled.shapes[:, k]
-            size = (1 + std[2] * rng.standard_normal()) * mode.pole.imag / (w * np.sqrt(1 - zeta**2))
+            size = (1 + std[2] * (rng.standard_normal(2) @ (1, 1j))) * mode.pole.imag / (w * np.sqrt(1 - zeta**2))
             pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
             residue = size * np.outer(shape, shape) / (2j * mode.pole.imag)
             s = 2j * np.pi * lines[:, np.newaxis, np.newaxis]
             drawn += residue / (s - pole) + residue.conj() / (s - np.conj(pole))
         errors.append(np.abs(drawn - plain) ** 2)
     assert stated.response_std == pytest.approx(np.sqrt(np.mean(errors, axis=0)), rel=0.1)
+
+
+@pytest.mark.parametrize("driven", [0, 2])
+def test_deviations_of_scaled_shapes_are_those_of_residues_whose_sensors_err_alone(driven):
+    model = known(np.eye(3), inputs=("fa", "fb", "fc"))
+    point = (NAMES[driven], model.input_names[driven])
+    exact = modal.normalise_shapes(model, driving_point=point).shapes
+    rng, n_draws = np.random.default_rng(5), 4000
+    of_output, of_input = np.array([0.004, 0.002, 0.006]), 0.003
+    own = of_output * (rng.standard_normal((n_draws, 3, 2)) @ (1, 1j))
+    common = of_input * (rng.standard_normal((n_draws, 2)) @ (1, 1j))
+    told, drawn = [], []
+    for k, mode in enumerate(model.modes):
+        residues = exact[:, k] * exact[driven, k] * (1 + own + common[:, np.newaxis])  # (n_draws, 3) of the one force
+        largest = int(np.abs(exact[:, k]).argmax())
+        shapes = residues / residues[:, largest, np.newaxis]
+        relative = np.zeros((3, 3))
+        relative[:, driven] = np.hypot(of_output, of_input)
+        told.append(
+            dataclasses.replace(
+                mode, shape_std=shapes.std(axis=0), mass_std=relative, frequency_std=1e-9, damping_ratio_std=1e-9
+            )
+        )
+        drawn.append(np.abs(residues / np.sqrt(residues[:, driven, np.newaxis])))
+    scaled = modal.normalise_shapes(dataclasses.replace(model, modes=tuple(told)), driving_point=point)
+    assert scaled.shapes_std == pytest.approx(np.std(drawn, axis=1).T, rel=0.06)
+    largest = np.abs(exact).argmax(axis=0)
+    masses = np.array([1 / sizes[:, row] ** 2 for sizes, row in zip(drawn, largest, strict=True)])
+    assert scaled.modal_mass_std == pytest.approx(masses.std(axis=1), rel=0.06)
+
+
+@pytest.mark.parametrize("unit", ["m", "m/s^2"])
+def test_reciprocity_holds_for_symmetric_matrices_and_tells_of_a_wrong_gain(unit):
+    forces = np.eye(3)[:, [0, 2]]
+    model = known(forces, unit=unit, inputs=("fa", "fc"))
+    exact = modal.reciprocity_error(model, ("a", "fa"), ("c", "fc"))
+    assert exact.difference == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(exact.difference_std).all()
+    noisy = known(forces * [1.0, 1.1], unit=unit, inputs=("fa", "fc"))  # the second force is 10 % stronger than stated
+    modes = tuple(dataclasses.replace(mode, mass_std=np.full((3, 2), 0.01)) for mode in noisy.modes)
+    told = modal.reciprocity_error(dataclasses.replace(noisy, modes=modes), ("a", "fa"), ("c", "fc"))
+    assert told.difference == pytest.approx(0.1 / 1.05, rel=1e-6)
+    assert told.difference_std == pytest.approx(0.02, rel=0.01)
+    with pytest.raises(InvalidDataError, match="no input 'fb'"):
+        modal.reciprocity_error(model, ("a", "fa"), ("b", "fb"))
 
 
 @pytest.mark.parametrize("unit", ["m", "m/s^2"])
