@@ -136,7 +136,7 @@ def test_lines_of_a_block_stay_lines(pages):
         (
             "named",
             1,
-            ("What is missing", "Simulate with the updated", "the effect found take away 100 %"),
+            ("What is missing", "Simulate with the updated", "with the effect found it is 100 %"),
             ("The best guess", "What could still hide"),
         ),
         (

@@ -23,6 +23,7 @@ from modal.sections.words import INDICATORS, data_sentences, fit_word, modes_hea
 from modal.verdict import judgement as verdict
 from modal.wording.text import fit_text, hertz, ratio_text, with_interval
 from okid.errors import InvalidDataError
+from okid.record import Record
 
 
 def with_fit(result, fit):
@@ -209,6 +210,34 @@ def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
     assert (
         next_sentences(replace(identification, warnings=("Look.",)))[0] == "Read the warning before you quote a number."
     )
+
+
+@pytest.mark.parametrize(
+    ("spread", "advice"),
+    [
+        (0.05, ""),
+        (0.21, "For the damping at 3.67 Hz measure about five times as long a record."),
+        (0.5, "For the damping at 3.67 Hz drive harder there or measure it better, not only longer."),
+        (np.nan, ""),
+    ],
+)
+def test_how_much_longer_to_measure_is_told_from_the_spread_of_the_damping(identification, spread, advice):
+    first, *others = identification.modes.modes
+    mode = replace(first, damping_resolved=spread < 0.1, damping_ratio_std=spread * first.damping_ratio)
+    result = replace(identification, warnings=(), modes=replace(identification.modes, modes=(mode, *others)))
+    said = " ".join(next_sentences(result))
+    assert advice in said
+    assert ("For the damping" in said) == bool(advice)
+
+
+def test_what_a_force_would_add_is_told_where_none_or_too_little_was_measured(identification):
+    quiet = replace(identification, warnings=())
+    assert "force" not in " ".join(next_sentences(with_fit(quiet, 0.99)))
+    assert next_sentences(with_fit(quiet, 0.3))[-1] == "Measure what else drives it, where you can."
+    record = quiet.records[0]
+    alone = Record(np.zeros((record.n_samples, 0)), record.outputs, record.dt, output_names=record.output_names)
+    ambient = next_sentences(replace(quiet, records=(alone,)))
+    assert ambient[-1] == "For modal masses and frequency responses measure a force as well."
 
 
 COLUMNS = {column.key: column for column in INDICATORS}
