@@ -26,7 +26,7 @@ from modal.acceptance.check import LimitOutcome
 from modal.command.stopping import Requests
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
-from modal.identification.words import damping_text, frequency_text, trust_of
+from modal.identification.words import damping_text, frequency_text, shown_frequency, trust_of
 from modal.modes.mode import Mode, numbered
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
@@ -127,7 +127,7 @@ def show_result(
     believed = [(number, mode) for number, mode in numbered(result.modes.modes) if mode.verdict != "noise"]
     if believed:
         console.print(_mode_table(believed))
-    noise = [f"{hertz(mode.frequency)} Hz" for mode in result.modes if mode.verdict == "noise"]
+    noise = [f"{hertz(shown_frequency(mode))} Hz" for mode in result.modes if mode.verdict == "noise"]
     if noise:
         named = noise[: Shown.MOST_NOISE] + [f"{len(noise) - Shown.MOST_NOISE} more"] * (len(noise) > Shown.MOST_NOISE)
         poles = "one pole" if len(noise) == 1 else f"{len(noise)} poles"

@@ -520,13 +520,18 @@ def damping_shown(mode: Mode) -> str:
 
     Its 95 % interval is shown only where it may be.
     """
-    if mode.kind == "real" or not mode.damping_resolved:
+    if mode.kind in ("real", "nyquist") or not mode.damping_resolved:
         return ratio_text(mode.damping_ratio)
     return ratio_text(mode.damping_ratio, mode.damping_ratio_std)
 
 
+def shown_frequency(mode: Mode) -> float:
+    """The natural frequency [Hz]; half the sampling frequency for a pole on the negative real axis, where |s| is none."""
+    return mode.frequency if mode.kind != "nyquist" else abs(mode.pole.imag) / (2.0 * math.pi)
+
+
 def frequency_text(mode: Mode) -> str:
     """Frequency in Hz, with its 95 % interval where that is known."""
-    if not math.isfinite(mode.frequency_std):
-        return hertz(mode.frequency)
+    if mode.kind == "nyquist" or not math.isfinite(mode.frequency_std):
+        return hertz(shown_frequency(mode))
     return with_interval(mode.frequency, NINETY_FIVE * mode.frequency_std)

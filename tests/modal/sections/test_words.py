@@ -11,6 +11,7 @@ from modal.acceptance.test_file import SensorNote, Specification
 from modal.identification.words import (
     caution_sentence,
     damping_sentence,
+    damping_shown,
     damping_text,
     doubtful_sentence,
     fit_sentence,
@@ -210,6 +211,13 @@ def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
     assert (
         next_sentences(replace(identification, warnings=("Look.",)))[0] == "Read the warning before you quote a number."
     )
+
+
+def test_a_pole_on_the_negative_real_axis_is_shown_at_half_the_sampling_frequency(identification):
+    mode = identification.modes.modes[0]
+    at_nyquist = replace(mode, kind="nyquist", pole=complex(-650.0, 50 * 2 * np.pi), frequency=114.7, frequency_std=9.0)
+    assert frequency_text(at_nyquist) == "50"
+    assert "±" not in damping_shown(at_nyquist)
 
 
 @pytest.mark.parametrize(
