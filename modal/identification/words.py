@@ -526,7 +526,7 @@ def damping_shown(mode: Mode) -> str:
 
 
 def shown_frequency(mode: Mode) -> float:
-    """The natural frequency [Hz]; half the sampling frequency for a pole on the negative real axis, where |s| is none."""
+    """The natural frequency [Hz]; half the sampling frequency for a pole on the negative real axis, which has none."""
     return mode.frequency if mode.kind != "nyquist" else abs(mode.pole.imag) / (2.0 * math.pi)
 
 
