@@ -188,8 +188,13 @@ def save(identification: Identification, path: str | Path, *, existing: Existing
     return write_parts({"result": identification}, path, existing=existing)
 
 
-def write_parts(parts: Mapping[str, object], path: str | Path, *, existing: Existing = "refuse") -> Path:
-    """Write several frozen types into one file, each under its name; errors and the rest as in `save`."""
+def write_parts(
+    parts: Mapping[str, object], path: str | Path, *, existing: Existing = "refuse", most: float = math.inf
+) -> Path:
+    """Write several frozen types into one file, each under its name; errors and the rest as in `save`.
+
+    Parts with which the arrays would take more than `most` bytes, each counted once, are left out, but for the first.
+    """
     path = Path(path)
     if existing not in get_args(Existing):
         raise InvalidDataError(f"existing must be one of {', '.join(get_args(Existing))}, but is {existing!r}.")
@@ -198,7 +203,12 @@ def write_parts(parts: Mapping[str, object], path: str | Path, *, existing: Exis
     if not path.parent.is_dir():
         raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
     arrays: dict[int, tuple[str, npt.NDArray[Any]]] = {}
-    encoded = {name: _encode(part, arrays) for name, part in parts.items()}
+    encoded: dict[str, Any] = {}
+    for name, part in parts.items():
+        with_it = dict(arrays)
+        document = _encode(part, with_it)
+        if not encoded or sum(array.nbytes for _, array in with_it.values()) <= most:
+            encoded[name], arrays = document, with_it
     text = json.dumps({"schema": SCHEMA_VERSION, **encoded}, allow_nan=False)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

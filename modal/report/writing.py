@@ -2,11 +2,9 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
-
-import numpy as np
 
 from modal import recording
 from modal.comparison.shifts import PART, summary_of
@@ -32,13 +30,6 @@ LARGEST_KEPT = 1 << 27
 simulations. Above, its file holds the summary that a comparison needs; the rest can be made again from the records."""
 
 
-def kept_size(result: Identification) -> int:
-    """Bytes of the arrays of a result, each counted once."""
-    sizes: dict[int, int] = {}
-    _add_sizes(result, sizes)
-    return sum(sizes.values())
-
-
 def keep_result(result: Identification, path: Path, *, files: Sequence[str] = ()) -> Path:
     """Write the summary for a comparison, and with it the result unless it would be larger than `LARGEST_KEPT`.
 
@@ -50,21 +41,7 @@ def keep_result(result: Identification, path: Path, *, files: Sequence[str] = ()
     Raises:
         InvalidDataError: the file exists or cannot be written.
     """
-    parts: dict[str, object] = {PART: summary_of(result, files=files)}
-    if kept_size(result) <= LARGEST_KEPT:
-        parts["result"] = result
-    return write_parts(parts, path)
-
-
-def _add_sizes(value: object, sizes: dict[int, int]) -> None:
-    if isinstance(value, np.ndarray):
-        sizes[id(value)] = value.nbytes
-    elif isinstance(value, tuple):
-        for item in value:
-            _add_sizes(item, sizes)
-    elif is_dataclass(value):
-        for field in fields(value):
-            _add_sizes(getattr(value, field.name), sizes)
+    return write_parts({PART: summary_of(result, files=files), "result": result}, path, most=LARGEST_KEPT)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
