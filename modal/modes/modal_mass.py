@@ -51,7 +51,7 @@ class ScaledResponse(Displayed):
     Attributes:
         response: (n_lines, n_outputs, n_outputs) [m/N], of each sensor to a force at each sensor.
         response_std: (n_lines, n_outputs, n_outputs) [m/N] standard deviation of the complex number: the root of the
-            mean square of its distance; nan where a mode's is not known.
+            mean square of its distance; nan where a mode's is not known, or where a mode has no modal mass.
         frequencies: (n_lines,) [Hz].
         names: of the sensors.
     """
@@ -182,7 +182,7 @@ def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.Ar
 
     Returns:
         Responses [m/N] with their deviations, each mode's size, frequency and damping taken for independent of each
-        other: a lower bound where these err together. A mode without a modal mass is left out.
+        other. A mode without a modal mass is left out, and no deviation is known then.
 
     Raises:
         InvalidDataError: shapes of another model.
@@ -208,6 +208,7 @@ def scaled_response(model: ModalModel, scaled: ScaledShapes, frequencies: npt.Ar
     for k, mode in enumerate(modes):
         shape = scaled.shapes[:, k]
         if not np.isfinite(shape).all():
+            variance += np.nan  # what it adds to any line is not known
             continue
         pole, product = mode.pole, np.outer(shape, shape)
         residue = product / (2j * pole.imag)

@@ -87,6 +87,22 @@ def test_the_interval_of_a_rebuilt_response_is_what_the_deviations_of_its_modes_
     assert stated.response_std == pytest.approx(np.sqrt(np.mean(errors, axis=0)), rel=0.1)
 
 
+def test_a_mode_whose_mass_is_not_known_leaves_no_interval_of_a_rebuilt_response():
+    model = known(np.array([[0.0], [0.0], [1.0]]))
+    given = {"frequency_std": 1e-3, "damping_ratio_std": 1e-4, "shape_std": np.full(3, 1e-3)}
+    sizes = (0.01, 0.01, 0.8)  # the driving point is a node of the last one
+    modes = tuple(
+        dataclasses.replace(mode, mass_std=np.full((3, 1), size), **given)
+        for mode, size in zip(model.modes, sizes, strict=True)
+    )
+    model = dataclasses.replace(model, modes=modes)
+    scaled = modal.normalise_shapes(model, driving_point=("c", "f"))
+    rebuilt = modal.scaled_response(model, scaled, [1.0, 5.0])
+    assert np.isnan(scaled.modal_mass[2])
+    assert np.isfinite(rebuilt.response).all()
+    assert np.isnan(rebuilt.response_std).all()
+
+
 @pytest.mark.parametrize("driven", [0, 2])
 def test_deviations_of_scaled_shapes_are_those_of_residues_whose_sensors_err_alone(driven):
     model = known(np.eye(3), inputs=("fa", "fb", "fc"))
