@@ -256,7 +256,7 @@ def _residue_errors(mode: Mode, driven: int, force: int) -> _ResidueErrors:
     """The parts, from deviations of residues (all outputs, one force) and of the shape s whose component c is 1.
 
     With X of the outputs and Y of the input, residues have X_o + Y and components of the shape X_o + X_c: one
-    component beside c tells X_c, that with the least variance best. Half of a complex variance is that of the size.
+    component beside c tells X_c: the driving point's, else that with the least variance. Half of a complex variance is that of the size.
     """
     n_outputs = mode.shape.size
     if mode.mass_std is None or mode.shape_std is None:
@@ -269,12 +269,13 @@ def _residue_errors(mode: Mode, driven: int, force: int) -> _ResidueErrors:
     beside = np.delete(np.arange(n_outputs), largest)
     own = 0.5 * residues[largest]
     if beside.size:
-        best = beside[np.nan_to_num(of_shape[beside], nan=np.inf).argmin()]
+        best = driven if driven != largest else beside[np.nan_to_num(of_shape[beside], nan=np.inf).argmin()]
         told = 0.5 * (of_shape[best] + residues[largest] - residues[best])
         own = float(np.clip(told, 0.0, min(residues[largest], of_shape[best])))
     of_outputs = np.maximum(of_shape - own, 0.0)
     of_outputs[largest] = own
-    return _ResidueErrors(of_input=float(residues[largest] - own), of_outputs=of_outputs, driven=driven)
+    of_input = max(float(residues[driven] - of_outputs[driven]), 0.0)
+    return _ResidueErrors(of_input=of_input, of_outputs=of_outputs, driven=driven)
 
 
 def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, float] | None = None) -> BaseParticipation:
