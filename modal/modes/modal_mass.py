@@ -255,8 +255,9 @@ class _ResidueErrors:
 def _residue_errors(mode: Mode, driven: int, force: int) -> _ResidueErrors:
     """The parts, from deviations of residues (all outputs, one force) and of the shape s whose component c is 1.
 
-    With X of the outputs and Y of the input, residues have X_o + Y and components of the shape X_o + X_c: one
-    component beside c tells X_c: the driving point's, else that with the least variance. Half of a complex variance is that of the size.
+    With X of the outputs and Y of the input, residues have X_o + Y and components of the shape X_o + X_c. The driving
+    point, or beside c itself the component with the least variance, tells X_c. Half of a complex variance is that of
+    the size.
     """
     n_outputs = mode.shape.size
     if mode.mass_std is None or mode.shape_std is None:
