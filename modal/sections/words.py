@@ -86,7 +86,7 @@ def _for_the_damping(result: Identification) -> tuple[str, ...]:
     if times > MOST_TIMES:
         return (f"For the damping at {which} Hz{more} drive harder there or measure it better, not only longer.",)
     amount = {"response": "as many averages", "decay": "as many decays", "transient": "as many blows"}
-    measure = amount.get(result.record_kind, "as long a record")
+    measure = amount.get(result.record_kind or "", "as long a record")
     return (f"For the damping at {which} Hz{more} measure about {counted(times)} times {measure}.",)
 
 
